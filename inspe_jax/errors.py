@@ -1,0 +1,18 @@
+"""The one exception a user can cause."""
+
+
+class InspeError(ValueError):
+    """Bad input: a file, a key, a value or a name that cannot be used.
+
+    The message names what was given, where, and what is allowed. It is raised
+    before any tracing; the command line prints it and exits with status 2.
+    """
+
+
+def nearest(name: str, known: "list[str] | tuple[str, ...]") -> str:
+    """``'; did you mean X?'`` with the known names nearest to ``name``, or ``''``."""
+    from difflib import get_close_matches
+
+    lowered = {k.lower(): k for k in known}
+    close = get_close_matches(name.lower(), list(lowered), n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(lowered[c] for c in close)}?" if close else ""

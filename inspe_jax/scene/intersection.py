@@ -1,0 +1,141 @@
+"""An intersection as the rest of the package sees it: labelled ground, routes, mounts, height."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.scene.regions import Region
+
+CROSSWALK_WIDTH = 3.0
+"""Width [m] of a crosswalk strip laid where a map has none."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One road that meets the junction.
+
+    ``mouth`` is the middle of its carriageway where it enters the junction
+    (x, y) [m]; ``bearing`` points away from the junction along the road [rad];
+    ``width`` is the whole carriageway, both directions, kerb to kerb [m].
+    """
+
+    mouth: tuple[float, float]
+    bearing: float
+    width: float
+
+
+@dataclass(frozen=True)
+class Route:
+    """A path that one kind of road user follows through the scene.
+
+    ``waypoints`` are (N, 3) world metres, about 1 m apart, in the direction of
+    travel; ``width`` is that of the lane [m]; ``user`` is ``'vehicle'`` or
+    ``'pedestrian'``. ``through`` names the (entry, exit) arms of a vehicle
+    route by index, −1 where it begins or ends elsewhere.
+    """
+
+    waypoints: Float[np.ndarray, "N 3"]
+    width: float
+    user: str = "vehicle"
+    through: tuple[int, int] = (-1, -1)
+
+    @cached_property
+    def arc(self) -> Float[np.ndarray, " N"]:
+        """Plan-view arc length at each waypoint [m]."""
+        steps = np.linalg.norm(np.diff(self.waypoints[:, :2], axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def length(self) -> float:
+        """Plan-view length [m]."""
+        return float(self.arc[-1])
+
+
+@dataclass(frozen=True)
+class Intersection:
+    """A junction and what surrounds it, in world metres (ENU).
+
+    ``regions`` hold one shapely geometry each and may overlap: a column takes
+    its label by :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is
+    where a pole may be put (sidewalk, shoulder, islands); ``poles`` (P, 3) are
+    feet of those that stand already, as signal poles; ``ground_points`` (G, 3)
+    carry the height of the ground; ``notes`` say what was assumed.
+    """
+
+    name: str
+    source: str
+    center: Float[np.ndarray, "3"]
+    regions: Mapping[Region, BaseGeometry]
+    arms: tuple[Arm, ...]
+    routes: tuple[Route, ...]
+    mounting: BaseGeometry
+    poles: Float[np.ndarray, "P 3"]
+    ground_points: Float[np.ndarray, "G 3"]
+    notes: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def _ground_index(self) -> cKDTree:
+        return cKDTree(self.ground_points[:, :2])
+
+    def ground(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
+        """Ground height [m] at plan points: inverse-distance mean of the 4 nearest points.
+
+        Exact at a ground point; on level ground it is that level everywhere.
+        """
+        xy = np.atleast_2d(np.asarray(xy, float))
+        neighbours = min(4, len(self.ground_points))
+        distance, index = self._ground_index.query(xy, k=neighbours)
+        distance, index = distance.reshape(len(xy), -1), index.reshape(len(xy), -1)
+        weight = 1.0 / np.maximum(distance, 1e-6) ** 2
+        height = self.ground_points[index, 2]
+        return (weight * height).sum(1) / weight.sum(1)
+
+
+def mouth_crosswalks(arms: tuple[Arm, ...], width: float = CROSSWALK_WIDTH) -> BaseGeometry:
+    """One strip of ``width`` metres across each arm, just outside the junction's mouth."""
+    strips = []
+    for arm in arms:
+        along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
+        across = np.array([-along[1], along[0]]) * arm.width / 2
+        middle = np.asarray(arm.mouth) + along * width / 2
+        strips.append(
+            LineString([middle - across, middle + across]).buffer(width / 2, cap_style="flat")
+        )
+    return unary_union(strips) if strips else MultiPolygon()
+
+
+def corner_islands(
+    arms: tuple[Arm, ...], size: float = 2.0, setback: float = 1.5
+) -> BaseGeometry:
+    """Square islands of ``size`` metres at the corners between neighbouring arms.
+
+    A corner is where the kerb lines of two neighbouring arms meet, moved
+    ``setback`` metres outward; where they run parallel it is midway between the
+    two mouths' kerb points.
+    """
+    if len(arms) < 2:
+        return MultiPolygon()
+    ordered = sorted(arms, key=lambda a: a.bearing % (2 * np.pi))
+    islands: list[Polygon] = []
+    for arm, following in zip(ordered, ordered[1:] + ordered[:1], strict=True):
+        kerb, kerb_next = _kerb(arm, +1), _kerb(following, -1)
+        corner = (kerb + kerb_next) / 2
+        outward = corner - np.mean([a.mouth for a in arms], axis=0)
+        norm = np.linalg.norm(outward)
+        if norm > 0:
+            corner = corner + outward / norm * setback
+        islands.append(Point(corner).buffer(size / 2, cap_style="square"))
+    return unary_union(islands)
+
+
+def _kerb(arm: Arm, side: int) -> np.ndarray:
+    """The kerb point of an arm's mouth, on its left (+1) or right (−1) looking outward."""
+    across = np.array([-np.sin(arm.bearing), np.cos(arm.bearing)])
+    return np.asarray(arm.mouth) + side * across * arm.width / 2

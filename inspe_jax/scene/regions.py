@@ -1,0 +1,37 @@
+"""The five regions of the vector map and the paper's weights."""
+
+from enum import IntEnum
+
+
+class Region(IntEnum):
+    """What a piece of ground is for; the value is the label stored per column."""
+
+    DRIVEWAY = 0
+    JUNCTION = 1
+    CROSSWALK = 2
+    SIDEWALK = 3
+    SHOULDER = 4
+
+    @property
+    def key(self) -> str:
+        """Lower-case name, as written in files and tables."""
+        return self.name.lower()
+
+
+WEIGHTS: dict[Region, float] = {
+    Region.DRIVEWAY: 0.22,
+    Region.JUNCTION: 0.25,
+    Region.CROSSWALK: 0.23,
+    Region.SIDEWALK: 0.17,
+    Region.SHOULDER: 0.13,
+}
+"""Region weights w of the paper's coverage; they sum to 1."""
+
+PRECEDENCE: tuple[Region, ...] = (
+    Region.CROSSWALK,
+    Region.JUNCTION,
+    Region.DRIVEWAY,
+    Region.SHOULDER,
+    Region.SIDEWALK,
+)
+"""Where regions overlap the first of these names the column."""

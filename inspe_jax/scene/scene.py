@@ -1,0 +1,197 @@
+"""Scene = intersection + voxels + traffic: build it, save it, load it."""
+
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import jax
+import numpy as np
+import shapely
+
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.scene.intersection import Arm, Intersection, Route
+from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.traffic import DENSITIES, TrafficFrames, no_traffic, waypoint_traffic
+from inspe_jax.scene.voxels import VoxelGrid, build_voxels
+
+FORMAT = "inspe_jax scene 1"
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Scene:
+    """What the sensors look at. Frozen; arrays in world metres and radians.
+
+    ``settings`` say how it was made (radius, voxel, density, frames, seed).
+    """
+
+    voxels: VoxelGrid
+    traffic: TrafficFrames
+    intersection: Intersection = field(metadata={"static": True})
+    settings: tuple[tuple[str, str], ...] = field(metadata={"static": True}, default=())
+
+    @property
+    def name(self) -> str:
+        """The intersection's name."""
+        return self.intersection.name
+
+
+def build_scene(
+    intersection: Intersection,
+    *,
+    radius: float = 50.0,
+    voxel: float = 0.5,
+    density: str | int = "medium",
+    frames: int = 100,
+    mix: str = "mixed",
+    seed: int = 0,
+) -> Scene:
+    """Voxelise an intersection and fill it with waypoint traffic.
+
+    ``radius`` and ``voxel`` in metres; ``density`` is ``none``, ``low``,
+    ``medium``, ``high`` or a mean number of objects; ``mix`` as in
+    :func:`~inspe_jax.scene.traffic.waypoint_traffic`. Raises InspeError on a
+    value out of range.
+    """
+    count = _density(density)
+    if frames < 1:
+        raise InspeError(f"frames {frames} is out of range: at least 1")
+    voxels = build_voxels(intersection, radius=radius, voxel=voxel)
+    traffic = (
+        waypoint_traffic(
+            intersection, radius=radius, count=count, frames=frames, mix=mix, seed=seed
+        )
+        if count
+        else no_traffic()
+    )
+    settings = dict(
+        radius=f"{radius:g}",
+        voxel=f"{voxel:g}",
+        density=str(density),
+        frames=str(frames),
+        mix=mix,
+        seed=str(seed),
+    )
+    return Scene(voxels, traffic, intersection, tuple(settings.items()))
+
+
+def load_scene(source: str | os.PathLike[str]) -> Scene:
+    """A built-in intersection by name, at default settings, or a saved ``.npz`` scene.
+
+    Needs no map reader. Raises InspeError where there is no such built-in or
+    file, or the file is not a scene.
+    """
+    if str(source) in BUILT_INS:
+        return build_scene(built_in(str(source)))
+    path = Path(source)
+    if path.suffix != ".npz":
+        raise InspeError(
+            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"
+            + nearest(str(source), tuple(BUILT_INS))
+        )
+    if not path.is_file():
+        raise InspeError(f"{path}: no such file")
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return _unpack({k: data[k] for k in data.files})
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, shapely.errors.ShapelyError) as e:
+        raise InspeError(f"{path}: not a scene saved by this package ({e})") from e
+
+
+def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a scene to a compressed ``.npz``; the file appears whole or not at all."""
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise InspeError(f"{path}: a scene is saved as .npz")
+    if not path.parent.is_dir():
+        raise InspeError(f"{path.parent}: no such folder")
+    handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as f:
+            np.savez_compressed(f, **_pack(scene))
+        os.replace(part, path)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+
+
+def _density(density: str | int) -> int:
+    if isinstance(density, str) and density in DENSITIES:
+        return DENSITIES[density]
+    try:
+        count = int(density)
+    except ValueError:
+        count = -1
+    if not 0 <= count <= 500:
+        raise InspeError(
+            f"density '{density}': {', '.join(DENSITIES)}, or a mean number of objects up to 500"
+        )
+    return count
+
+
+_GRID = ("columns", "ground", "region", "center")
+_TRAFFIC = ("center", "yaw", "size", "valid", "kind")
+
+
+def _pack(scene: Scene) -> dict[str, np.ndarray]:
+    """Plain arrays and one JSON text; polygons as WKB."""
+    place, grid = scene.intersection, scene.voxels
+    record = {
+        "format": FORMAT,
+        "name": place.name,
+        "source": place.source,
+        "notes": place.notes,
+        "arms": [[*a.mouth, a.bearing, a.width] for a in place.arms],
+        "routes": [[r.width, r.user, list(r.through)] for r in place.routes],
+        "grid": [grid.size, grid.radius, grid.level_count],
+        "settings": scene.settings,
+        "regions": [r.key for r in place.regions],
+    }
+    shapes = [*place.regions.values(), place.mounting]
+    arrays = {
+        "record": np.array(json.dumps(record)),
+        "place_center": np.asarray(place.center),
+        "poles": place.poles,
+        "ground_points": place.ground_points,
+        "route_lengths": np.array([len(r.waypoints) for r in place.routes], int),
+        "route_points": np.concatenate([np.zeros((0, 3)), *(r.waypoints for r in place.routes)]),
+    }
+    arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
+    arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
+    arrays |= {f"traffic_{k}": np.asarray(getattr(scene.traffic, k)) for k in _TRAFFIC}
+    return arrays
+
+
+def _unpack(data: dict[str, np.ndarray]) -> Scene:
+    record = json.loads(str(data["record"]))
+    if record["format"] != FORMAT:
+        raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
+    shapes = [
+        shapely.from_wkb(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)
+    ]
+    points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
+    place = Intersection(
+        name=record["name"],
+        source=record["source"],
+        center=data["place_center"],
+        regions={Region[k.upper()]: s for k, s in zip(record["regions"], shapes, strict=False)},
+        arms=tuple(Arm((x, y), bearing, width) for x, y, bearing, width in record["arms"]),
+        routes=tuple(
+            Route(p, width, user, (through[0], through[1]))
+            for p, (width, user, through) in zip(points, record["routes"], strict=False)
+        ),
+        mounting=shapes[-1],
+        poles=data["poles"],
+        ground_points=data["ground_points"],
+        notes=tuple(record["notes"]),
+    )
+    size, radius, level_count = record["grid"]
+    grid = VoxelGrid(
+        **{k: data[f"grid_{k}"] for k in _GRID}, size=size, radius=radius, level_count=level_count
+    )
+    traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
+    return Scene(grid, traffic, place, tuple((k, v) for k, v in record["settings"]))

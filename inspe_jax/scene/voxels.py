@@ -1,0 +1,139 @@
+"""The voxelised region of interest: columns over a plan grid, each with the same levels."""
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import jax
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
+
+ROI_HEIGHT = 4.0
+"""Height of the region of interest above the ground [m]."""
+RADIUS_LIMITS = (10.0, 200.0)
+"""Allowed radius of the region of interest, D_inf [m]."""
+VOXEL_LIMITS = (0.05, 2.0)
+"""Allowed edge of a voxel [m]."""
+BYTES_PER_VOXEL = 200
+"""Rough peak memory of building and scoring, per voxel: what the size check assumes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Voxels as columns × levels, in world metres.
+
+    ``columns`` (L, 2) are plan centres on a lattice that has a corner at
+    ``center``; ``ground`` (L,) is the ground's height under each; ``region``
+    (L,) its label. Level k spans ground + [k, k + 1]·size, so every voxel is a
+    cube and the voxels of a column share one plan square. Voxel number v is
+    column v // Z, level v % Z.
+    """
+
+    columns: Float[np.ndarray, "L 2"]
+    ground: Float[np.ndarray, " L"]
+    region: Int[np.ndarray, " L"]
+    center: Float[np.ndarray, "3"]
+    size: float = field(metadata={"static": True})
+    radius: float = field(metadata={"static": True})
+    level_count: int = field(metadata={"static": True})
+
+    @property
+    def levels(self) -> Float[np.ndarray, " Z"]:
+        """Height of each level's centre above the ground [m]."""
+        return (np.arange(self.level_count) + 0.5) * self.size
+
+    @property
+    def count(self) -> int:
+        """Number of voxels V = L·Z."""
+        return len(self.columns) * self.level_count
+
+    @cached_property
+    def centers(self) -> Float[np.ndarray, "V 3"]:
+        """Voxel centres [m]."""
+        z = self.ground[:, None] + self.levels  # (L, Z)
+        xy = np.repeat(self.columns, self.level_count, axis=0)
+        return np.column_stack([xy, z.ravel()])
+
+    @cached_property
+    def column_weight(self) -> Float[np.ndarray, " L"]:
+        """Region weight w of each column."""
+        table = np.array([WEIGHTS[r] for r in Region])
+        return table[self.region]
+
+    @cached_property
+    def weight(self) -> Float[np.ndarray, " V"]:
+        """Region weight w of each voxel."""
+        return np.repeat(self.column_weight, self.level_count)
+
+
+def build_voxels(
+    intersection: Intersection, *, radius: float = 50.0, voxel: float = 0.5
+) -> VoxelGrid:
+    """Voxelise an intersection: every column within ``radius`` [m] that lies in some region.
+
+    ``voxel`` is the edge of a cube [m]; the column is labelled by its centre.
+    Raises InspeError where a value is out of range, the grid would not fit in
+    memory, or no region lies within the radius.
+    """
+    _check_range("radius", radius, RADIUS_LIMITS)
+    _check_range("voxel", voxel, VOXEL_LIMITS)
+    level_count = max(1, round(ROI_HEIGHT / voxel))
+    half = int(np.ceil(radius / voxel))
+    _check_memory(np.pi * (radius / voxel) ** 2 * level_count, radius, voxel)
+
+    lattice = (np.arange(-half, half) + 0.5) * voxel
+    offset = np.stack(np.meshgrid(lattice, lattice, indexing="ij"), -1).reshape(-1, 2)
+    offset = offset[np.hypot(offset[:, 0], offset[:, 1]) <= radius]
+    columns = offset + intersection.center[:2]
+
+    region = np.full(len(columns), -1, np.int8)
+    for label in reversed(PRECEDENCE):
+        shape = intersection.regions.get(label)
+        if shape is None or shape.is_empty:
+            continue
+        shapely.prepare(shape)
+        region[shapely.contains_xy(shape, columns[:, 0], columns[:, 1])] = label
+    inside = region >= 0
+    if not inside.any():
+        raise InspeError(
+            f"{intersection.name}: no driveway, junction, crosswalk, sidewalk or shoulder within "
+            f"{radius:g} m of ({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
+        )
+    columns = columns[inside]
+    return VoxelGrid(
+        columns=columns,
+        ground=intersection.ground(columns),
+        region=region[inside],
+        center=np.asarray(intersection.center, float),
+        size=float(voxel),
+        radius=float(radius),
+        level_count=level_count,
+    )
+
+
+def _check_range(name: str, value: float, limits: tuple[float, float]) -> None:
+    if not limits[0] <= value <= limits[1]:
+        raise InspeError(
+            f"{name} {value:g} m is out of range: between {limits[0]:g} and {limits[1]:g} m"
+        )
+
+
+def _check_memory(voxels: float, radius: float, voxel: float) -> None:
+    """Refuse a grid that this machine's memory cannot hold."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not on Windows
+        memory = 16 * 2**30
+    needed = voxels * BYTES_PER_VOXEL
+    if needed > memory / 2:
+        raise InspeError(
+            f"the grid is too large for memory: radius {radius:g} m at voxel {voxel:g} m is up to "
+            f"{voxels / 1e6:,.0f} million voxels, about {needed / 2**30:,.0f} GiB, and this "
+            f"machine has {memory / 2**30:,.0f} GiB; use a larger voxel or a smaller radius"
+        )

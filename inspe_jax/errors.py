@@ -1,5 +1,8 @@
 """The one exception a user can cause."""
 
+from collections.abc import Sequence
+from difflib import get_close_matches
+
 
 class InspeError(ValueError):
     """Bad input: a file, a key, a value or a name that cannot be used.
@@ -9,10 +12,8 @@ class InspeError(ValueError):
     """
 
 
-def nearest(name: str, known: "list[str] | tuple[str, ...]") -> str:
+def nearest(name: str, known: Sequence[str]) -> str:
     """``'; did you mean X?'`` with the known names nearest to ``name``, or ``''``."""
-    from difflib import get_close_matches
-
     lowered = {k.lower(): k for k in known}
     close = get_close_matches(name.lower(), list(lowered), n=3, cutoff=0.5)
     return f"; did you mean {' or '.join(lowered[c] for c in close)}?" if close else ""

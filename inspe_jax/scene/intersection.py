@@ -31,7 +31,7 @@ class Arm:
     width: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Route:
     """A path that one kind of road user follows through the scene.
 
@@ -58,7 +58,7 @@ class Route:
         return float(self.arc[-1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Intersection:
     """A junction and what surrounds it, in world metres (ENU).
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import tempfile
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import shapely
 
 from inspe_jax.errors import InspeError, nearest
+from inspe_jax.files import whole_file
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
@@ -104,19 +104,10 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write a scene to a compressed ``.npz``; the file appears whole or not at all."""
-    path = Path(path)
-    if path.suffix != ".npz":
+    if Path(path).suffix != ".npz":
         raise InspeError(f"{path}: a scene is saved as .npz")
-    if not path.parent.is_dir():
-        raise InspeError(f"{path.parent}: no such folder")
-    handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as f:
-            np.savez_compressed(f, **_pack(scene))
-        os.replace(part, path)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+    with whole_file(path) as f:
+        np.savez_compressed(f, **_pack(scene))
 
 
 def _density(density: str | int) -> int:

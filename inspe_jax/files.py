@@ -1,0 +1,92 @@
+"""Files that people write are checked key by key; files that we write appear whole or not at all."""
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from inspe_jax.errors import InspeError, nearest
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def check_model(model: type[Model], content: Any, where: str) -> Model:
+    """Read ``content`` as a pydantic ``model``; its first fault becomes one InspeError.
+
+    The message gives the path of the key, as ``layout.yaml: units[0].base: …``.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as e:
+        # A union lists one fault a branch: the deepest is the one that was meant.
+        fault = max(e.errors(), key=lambda f: (f["type"] == "extra_forbidden", len(f["loc"])))
+        key = "".join(
+            f"[{part}]" if isinstance(part, int) else f".{part}"
+            for part in fault["loc"]
+            if isinstance(part, int) or part.isidentifier()
+        ).lstrip(".")
+        if fault["type"] == "extra_forbidden":
+            known = sorted(_fields(model, fault["loc"][:-1]))
+            message = f"unknown key{nearest(str(fault['loc'][-1]), known)}"
+            message += f"; allowed: {', '.join(known)}"
+        elif fault["type"] == "missing":
+            message = "missing key"
+        else:
+            given = f", got {fault['input']!r}" if not isinstance(fault["input"], dict) else ""
+            message = fault["msg"][:1].lower() + fault["msg"][1:] + given
+        raise InspeError(f"{where}: {key or 'the file'}: {message}") from None
+
+
+def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:
+    """Names of the keys allowed at a path inside a model."""
+    current: Any = model
+    for part in path:
+        if isinstance(part, str) and part in current.model_fields:
+            current = _inner_model(current.model_fields[part].annotation) or current
+    return set(current.model_fields)
+
+
+def _inner_model(annotation: Any) -> Any:
+    """The pydantic model within an annotation such as ``list[Entry]``, or None."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _inner_model(inner)
+        if found is not None:
+            return found
+    return None
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """A binary file to write; it takes its name when complete, and vanishes on any error."""
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InspeError(f"{path}: no such folder: {path.parent}")
+    if path.is_dir():
+        raise InspeError(f"{path}: is a folder")
+    handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as f:
+            yield f
+        os.chmod(part, 0o666 & ~_umask())
+        os.replace(part, path)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a UTF-8 text file, whole or not at all."""
+    with whole_file(path) as f:
+        f.write(text.encode("utf-8"))
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

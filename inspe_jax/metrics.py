@@ -1,0 +1,107 @@
+"""The surrogate metrics of InSPE (arXiv 2504.08240), in the paper's order.
+
+Sensors are fused before a metric sees them: ``any_of`` over the sensors gives
+the score of all, ``any_other`` the scores with each one left out, and every
+function keeps such a leading axis.
+"""
+
+import jax.numpy as jnp
+from jax.scipy.special import entr
+from jaxtyping import Array, Float
+
+from inspe_jax.errors import InspeError
+
+WEIGHTS = (0.3, 0.5, 0.2)
+"""Weights of C, O and IG in P_sm."""
+
+OCCLUSION_REFERENCES = ("roi", "covered", "targets")
+"""Readings of V_orig, the voxels that occlusion is a share of; see :func:`occlusion_terms`."""
+
+
+def coverage(covered: Float[Array, "*s V"], weight: Float[Array, " V"]) -> Float[Array, "*s"]:
+    """C = Σ w f / Σ w: the weighted share of voxels that some sensor ray passes through.
+
+    ``covered`` is f fused over the sensors, ``weight`` the voxel's region weight.
+    """
+    return (covered * weight).sum(-1) / weight.sum()
+
+
+def occlusion_terms(
+    visible: Float[Array, "*s V"],
+    covered: Float[Array, "*s V"],
+    solid: Float[Array, " V"],
+    reference: str,
+) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
+    """(|V_orig| − |V_occ|, |V_orig|) of one frame.
+
+    ``visible``: in view of some sensor and in its line of sight; ``solid``: inside
+    a vehicle. The paper leaves V_orig open. ``roi``: every voxel of the region of
+    interest, occluded unless some sensor sees it; the only reading that puts O
+    below C throughout, as Table 2 has it. ``covered``: those that some sensor has
+    in view. ``targets``: the vehicles' own voxels, which their own vehicle does
+    not hide. Under the first two the solid voxels belong to neither set.
+    """
+    if reference == "roi":
+        original = 1.0 - solid
+    elif reference == "covered":
+        original = (1.0 - solid) * covered
+    elif reference == "targets":
+        original = solid
+    else:
+        raise InspeError(
+            f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}"
+        )
+    return (original * visible).sum(-1), jnp.broadcast_to(original, visible.shape).sum(-1)
+
+
+def occlusion(
+    seen: Float[Array, "T *s"], original: Float[Array, "T *s"]
+) -> Float[Array, "*s"]:
+    """O = mean over frames of 1 − |V_occ| / |V_orig|; higher is better.
+
+    Takes the terms of :func:`occlusion_terms`, a row a frame. A frame with no
+    target has no share and is left out of the mean; with none at all O is 0.
+    """
+    has = original > 0
+    share = jnp.where(has, seen / jnp.where(has, original, 1.0), 0.0)
+    return share.sum(0) / jnp.maximum(has.sum(0), 1)
+
+
+def entropy(p: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Binary entropy H(p) in nats; 0 at p = 0 and p = 1."""
+    return entr(p) + entr(1.0 - p)
+
+
+def information_gain(
+    resolved: Float[Array, "*s V"], occupancy: Float[Array, " V"]
+) -> Float[Array, "*s"]:
+    """IG = 1 − H(Ω|P)/H(Ω), the share of the occupancy entropy that the sensors resolve.
+
+    ``resolved`` is q_i, reliability × visibility fused over the sensors;
+    ``occupancy`` is p̂_i, the share of frames in which a voxel is occupied. H(Ω|P)
+    is read as what remains, Σ (1 − q_i) H_i: for an erasure channel this makes IG
+    the mutual information. As printed, with H(Ω|P) summed over the visible voxels,
+    IG would fall as sensors see more: :func:`information_gain_literal`.
+    """
+    h = entropy(occupancy)
+    return 1.0 - ((1.0 - resolved) * h).sum(-1) / h.sum()
+
+
+def information_gain_literal(
+    resolved: Float[Array, "*s V"], occupancy: Float[Array, " V"]
+) -> Float[Array, "*s"]:
+    """IG to the letter of the paper: 1 − Σ_visible H_i / Σ H_i; for comparison only."""
+    h = entropy(occupancy)
+    return 1.0 - (resolved * h).sum(-1) / h.sum()
+
+
+def surrogate(
+    coverage: Float[Array, "*s"],
+    occlusion: Float[Array, "*s"],
+    information_gain: Float[Array, "*s"],
+    weights: tuple[float, float, float] = WEIGHTS,
+) -> Float[Array, "*s"]:
+    """P_sm = 0.3 C + 0.5 O + 0.2 IG. Raises InspeError unless the weights sum to 1."""
+    if len(weights) != 3 or not abs(sum(weights) - 1.0) < 1e-6 or min(weights) < 0:
+        raise InspeError(f"weights {weights}: three numbers, none negative, that sum to 1")
+    return weights[0] * coverage + weights[1] * occlusion + weights[2] * information_gain

@@ -1,0 +1,252 @@
+"""Routes made ready to drive: even poses, speed limits, and who must wait for whom."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from inspe_jax.scene.intersection import Intersection, Route
+
+SPACING = 0.5
+"""Distance between poses of a path [m]."""
+
+USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
+"""Kinds of path. A cyclist's is a vehicle's moved to the right of its lane."""
+
+WIDEST = np.array([2.6, 0.8, 0.6])
+"""Width [m] that a path of each kind must keep free."""
+
+# Odd figures on purpose: no lane width is a multiple, so rounding never decides a comparison.
+SIDE_ROOM = 0.37  # kept between crossing streams [m]
+FLOW = 1.61  # paths nearer than this and alike in direction are one stream [m]
+ALIKE = np.cos(np.radians(20.3))
+DIVERGING = 12  # a stream that has just split is no conflict yet [m]
+MERGE_GAP = (12.0, 8.0, 2.5)  # room to wait between two conflicts, by kind of path [m]
+SETBACK = 1.0  # from a stop line to the first conflict [m]
+LATERAL = 2.2  # comfortable lateral acceleration in a bend [m/s²]
+BRAKING = 2.0  # comfortable braking before a bend [m/s²]
+SHORTEST = (8.0, 8.0, 2.0)  # stretches shorter than this are not worth driving [m]
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Paths:
+    """P paths inside the region of interest, their N poses end to end, and their K conflicts.
+
+    ``start`` is the index of each path's first pose, ``count`` its number of
+    poses, ``user`` indexes :data:`USERS`, ``width`` is the lane's [m] and
+    ``weight`` the share of new arrivals. Pose m of a path is :data:`SPACING`·m
+    metres from its start: ``point`` [m], unit ``heading`` in plan, ``limit`` on
+    speed [m/s].
+
+    A block is a stretch of a path that other streams cross or join; ``block``
+    (P, C) numbers each path's blocks in order, −1 as padding, ``stop`` and
+    ``leave`` are the arcs [m] where each begins (its stop line) and ends.
+    ``clear[a, b]`` is the arc on b's path up to which block b is in conflict
+    with block a: −inf where they never meet.
+    """
+
+    start: Int[np.ndarray, " P"]
+    count: Int[np.ndarray, " P"]
+    user: Int[np.ndarray, " P"]
+    width: Float[np.ndarray, " P"]
+    weight: Float[np.ndarray, " P"]
+    point: Float[np.ndarray, "N 3"]
+    heading: Float[np.ndarray, "N 2"]
+    limit: Float[np.ndarray, " N"]
+    block: Int[np.ndarray, "P C"]
+    stop: Float[np.ndarray, " K"]
+    leave: Float[np.ndarray, " K"]
+    clear: Float[np.ndarray, "K K"]
+
+    @cached_property
+    def length(self) -> Float[np.ndarray, " P"]:
+        """Length of each path [m]."""
+        return (self.count - 1) * SPACING
+
+    def pose(
+        self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
+    ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
+        """Point [m] and unit heading at an arc length [m] of a path; ends are held."""
+        place = np.clip(arc / SPACING, 0.0, self.count[path] - 1)
+        below = np.minimum(place.astype(int), self.count[path] - 2)
+        part = (place - below)[..., None]
+        below = below + self.start[path]
+        point = self.point[below] * (1 - part) + self.point[below + 1] * part
+        heading = self.heading[below] * (1 - part) + self.heading[below + 1] * part
+        return point, heading / np.sqrt(_dot(heading, heading))[..., None]
+
+    def speed_limit(
+        self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
+    ) -> Float[np.ndarray, "*S"]:
+        """Speed [m/s] that the bends ahead allow."""
+        pose = np.minimum((arc / SPACING).astype(int), self.count[path] - 1)
+        return self.limit[self.start[path] + pose]
+
+
+def lay_paths(intersection: Intersection, radius: float) -> Paths:
+    """The intersection's routes within ``radius`` [m] of its centre, as :class:`Paths`."""
+    stretches: list[tuple[np.ndarray, int, float]] = []
+    for route in intersection.routes:
+        for user in (2,) if route.user == "pedestrian" else (0, 1):
+            points = _within(_line(route, user), intersection.center, radius)
+            if (len(points) - 1) * SPACING >= SHORTEST[user]:
+                stretches.append((points, user, route.width))
+    count = np.array([len(p) for p, _, _ in stretches], int)
+    start = np.cumsum(count) - count
+    user = np.array([u for _, u, _ in stretches], int)
+    point = np.concatenate([np.zeros((0, 3)), *(p for p, _, _ in stretches)])
+    heading = np.concatenate([np.zeros((0, 2)), *(_heading(p) for p, _, _ in stretches)])
+    limit = np.concatenate([np.zeros(0), *(_limit(_heading(p)) for p, _, _ in stretches)])
+    block, stop, leave, clear = _blocks(start, count, user, point[:, :2], heading)
+    return Paths(
+        start=start,
+        count=count,
+        user=user,
+        width=np.array([w for _, _, w in stretches], float),
+        weight=_weights(point[start], user, heading[start], heading[start + count - 1]),
+        point=point,
+        heading=heading,
+        limit=limit,
+        block=block,
+        stop=stop,
+        leave=leave,
+        clear=clear,
+    )
+
+
+def _line(route: Route, user: int) -> np.ndarray:
+    """A route's poses for one kind of user: cyclists and pedestrians keep to the right."""
+    points = _resample(np.asarray(route.waypoints, float))
+    offset = (0.0, max(route.width / 2 - 0.6, 0.0), min(route.width / 4, 0.5))[user]
+    if not offset or len(points) < 2:
+        return points
+    heading = _heading(points)
+    moved = points.copy()
+    moved[:, 0] += offset * heading[:, 1]
+    moved[:, 1] -= offset * heading[:, 0]
+    # In a bend tighter than the offset the line would run backwards: leave those points out.
+    forward = _dot(np.diff(moved[:, :2], axis=0), heading[1:]) > 0
+    return _resample(moved[np.concatenate([[True], forward])])
+
+
+def _resample(points: np.ndarray) -> np.ndarray:
+    """The polyline at every :data:`SPACING` metres of plan-view arc, from its start."""
+    step = np.diff(points[:, :2], axis=0)
+    arc = np.concatenate([[0.0], np.cumsum(np.sqrt(_dot(step, step)))])
+    even = np.arange(0.0, arc[-1] + 1e-9, SPACING)
+    return np.stack([np.interp(even, arc, axis) for axis in points.T], -1)
+
+
+def _within(points: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
+    """From the first point inside the circle to the last."""
+    away = points[:, :2] - np.asarray(center)[:2]
+    inside = np.flatnonzero(_dot(away, away) <= radius**2)
+    return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
+
+
+def _heading(points: np.ndarray) -> np.ndarray:
+    """Unit direction of travel at each point, from its neighbours."""
+    along = np.gradient(points[:, :2], axis=0)
+    return along / np.sqrt(_dot(along, along))[:, None]
+
+
+def _limit(heading: np.ndarray) -> np.ndarray:
+    """Speed that keeps lateral acceleration comfortable, braking in time for bends ahead."""
+    turn = np.abs(_cross(heading[:-1], heading[1:]))
+    # A metre's mean, since waypoints turn in steps.
+    turn = np.convolve(np.concatenate([turn[:1], turn]), np.full(4, 0.25), mode="same")
+    squared = LATERAL * SPACING / np.maximum(turn, 1e-6)
+    reach = 2 * BRAKING * SPACING * np.arange(len(heading))
+    return np.sqrt(np.minimum.accumulate((squared + reach)[::-1])[::-1] - reach)
+
+
+def _weights(
+    first: np.ndarray, user: np.ndarray, enter: np.ndarray, leave: np.ndarray
+) -> np.ndarray:
+    """Shares of arrivals: equal for each entry lane, and within one three to one for straight on.
+
+    Pedestrians' entries do not compete with vehicles', since each class picks
+    among its own.
+    """
+    straight = 1 + 2 * np.maximum(_dot(enter, leave), 0.0)
+    apart = first[:, None, :2] - first[None, :, :2]
+    together = (_dot(apart, apart) < 1.0) & (user[:, None] == user)
+    return straight / np.where(together, straight, 0.0).sum(1)
+
+
+def _blocks(
+    start: np.ndarray, count: np.ndarray, user: np.ndarray, point: np.ndarray, heading: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """``block``, ``stop``, ``leave`` and ``clear`` of :class:`Paths`."""
+    path = np.repeat(np.arange(len(start)), count)
+    arc = (np.arange(len(point)) - np.repeat(start, count)) * SPACING
+    one, two = _conflicts(path, arc, user, point, heading)
+    listed: list[list[int]] = [[] for _ in start]
+    stop: list[float] = []
+    leave: list[float] = []
+    block_of = np.full(len(point), -1)
+    busy = np.zeros(len(point), bool)
+    busy[one] = True
+    for p in range(len(start)):
+        at = start[p] + np.flatnonzero(busy[start[p] : start[p] + count[p]])
+        for run in np.split(at, np.flatnonzero(np.diff(arc[at]) > MERGE_GAP[user[p]]) + 1):
+            if len(run):
+                listed[p].append(len(stop))
+                block_of[run] = len(stop)
+                stop.append(arc[run[0]] - SETBACK)
+                leave.append(arc[run[-1]] + SETBACK)
+    clear = np.full((len(stop), len(stop)), -np.inf)
+    np.maximum.at(clear, (block_of[one], block_of[two]), arc[two] + SETBACK / 2)
+    most = max((len(b) for b in listed), default=0)
+    padded = [b + [-1] * (most + 1 - len(b)) for b in listed]  # so that every row ends in -1
+    return np.array(padded, int).reshape(len(start), most + 1), np.array(stop), np.array(leave), clear
+
+
+def _conflicts(
+    path: np.ndarray, arc: np.ndarray, user: np.ndarray, point: np.ndarray, heading: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of poses, both ways round, that users of two different streams cannot both occupy."""
+    sample = np.flatnonzero(np.round(arc / SPACING).astype(int) % 2 == 0)  # every metre will do
+    if not len(sample):
+        return np.zeros(0, int), np.zeros(0, int)
+    reach = WIDEST.max() + SIDE_ROOM
+    pairs = cKDTree(point[sample]).query_pairs(reach, output_type="ndarray")
+    one, two = sample[pairs].reshape(-1, 2).T
+    apart = path[one] != path[two]
+    # People on foot step round each other: no right of way among them.
+    apart &= (user[path[one]] != 2) | (user[path[two]] != 2)
+    one, two = one[apart], two[apart]
+    distance = np.sqrt(_dot(point[one] - point[two], point[one] - point[two]))
+    room = (WIDEST[user[path[one]]] + WIDEST[user[path[two]]]) / 2
+    alike = _dot(heading[one], heading[two])
+    same_stream = (alike > ALIKE) & (distance < FLOW)
+    near = np.where(np.abs(alike) > ALIKE, distance < room, distance < room + SIDE_ROOM)
+    since = _since_stream(path, one[same_stream], two[same_stream])
+    split = (since(one, path[two]) <= DIVERGING) & (since(two, path[one]) <= DIVERGING)
+    met = near & ~same_stream & ~split
+    return np.concatenate([one[met], two[met]]), np.concatenate([two[met], one[met]])
+
+
+class _since_stream:  # noqa: N801 - used as a function
+    """Metres that a pose lies beyond the last one its path shares with another path."""
+
+    def __init__(self, path: np.ndarray, one: np.ndarray, two: np.ndarray) -> None:
+        self.first = np.searchsorted(path, path)  # first pose of each pose's path
+        shared = np.full((path[-1] + 1, len(path)), -1)
+        shared[path[two], one] = one
+        shared[path[one], two] = two
+        self.last = np.maximum.accumulate(shared, axis=1)
+
+    def __call__(self, pose: np.ndarray, other: np.ndarray) -> np.ndarray:
+        last = self.last[other, pose]
+        return np.where(last >= self.first[pose], (pose - last) * SPACING, np.inf)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

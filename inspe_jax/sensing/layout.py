@@ -1,0 +1,218 @@
+"""A layout: infrastructure units, their sensors, and one pose each. YAML in and out.
+
+The file, in metres and degrees of the world frame::
+
+    units:
+      - name: north-east pole
+        base: [12.0, 11.5, 0.0]      # x, y and the ground's height there (0 if left out)
+        sensors:
+          - device: paper-camera-midday
+            height: 6.0              # above the base
+            offset: [0.0, 0.5]       # x, y from the base (0, 0 if left out)
+            yaw_deg: -135.0          # counter-clockwise from +x
+            pitch_deg: -15.0         # positive nose-up (0 if left out)
+            roll_deg: 0.0            # (0 if left out)
+"""
+
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import numpy as np
+import yaml
+from jaxtyping import Array, Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from inspe_jax.errors import InspeError
+from inspe_jax.files import check_model, write_text
+from inspe_jax.geometry import rotation
+from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.sensors import RayGrid, Spec
+
+UNIT_PLAN = 2.0
+"""Sensors of one unit lie within this distance of each other in plan [m]."""
+UNIT_HEIGHT = 4.0
+"""… and within this difference of height [m]."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """An infrastructure unit: its sensors share a processing unit and stand at one base.
+
+    ``base`` is x, y and the height of the ground there [m], world.
+    """
+
+    name: str
+    base: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One sensor of a layout: its specification and the index of its unit."""
+
+    name: str
+    spec: Spec
+    unit: int
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Layout:
+    """Sensors with their poses.
+
+    ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians:
+    the only part that is differentiated. What the sensors are and which unit
+    carries them is static.
+    """
+
+    poses: Float[Array, "S 6"]
+    sensors: tuple[Sensor, ...] = field(metadata={"static": True})
+    units: tuple[Unit, ...] = field(metadata={"static": True})
+    name: str = field(metadata={"static": True}, default="layout")
+
+    def __len__(self) -> int:
+        return len(self.sensors)
+
+    def with_poses(self, poses: Float[Array, "S 6"]) -> "Layout":
+        """The same sensors at other world poses, traced or not."""
+        if tuple(poses.shape) != (len(self), 6):
+            raise InspeError(f"poses have shape {tuple(poses.shape)}, expected ({len(self)}, 6)")
+        return replace(self, poses=poses)
+
+    def rays(self, s: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """Every ray of sensor ``s``: origin (3,) [m], unit directions (R, 3), reach [m], world."""
+        pose = np.asarray(self.poses[s], float)
+        grid = self.sensors[s].spec.grid
+        turn = rotation(pose[3:], np)
+        return pose[:3], grid.directions() @ turn.T, grid.reach
+
+    def groups(self) -> list[tuple[RayGrid, np.ndarray]]:
+        """Sensors with the same grid of rays, as (grid, indices): each compiles once."""
+        found: dict[RayGrid, list[int]] = {}
+        for s, sensor in enumerate(self.sensors):
+            found.setdefault(sensor.spec.grid, []).append(s)
+        return [(grid, np.array(index)) for grid, index in found.items()]
+
+    @property
+    def reliability(self) -> Float[np.ndarray, " S"]:
+        """Chance that each sensor perceives what it has in view."""
+        return np.array([sensor.spec.reliability for sensor in self.sensors])
+
+
+def make_layout(
+    sensors: list[Sensor], units: list[Unit], poses: Float[np.ndarray, "S 6"], name: str = "layout"
+) -> Layout:
+    """A checked layout; see :class:`Layout`.
+
+    Raises InspeError where it is empty, a pose is not finite, or two sensors of
+    one unit are more than 2 m apart in plan or 4 m in height.
+    """
+    if not sensors:
+        raise InspeError(f"{name}: the layout is empty: it needs at least one sensor")
+    poses = np.asarray(poses, float)
+    if not np.isfinite(poses).all():
+        bad = sensors[int(np.argwhere(~np.isfinite(poses))[0, 0])].name
+        raise InspeError(f"{name}: sensor '{bad}': its pose has a value that is not finite")
+    for u, unit in enumerate(units):
+        members = [s for s, sensor in enumerate(sensors) if sensor.unit == u]
+        for i, a in enumerate(members):
+            for b in members[i + 1 :]:
+                _check_pair(name, unit, sensors[a], sensors[b], poses[b] - poses[a])
+    return Layout(poses, tuple(sensors), tuple(units), name)
+
+
+def _check_pair(name: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray) -> None:
+    plan, height = float(np.hypot(apart[0], apart[1])), float(abs(apart[2]))
+    for distance, limit, how in ((plan, UNIT_PLAN, "in plan"), (height, UNIT_HEIGHT, "in height")):
+        if distance > limit + 1e-6:
+            raise InspeError(
+                f"{name}: unit '{unit.name}': sensors '{a.name}' and '{b.name}' are "
+                f"{distance:.2f} m apart {how}; at most {limit:g} m"
+            )
+
+
+# ── The file ────────────────────────────────────────────────────────────────
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _SensorEntry(_Strict):
+    device: str
+    height: float
+    yaw_deg: float
+    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    roll_deg: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)
+    name: str | None = None
+
+
+class _UnitEntry(_Strict):
+    name: str | None = None
+    base: tuple[float, float] | tuple[float, float, float]
+    sensors: Annotated[list[_SensorEntry], Field(min_length=1)]
+
+
+class _LayoutFile(_Strict):
+    name: str | None = None
+    units: Annotated[list[_UnitEntry], Field(min_length=1)]
+
+
+def load_layout(path: str | os.PathLike[str]) -> Layout:
+    """Read a layout file. Raises InspeError that names the file, the key and what is allowed."""
+    path = Path(path)
+    if not path.is_file():
+        raise InspeError(f"{path}: no such file")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as e:
+        raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
+    if not content:
+        raise InspeError(f"{path}: the layout is empty: it needs 'units', each with 'sensors'")
+    entry = check_model(_LayoutFile, content, str(path))
+    sensors: list[Sensor] = []
+    units: list[Unit] = []
+    poses: list[list[float]] = []
+    for u, unit in enumerate(entry.units):
+        x, y, z = (*unit.base, 0.0)[:3]
+        units.append(Unit(unit.name or f"unit {u + 1}", (x, y, z)))
+        for k, item in enumerate(unit.sensors):
+            where = f"{path}: units[{u}].sensors[{k}].device"
+            try:
+                spec = device(item.device).spec
+            except InspeError as e:
+                raise InspeError(f"{where}: {e}") from None
+            sensors.append(Sensor(item.name or f"{units[u].name} {k + 1}", spec, u))
+            angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
+            poses.append([x + item.offset[0], y + item.offset[1], z + item.height, *angles])
+    return make_layout(sensors, units, np.array(poses), entry.name or path.stem)
+
+
+def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
+    """Write a layout file that :func:`load_layout` reads back to the same poses."""
+    poses = np.asarray(layout.poses, float)
+    units: list[dict[str, Any]] = []
+    for u, unit in enumerate(layout.units):
+        entries = []
+        for pose, sensor in zip(poses, layout.sensors, strict=True):
+            if sensor.unit != u:
+                continue
+            dx, dy, dz = (pose[:3] - np.array(unit.base)).round(4).tolist()
+            roll, pitch, yaw = np.degrees(pose[3:]).round(4).tolist()
+            entries.append(
+                dict(
+                    name=sensor.name,
+                    device=sensor.spec.name,
+                    height=dz,
+                    offset=[dx, dy],
+                    yaw_deg=yaw,
+                    pitch_deg=pitch,
+                    roll_deg=roll,
+                )
+            )
+        units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
+    text = yaml.safe_dump({"name": layout.name, "units": units}, sort_keys=False)
+    write_text(path, "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text)

@@ -1,0 +1,256 @@
+"""What you buy (CameraSpec, LidarSpec), apart from where you put it (a pose).
+
+Both kinds of sensor are a grid of rays, rows × columns: a camera's downsampled
+pixels in the plane of tangents, a LiDAR's channels × azimuths on the sphere. The
+two grids share one interface, which is all that visibility knows of a sensor:
+where a point lies among the rows and columns, and which way ray (i, j) points.
+All in the body frame: x forward, y left, z up.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
+"""x, y, z of many points, apart: the kernels work on one coordinate at a time."""
+
+_LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
+
+
+@dataclass(frozen=True)
+class RayGrid:
+    """Rows at given coordinates and evenly spaced columns, each crossing one ray.
+
+    ``rows`` ascend; column j lies at ``first_column + j · column_step``; with
+    ``wraps`` the last column is followed by the first. ``reach`` in metres.
+    """
+
+    rows: tuple[float, ...]
+    first_column: float
+    column_step: float
+    column_count: int
+    wraps: bool
+    reach: float
+
+    @cached_property
+    def _row_table(self) -> tuple[np.ndarray, float]:
+        """(row nearest to each of many even steps between the end rows, steps per unit)."""
+        rows = np.asarray(self.rows)
+        if len(rows) == 1:
+            return np.zeros(1, np.int32), 0.0
+        span = rows[-1] - rows[0]
+        steps = int(min(16384, np.ceil(8 * span / np.diff(rows).min())))
+        at = rows[0] + np.arange(steps + 1) * span / steps
+        nearest = np.abs(at[:, None] - rows).argmin(1)
+        return nearest.astype(np.int32), steps / span
+
+    def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
+        """Index of the row nearest to a row coordinate; an end row beyond the ends.
+
+        From a table eight steps finer than the closest rows: a point midway
+        between two rows may get either.
+        """
+        table, scale = self._row_table
+        index = jnp.round((row - self.rows[0]) * scale)
+        return jnp.asarray(table)[jnp.clip(index, 0, len(table) - 1).astype(jnp.int32)]
+
+    def row_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
+        """Coordinate of row ``index``."""
+        return jnp.asarray(np.asarray(self.rows), float)[index]
+
+    def column_index(self, column: Float[Array, "*n"]) -> Int[Array, "*n"]:
+        """Index of the column at or before a column coordinate, not yet within the grid."""
+        return jnp.floor((column - self.first_column) / self.column_step).astype(jnp.int32)
+
+    def column_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
+        """Coordinate of column ``index``, wrapped round or held at the edge column."""
+        last = self.column_count - 1
+        index = index % self.column_count if self.wraps else jnp.clip(index, 0, last)
+        return self.first_column + index * self.column_step
+
+    @property
+    def column_limits(self) -> tuple[float, float]:
+        """Coordinates of the first and the last column."""
+        last = self.first_column + (self.column_count - 1) * self.column_step
+        return self.first_column, last
+
+    def directions(self) -> Float[np.ndarray, "R 3"]:
+        """Unit directions of all rays in the body frame, row by row."""
+        columns = self.first_column + np.arange(self.column_count) * self.column_step
+        row, column = np.meshgrid(np.asarray(self.rows), columns, indexing="ij")
+        return np.stack(self.direction(row.ravel(), column.ravel(), np), axis=-1)
+
+    # What the two kinds of grid define, each for its own coordinates.
+
+    def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+        """Unit direction of the ray at a row and a column coordinate."""
+        raise NotImplementedError
+
+    def row(self, q: Point) -> Float[Array, "*n"]:
+        """Row coordinate of points."""
+        raise NotImplementedError
+
+    def column(self, q: Point) -> Float[Array, "*n"]:
+        """Column coordinate of points."""
+        raise NotImplementedError
+
+    def beyond_row(self, q: Point, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """How far points lie beyond a row, in metres across it; linear or nearly so."""
+        raise NotImplementedError
+
+    def beyond_column(self, q: Point, column: float) -> Float[Array, "*n"]:
+        """How far points lie beyond a column, in metres across it."""
+        raise NotImplementedError
+
+    def row_normal(self, q: Point) -> Point:
+        """A direction in which the row coordinate of points grows."""
+        raise NotImplementedError
+
+    def column_normal(self, q: Point) -> Point:
+        """A direction in which the column coordinate of points grows."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SphericalGrid(RayGrid):
+    """A LiDAR's rays: rows are elevations ψ, columns azimuths θ [rad]."""
+
+    def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+        """(cos ψ cos θ, cos ψ sin θ, sin ψ)."""
+        cos = xp.cos(row)
+        return cos * xp.cos(column), cos * xp.sin(column), xp.sin(row)
+
+    def row(self, q: Point) -> Float[Array, "*n"]:
+        """Elevation."""
+        return jnp.arctan2(q[2], _plan(q))
+
+    def column(self, q: Point) -> Float[Array, "*n"]:
+        """Azimuth."""
+        x = jnp.where(jnp.abs(q[0]) + jnp.abs(q[1]) < _LEAST, _LEAST, q[0])
+        return jnp.arctan2(q[1], x)
+
+    def beyond_row(self, q: Point, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Distance above the cone of elevation ``row``."""
+        return q[2] * jnp.cos(row) - _plan(q) * jnp.sin(row)
+
+    def beyond_column(self, q: Point, column: float) -> Float[Array, "*n"]:
+        """Distance to the left of the half-plane of azimuth ``column``."""
+        return q[1] * np.cos(column) - q[0] * np.sin(column)
+
+    def row_normal(self, q: Point) -> Point:
+        """Upward along the meridian."""
+        plan = _plan(q)
+        return -q[2] * q[0], -q[2] * q[1], plan * plan
+
+    def column_normal(self, q: Point) -> Point:
+        """Leftward along the parallel."""
+        return -q[1], q[0], jnp.zeros_like(q[0])
+
+
+@dataclass(frozen=True)
+class PinholeGrid(RayGrid):
+    """A camera's rays: rows and columns are the tangents z/x and y/x."""
+
+    def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+        """(1, column, row), scaled to unit length."""
+        scale = 1.0 / xp.sqrt(1.0 + row * row + column * column)
+        return scale, column * scale, row * scale
+
+    def row(self, q: Point) -> Float[Array, "*n"]:
+        """Tangent of the angle above the optical axis; from behind, as from far aside."""
+        return q[2] / jnp.maximum(q[0], _LEAST)
+
+    def column(self, q: Point) -> Float[Array, "*n"]:
+        """Tangent of the angle to the left of the optical axis."""
+        return q[1] / jnp.maximum(q[0], _LEAST)
+
+    def beyond_row(self, q: Point, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Height above the plane through row ``row``, along z."""
+        return q[2] - row * q[0]
+
+    def beyond_column(self, q: Point, column: float) -> Float[Array, "*n"]:
+        """Distance to the left of the plane through column ``column``, along y."""
+        return q[1] - column * q[0]
+
+    def row_normal(self, q: Point) -> Point:
+        """Gradient of z/x, times x²."""
+        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _LEAST)
+
+    def column_normal(self, q: Point) -> Point:
+        """Gradient of y/x, times x²."""
+        return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
+
+
+def _plan(q: Point) -> Float[Array, "*n"]:
+    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _LEAST**2))
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """A pinhole camera: one ray per downsampled pixel, to its effective depth.
+
+    ``width``, ``height`` [pixel]; ``focal`` length and ``principal`` point
+    [pixel]; ``downsample`` is λ, so the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass
+    through the centres of the enlarged pixels; ``depth`` [m], measured along the
+    ray; ``reliability`` is the chance that what is in view is perceived.
+    """
+
+    name: str
+    width: int
+    height: int
+    focal: float
+    principal: tuple[float, float]
+    downsample: float
+    depth: float
+    reliability: float = 1.0
+
+    kind = "camera"
+
+    @cached_property
+    def grid(self) -> RayGrid:
+        """Rays r_ij = O + μ·((w_j − c_x)/f, (h_i − c_y)/f, 1), turned to the body frame."""
+        columns = max(1, int(self.width * self.downsample + 1e-9))
+        rows = max(1, int(self.height * self.downsample + 1e-9))
+        pitch = self.width / columns / self.focal
+        pixel = (np.arange(rows) + 0.5) * self.height / rows
+        tangents = (self.principal[1] - pixel[::-1]) / self.focal  # pixel rows run downward
+        leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
+        return PinholeGrid(tuple(tangents), leftmost, pitch, columns, False, self.depth)
+
+
+@dataclass(frozen=True)
+class LidarSpec:
+    """A LiDAR: channels at the elevations of a table, each fired at even azimuths.
+
+    ``elevations`` ascend [rad]; ``azimuth_count`` is J; ``azimuth_fov`` is θ₀
+    [rad], 2π for one that spins; ``reach`` is t_max [m]. Azimuths are
+    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3). ``reliability`` as for a camera.
+    """
+
+    name: str
+    elevations: tuple[float, ...]
+    azimuth_count: int
+    azimuth_fov: float
+    reach: float
+    reliability: float = 1.0
+
+    kind = "lidar"
+
+    @cached_property
+    def grid(self) -> RayGrid:
+        """Rays (cos ψ_i cos θ_j, cos ψ_i sin θ_j, sin ψ_i)."""
+        return SphericalGrid(
+            self.elevations,
+            -self.azimuth_fov / 2,
+            self.azimuth_fov / self.azimuth_count,
+            self.azimuth_count,
+            bool(np.isclose(self.azimuth_fov, 2 * np.pi)),
+            self.reach,
+        )
+
+
+Spec = CameraSpec | LidarSpec

@@ -1,0 +1,237 @@
+"""Which voxels each sensor has in view, and which of them traffic leaves visible.
+
+Two questions, kept apart: does a ray of the sensor pass through the voxel (the
+frame does not matter), and does a vehicle cut the line of sight to its centre
+(the rays do not matter).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from inspe_jax.errors import InspeError
+from inspe_jax.geometry import NEVER, Prism, ray_cube_margin, rotation, shade, shadow_ceiling
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import Point, RayGrid
+
+
+@partial(jax.jit, static_argnames=("grid", "half"))
+def in_view_margin(
+    grid: RayGrid, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
+) -> Float[Array, "S V"]:
+    """How deep the best ray of each sensor passes through each voxel [m]; positive in view.
+
+    Coverage's f(V_i) = 1 if some ray passes through the voxel, the other way
+    round: for each voxel the six rays are found that can pass through it if any
+    does (:func:`_candidates`), and the best margin is kept. ``half`` is half a
+    voxel's edge [m].
+    """
+    return jax.lax.map(lambda pose: _best_margin(grid, pose, centers, half), poses)
+
+
+def _best_margin(
+    grid: RayGrid, pose: Float[Array, "6"], centers: Float[Array, "V 3"], half: float
+) -> Float[Array, " V"]:
+    turn = rotation(pose[3:])
+    r = centers - pose[:3]  # (V, 3), world axes
+    offset = (r[:, 0], r[:, 1], r[:, 2])
+    best = jnp.full(len(centers), -jnp.inf, r.dtype)
+    for row, column in _candidates(grid, turn, offset, half):
+        d = grid.direction(row, column)
+        world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
+        best = jnp.maximum(best, ray_cube_margin(world, grid.reach, offset, half))
+    return best
+
+
+def _candidates(
+    grid: RayGrid, turn: Float[Array, "3 3"], offset: Point, half: float
+) -> list[tuple[Float[Array, " V"], Float[Array, " V"]]]:
+    """(row, column) of the rays that can pass through each voxel, if any does.
+
+    The rays nearest to the voxel's centre are not enough: where rows lie
+    further apart than columns, a row may clip one corner of the cube, many
+    columns away from the centre. So walk from the centre to the corner that lies
+    furthest towards the row; the point p where that chord meets the row is in
+    the cube. A row crosses a cube in one interval, so if it holds any ray, it
+    holds the one just before or just after p. Rows: the nearest one and its two
+    neighbours; if a cube reaches further rows than these, it is large against
+    their spacing and the nearest row crosses its middle. Before that, the aim is
+    moved from the centre into the reach and between the edge columns, where the
+    cube is partly beyond them. At the edge of the grid the nearest ray is the
+    edge ray.
+    """
+    q: Point = tuple(sum(turn[k, m] * offset[k] for k in range(3)) for m in range(3))  # type: ignore[assignment]
+
+    def corner(normal: Point, outward: Float[Array, " V"]) -> Point:
+        """The corner of the cube furthest along ``normal``, or against it where outward < 0."""
+        x, y, z = q
+        for k in range(3):
+            side = sum(turn[k, m] * normal[m] for m in range(3)) * outward
+            side = jnp.where(side < 0, -half, half)
+            x, y, z = x + side * turn[k, 0], y + side * turn[k, 1], z + side * turn[k, 2]
+        return x, y, z
+
+    aim = _within_reach(grid, q, corner)
+    if not grid.wraps:
+        for edge, outward in zip(grid.column_limits, (1.0, -1.0), strict=True):
+            # Left of the first column's plane is inside, right of the last one's.
+            beyond = jnp.minimum(grid.beyond_column(aim, edge) * outward, 0.0)
+            inner = corner(grid.column_normal(aim), jnp.full_like(beyond, outward))
+            gain = grid.beyond_column(inner, edge) * outward - beyond
+            aim = _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
+
+    here = grid.row(aim)
+    nearest = grid.nearest_row(here)
+    normal = grid.row_normal(aim)
+    above, below = corner(normal, jnp.ones_like(here)), corner(normal, -jnp.ones_like(here))
+    found = []
+    for neighbour in (-1, 0, 1):
+        row = grid.row_at(jnp.clip(nearest + neighbour, 0, len(grid.rows) - 1))
+        up = row > here
+        far = tuple(jnp.where(up, a, b) for a, b in zip(above, below, strict=True))
+        start, end = grid.beyond_row(aim, row), grid.beyond_row(far, row)  # type: ignore[arg-type]
+        crossing = start / jnp.where(jnp.abs(start - end) < 1e-9, 1e-9, start - end)
+        p = _between(aim, far, crossing)  # type: ignore[arg-type]
+        before = grid.column_index(grid.column(p))
+        found += [(row, grid.column_at(before)), (row, grid.column_at(before + 1))]
+    return found
+
+
+def _within_reach(grid: RayGrid, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]
+    """The centre; or, beyond the reach, the middle of what is within it towards the near corner."""
+    near = corner(q, -jnp.ones_like(q[0]))
+    far_range, near_range = (
+        jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12)) for x, y, z in (q, near)
+    )
+    beyond = jnp.maximum(far_range - grid.reach, 0.0)
+    meets = beyond / jnp.maximum(far_range - near_range, 1e-9)
+    return _between(q, near, jnp.where(beyond > 0, (1 + meets) / 2, 0.0))
+
+
+def _between(a: Point, b: Point, t: Float[Array, " V"]) -> Point:
+    """a + t·(b − a), t held between 0 and 1."""
+    t = jnp.clip(t, 0.0, 1.0)
+    return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
+
+
+def shadow_ceilings(
+    sensors: Float[Array, "S 3"],
+    prisms: Prism,
+    columns: Float[Array, "L 2"],
+    *,
+    spare_own: bool = False,
+) -> Float[Array, "S L"]:
+    """Height [m] below which the prisms (B,) of one frame hide each column from each sensor.
+
+    A voxel whose centre is higher is in line of sight. The cost is columns ×
+    prisms, not voxels × prisms. The scan over prisms keeps one number a column;
+    unrolled by 8 it runs from registers.
+    """
+
+    def one(sensor: Float[Array, "3"]) -> Float[Array, " L"]:
+        dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
+
+        def lift(ceiling, prism_shade):  # type: ignore[no-untyped-def]
+            new = shadow_ceiling(prism_shade, dx, dy, sensor[2], spare_own=spare_own)
+            return jnp.maximum(ceiling, new), None
+
+        start = jnp.full(len(columns), NEVER, columns.dtype)
+        return jax.lax.scan(lift, start, shade(sensor, prisms), unroll=8)[0]
+
+    return jax.vmap(one)(sensors)
+
+
+class Ground(NamedTuple):
+    """A scene's arrays about its centre, where single precision is finest.
+
+    ``columns`` (L, 2), ``heights`` (L, Z) of the voxel centres, ``prisms`` (T, B).
+    """
+
+    columns: Float[Array, "L 2"]
+    heights: Float[Array, "L Z"]
+    prisms: Prism
+
+    @property
+    def centers(self) -> Float[Array, "V 3"]:
+        """Voxel centres, column by column."""
+        z = self.heights.reshape(-1, 1)
+        return jnp.concatenate([jnp.repeat(self.columns, self.heights.shape[1], 0), z], axis=1)
+
+
+def about_center(scene: Scene) -> Ground:
+    """The scene's columns, heights and prisms, relative to its centre."""
+    grid, traffic = scene.voxels, scene.traffic
+    x, y, z = grid.center
+    return Ground(
+        columns=jnp.asarray(grid.columns - [x, y], float),
+        heights=jnp.asarray(grid.ground[:, None] - z + grid.levels, float),
+        prisms=Prism(
+            center=jnp.asarray(traffic.center[..., :2] - [x, y], float),
+            yaw=jnp.asarray(traffic.yaw, float),
+            half=jnp.asarray(traffic.size[..., :2] / 2, float),
+            top=jnp.asarray(traffic.center[..., 2] + traffic.size[..., 2] / 2 - z, float),
+            valid=jnp.asarray(traffic.valid),
+        ),
+    )
+
+
+def poses_about_center(scene: Scene, layout: Layout) -> Float[Array, "S 6"]:
+    """The layout's poses relative to the scene's centre, traced or not."""
+    shift = np.concatenate([scene.voxels.center, np.zeros(3)])
+    return jnp.asarray(layout.poses - shift, float)
+
+
+def view_margin(scene: Scene, layout: Layout) -> Float[Array, "S V"]:
+    """In-view margin of every sensor and voxel [m]; see :func:`in_view_margin`."""
+    centers, poses = about_center(scene).centers, poses_about_center(scene, layout)
+    groups = layout.groups()
+    margins = [in_view_margin(g, poses[index], centers, scene.voxels.size / 2) for g, index in groups]
+    order = np.argsort(np.concatenate([index for _, index in groups]))
+    return jnp.concatenate(margins)[order]
+
+
+def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
+    """Whether some ray of each sensor passes through each voxel; traffic does not matter."""
+    check_layout(scene, layout)
+    return np.asarray(view_margin(scene, layout) > 0)
+
+
+def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:
+    """Whether the segment from each sensor to each voxel's centre clears one frame's traffic.
+
+    The rays and the reach do not matter. A voxel inside a vehicle is not in line
+    of sight. Raises InspeError where there is no such frame.
+    """
+    check_layout(scene, layout)
+    if not 0 <= frame < scene.traffic.frame_count:
+        raise InspeError(f"frame {frame}: the scene has frames 0 to {scene.traffic.frame_count - 1}")
+    ground = about_center(scene)
+    prisms = jax.tree.map(lambda leaf: leaf[frame], ground.prisms)
+    ceilings = _ceilings(poses_about_center(scene, layout)[:, :3], prisms, ground.columns)
+    clear = ground.heights > ceilings[:, :, None]
+    return np.asarray(clear.reshape(len(layout), -1))
+
+
+_ceilings = jax.jit(shadow_ceilings)
+
+
+def check_layout(scene: Scene, layout: Layout) -> None:
+    """Raise InspeError where a sensor of the layout is in the scene's ground.
+
+    Traced poses have no value to check yet and pass.
+    """
+    if isinstance(layout.poses, jax.core.Tracer):
+        return
+    poses = np.asarray(layout.poses, float)
+    ground = scene.intersection.ground(poses[:, :2])
+    for pose, z, sensor in zip(poses, ground, layout.sensors, strict=True):
+        if not pose[2] > z:
+            raise InspeError(
+                f"{layout.name}: sensor '{sensor.name}' at ({pose[0]:.2f}, {pose[1]:.2f}) is in "
+                f"the ground: its height is {pose[2]:.2f} m and the ground's {z:.2f} m"
+            )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.numerics import any_of, any_other, step
+from inspe_jax.numerics import leave_one_out, step
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
@@ -101,18 +101,17 @@ def evaluate(
             "with a density of low, medium or high and at least 2 frames"
         )
     weight = jnp.asarray(scene.voxels.weight, float)
-    q = f * seen.sight_share * jnp.asarray(layout.reliability, float)[:, None]
-    rows = []  # all sensors, then each left out
-    for fuse, o in ((any_of_all, seen.occlusion), (any_other, seen.occlusion_without)):
-        c = metrics.coverage(fuse(f), weight)
-        ig = metrics.information_gain(fuse(q), seen.occupancy)
-        rows.append(jnp.stack([c, o, ig, metrics.surrogate(c, o, ig, weights)], -1))
-    total, without = np.asarray(rows[0], float), np.asarray(rows[1], float)
-    covered = np.asarray(any_of_all(f)).reshape(ground.heights.shape)  # (L, Z)
+    q = f * (seen.sight_share * jnp.asarray(layout.reliability, float)[:, None])
+    covered, resolved = leave_one_out(f), leave_one_out(q)  # (1 + S, V)
+    c = metrics.coverage(covered, weight)
+    ig = metrics.information_gain(resolved, seen.occupancy)
+    scores = jnp.stack([c, seen.occlusion, ig, metrics.surrogate(c, seen.occlusion, ig, weights)])
+    total, *without = np.asarray(scores, float).T
+    covered = np.asarray(covered[0]).reshape(ground.heights.shape)  # (L, Z)
     return Scores(
         *total.tolist(),
         information_gain_literal=float(
-            metrics.information_gain_literal(any_of_all(q), seen.occupancy)
+            metrics.information_gain_literal(resolved[0], seen.occupancy)
         ),
         region_coverage={
             region.key: float(covered[scene.voxels.region == region].mean())
@@ -121,8 +120,8 @@ def evaluate(
         },
         level_coverage=tuple(covered.mean(0).tolist()),
         contributions=tuple(
-            Contribution(sensor.name, *lost)
-            for sensor, lost in zip(layout.sensors, (total - without).tolist(), strict=True)
+            Contribution(sensor.name, *(total - left).tolist())
+            for sensor, left in zip(layout.sensors, without, strict=True)
         ),
         seen_share=np.asarray(seen.seen_share).reshape(covered.shape).mean(1),
         settings=dict(
@@ -131,17 +130,13 @@ def evaluate(
     )
 
 
-any_of_all = partial(any_of, axis=0)
-
-
 class Seen(NamedTuple):
-    """What :func:`watch` gathers over the frames."""
+    """What :func:`watch` gathers over the frames; row 0 is all sensors, 1 + s all but one."""
 
-    occlusion: Float[Array, ""]
-    occlusion_without: Float[Array, " S"]
+    occlusion: Float[Array, " 1+S"]
     occupancy: Float[Array, " V"]
     seen_share: Float[Array, " V"]
-    sight_share: Float[Array, "S V"] | float
+    sight_share: Float[Array, "S V"]
 
 
 @partial(jax.jit, static_argnames=("reference", "share_sight"))
@@ -155,35 +150,26 @@ def watch(
 ) -> Seen:
     """Go through the frames once, one frame's arrays in memory at a time.
 
-    Gives O of all sensors and with each left out, the occupancy p̂, and the share
-    of frames in which each voxel is seen; with ``share_sight`` also the share in
-    which each sensor has each voxel in line of sight (else 1).
+    Gives O, the occupancy p̂, and the share of frames in which each voxel is
+    seen; with ``share_sight`` also that in which each sensor has each voxel in
+    line of sight, else 1.
     """
-    covered, covered_without = any_of_all(f), any_other(f)
+    covered = leave_one_out(f)
 
-    def frame(sums, prisms: Prism):  # type: ignore[no-untyped-def]
-        ceilings = shadow_ceilings(
-            sensors, prisms, ground.columns, spare_own=reference == "targets"
-        )
-        clear = step(ground.heights - ceilings[:, :, None]).reshape(f.shape)
+    def frame(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
+        spare_own = reference == "targets"
+        ceilings = shadow_ceilings(sensors, prisms, ground.columns, spare_own=spare_own)
+        clear = step(ground.heights[None] - ceilings[:, :, None]).reshape(f.shape)
         solid = step(solid_top(ground.columns, prisms)[:, None] - ground.heights).ravel()
-        p = f * clear
-        visible = any_of_all(p)
-        terms = (
-            metrics.occlusion_terms(visible, covered, solid, reference),
-            metrics.occlusion_terms(any_other(p), covered_without, solid, reference),
-        )
-        gathered = (solid, visible, clear) if share_sight else (solid, visible)
+        visible = leave_one_out(f * clear)
+        terms = metrics.occlusion_terms(visible, covered, solid, reference)
+        gathered = (solid, visible[0], clear if share_sight else 1.0)
         return jax.tree.map(jnp.add, sums, gathered), terms
 
-    zeros = jnp.zeros_like(covered)
-    start = (zeros, zeros, jnp.zeros_like(f)) if share_sight else (zeros, zeros)
-    sums, (all_, without) = jax.lax.scan(frame, start, ground.prisms)
-    shares = [total / len(ground.prisms.top) for total in sums]
+    zeros = jnp.zeros_like(covered[0])
+    start = (zeros, zeros, jnp.zeros_like(f) if share_sight else jnp.zeros(()))
+    sums, terms = jax.lax.scan(frame, start, ground.prisms)
+    occupancy, seen_share, sight_share = (total / len(ground.prisms.top) for total in sums)
     return Seen(
-        metrics.occlusion(*all_),
-        metrics.occlusion(*without),
-        shares[0],
-        shares[1],
-        shares[2] if share_sight else 1.0,
+        metrics.occlusion(*terms), occupancy, seen_share, jnp.broadcast_to(sight_share, f.shape)
     )

@@ -6,6 +6,7 @@ against vertical prisms: the height below which a prism hides a column.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -151,11 +152,10 @@ def _crossings(
 
 def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:
     """Top [m] of the highest prism that stands on each column; :data:`NEVER` where none does."""
-    d = columns[:, None] - prism.center  # (L, B, 2)
+    prism = jax.tree.map(lambda leaf: leaf[:, None], prism)  # (B, 1, …)
+    dx, dy = columns[None, :, 0] - prism.center[..., 0], columns[None, :, 1] - prism.center[..., 1]
     cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
-    x = jnp.abs(cos * d[..., 0] + sin * d[..., 1])
-    y = jnp.abs(cos * d[..., 1] - sin * d[..., 0])
-    margin = jnp.minimum(prism.half[:, 0] - x, prism.half[:, 1] - y)
-    return jnp.max(
-        jnp.where(prism.valid & (margin > 0), prism.top, NEVER), axis=1, initial=NEVER
-    )
+    x, y = jnp.abs(cos * dx + sin * dy), jnp.abs(cos * dy - sin * dx)  # (B, L)
+    margin = jnp.minimum(prism.half[..., 0] - x, prism.half[..., 1] - y)
+    stands = prism.valid & (margin > 0)
+    return jnp.max(jnp.where(stands, prism.top, NEVER), axis=0, initial=NEVER)

@@ -1,8 +1,7 @@
 """The surrogate metrics of InSPE (arXiv 2504.08240), in the paper's order.
 
-Sensors are fused before a metric sees them: ``any_of`` over the sensors gives
-the score of all, ``any_other`` the scores with each one left out, and every
-function keeps such a leading axis.
+Sensors are fused before a metric sees them, by ``any_of`` over the sensors or by
+``leave_one_out``; every function keeps such a leading axis.
 """
 
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ from jax.scipy.special import entr
 from jaxtyping import Array, Float
 
 from inspe_jax.errors import InspeError
+from inspe_jax.numerics import dot
 
 WEIGHTS = (0.3, 0.5, 0.2)
 """Weights of C, O and IG in P_sm."""
@@ -23,7 +23,7 @@ def coverage(covered: Float[Array, "*s V"], weight: Float[Array, " V"]) -> Float
 
     ``covered`` is f fused over the sensors, ``weight`` the voxel's region weight.
     """
-    return (covered * weight).sum(-1) / weight.sum()
+    return dot(covered, weight) / dot(jnp.ones_like(weight), weight)
 
 
 def occlusion_terms(
@@ -41,17 +41,14 @@ def occlusion_terms(
     in view. ``targets``: the vehicles' own voxels, which their own vehicle does
     not hide. Under the first two the solid voxels belong to neither set.
     """
+    free = 1.0 - solid
     if reference == "roi":
-        original = 1.0 - solid
-    elif reference == "covered":
-        original = (1.0 - solid) * covered
-    elif reference == "targets":
-        original = solid
-    else:
-        raise InspeError(
-            f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}"
-        )
-    return (original * visible).sum(-1), jnp.broadcast_to(original, visible.shape).sum(-1)
+        return visible @ free, jnp.ones_like(covered) @ free
+    if reference == "covered":
+        return visible @ free, covered @ free
+    if reference == "targets":
+        return visible @ solid, jnp.ones_like(covered) @ solid
+    raise InspeError(f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}")
 
 
 def occlusion(
@@ -84,7 +81,7 @@ def information_gain(
     IG would fall as sensors see more: :func:`information_gain_literal`.
     """
     h = entropy(occupancy)
-    return 1.0 - ((1.0 - resolved) * h).sum(-1) / h.sum()
+    return 1.0 - dot(1.0 - resolved, h) / dot(jnp.ones_like(h), h)
 
 
 def information_gain_literal(
@@ -92,7 +89,7 @@ def information_gain_literal(
 ) -> Float[Array, "*s"]:
     """IG to the letter of the paper: 1 − Σ_visible H_i / Σ H_i; for comparison only."""
     h = entropy(occupancy)
-    return 1.0 - (resolved * h).sum(-1) / h.sum()
+    return 1.0 - dot(resolved, h) / dot(jnp.ones_like(h), h)
 
 
 def surrogate(

@@ -30,17 +30,34 @@ def any_of(p: Float[Array, "*n"], axis: int) -> Float[Array, "*m"]:
     return 1.0 - jnp.prod(1.0 - p, axis=axis)
 
 
-def any_other(p: Float[Array, "S *n"]) -> Float[Array, "S *n"]:
-    """For each s, :func:`any_of` over all but s, along the first axis.
+def leave_one_out(p: Float[Array, "S *n"]) -> Float[Array, "1+S *n"]:
+    """:func:`any_of` over all s in row 0, and over all but s in row 1 + s.
 
     ∏(1 − p) over the others is the whole product divided by 1 − p_s; factors that
     are exactly 0, where a sensor sees for certain, are counted and not divided.
     """
     miss = 1.0 - p
-    certain = miss == 0.0
-    factor = jnp.where(certain, 1.0, miss)
-    others_certain = certain.sum(0) - certain > 0
-    return 1.0 - jnp.where(others_certain, 0.0, jnp.prod(factor, axis=0) / factor)
+    certain = (miss == 0.0).astype(p.dtype)
+    factor = jnp.where(certain > 0, 1.0, miss)
+    product, count = jnp.prod(factor, axis=0, keepdims=True), certain.sum(0, keepdims=True)
+    factors = jnp.concatenate([jnp.ones_like(product), factor])
+    counts = jnp.concatenate([count, count - certain])
+    return 1.0 - jnp.where(counts > 0, 0.0, product / factors)
+
+
+def dot(x: Float[Array, "*s V"], y: Float[Array, " V"]) -> Float[Array, "*s"]:
+    """Σ x·y along the last axis, in three levels of partial sums.
+
+    Adding a million numbers one after another in single precision loses 1e-4 of
+    the sum; in levels of about a hundred it keeps 1e-6.
+    """
+    n = y.shape[-1]
+    block = max(1, round(n ** (1 / 3)))
+    room = block * block * (-(-n // (block * block)))
+    x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - n)])
+    y = jnp.pad(y, (0, room - n)).reshape(-1, block, block)
+    x = x.reshape(*x.shape[:-1], -1, block, block)
+    return (x * y.reshape((1,) * (x.ndim - 3) + y.shape)).sum(-1).sum(-1).sum(-1)
 
 
 def nonzero(x: Float[Array, "*n"], least: float = 1e-6) -> Float[Array, "*n"]:

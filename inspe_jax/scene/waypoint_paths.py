@@ -1,5 +1,6 @@
 """Routes made ready to drive: even poses, speed limits, and who must wait for whom."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -41,10 +42,10 @@ class Paths:
     speed [m/s].
 
     A block is a stretch of a path that other streams cross or join; ``block``
-    (P, C) numbers each path's blocks in order, −1 as padding, ``stop`` and
-    ``leave`` are the arcs [m] where each begins (its stop line) and ends.
-    ``clear[a, b]`` is the arc on b's path up to which block b is in conflict
-    with block a: −inf where they never meet.
+    (P, C) numbers each path's blocks in order, then −1; ``stop`` and ``leave``
+    are the arcs [m] where each begins (its stop line) and ends. ``clear[a, b]``
+    is the arc on b's path up to which block b is in conflict with block a: −inf
+    where they never meet. Block −1 is the last entry: infinitely far, met by none.
     """
 
     start: Int[np.ndarray, " P"]
@@ -197,11 +198,12 @@ def _blocks(
                 block_of[run] = len(stop)
                 stop.append(arc[run[0]] - SETBACK)
                 leave.append(arc[run[-1]] + SETBACK)
-    clear = np.full((len(stop), len(stop)), -np.inf)
+    clear = np.full((len(stop) + 1, len(stop) + 1), -np.inf)
     np.maximum.at(clear, (block_of[one], block_of[two]), arc[two] + SETBACK / 2)
-    most = max((len(b) for b in listed), default=0)
-    padded = [b + [-1] * (most + 1 - len(b)) for b in listed]  # so that every row ends in -1
-    return np.array(padded, int).reshape(len(start), most + 1), np.array(stop), np.array(leave), clear
+    block = np.full((len(start), 1 + max((len(b) for b in listed), default=0)), -1)
+    for row, numbers in zip(block, listed, strict=True):
+        row[: len(numbers)] = numbers
+    return block, np.array([*stop, np.inf]), np.array([*leave, np.inf]), clear
 
 
 def _conflicts(
@@ -229,19 +231,21 @@ def _conflicts(
     return np.concatenate([one[met], two[met]]), np.concatenate([two[met], one[met]])
 
 
-class _since_stream:  # noqa: N801 - used as a function
-    """Metres that a pose lies beyond the last one its path shares with another path."""
+def _since_stream(
+    path: np.ndarray, one: np.ndarray, two: np.ndarray
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Metres since a pose's path last ran in one stream with another path; the pairs share one."""
+    first = np.searchsorted(path, path)  # first pose of each pose's path
+    shared = np.full((path[-1] + 1, len(path)), -1)
+    shared[path[two], one] = one
+    shared[path[one], two] = two
+    last = np.maximum.accumulate(shared, axis=1)
 
-    def __init__(self, path: np.ndarray, one: np.ndarray, two: np.ndarray) -> None:
-        self.first = np.searchsorted(path, path)  # first pose of each pose's path
-        shared = np.full((path[-1] + 1, len(path)), -1)
-        shared[path[two], one] = one
-        shared[path[one], two] = two
-        self.last = np.maximum.accumulate(shared, axis=1)
+    def since(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
+        at = last[other, pose]
+        return np.where(at >= first[pose], (pose - at) * SPACING, np.inf)
 
-    def __call__(self, pose: np.ndarray, other: np.ndarray) -> np.ndarray:
-        last = self.last[other, pose]
-        return np.where(last >= self.first[pose], (pose - last) * SPACING, np.inf)
+    return since
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

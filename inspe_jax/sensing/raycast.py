@@ -104,7 +104,7 @@ WALKS: dict[str, Callable[..., None]] = {"bresenham": bresenham, "exact": exact}
 
 
 def _lookup(grid: VoxelGrid) -> tuple[Int[np.ndarray, "N N"], int]:
-    """Column number by lattice cell, −1 where there is none; and half the square's edge, in cells."""
+    """Column number by lattice cell, −1 where none; and half the square's edge, in cells."""
     half = int(np.ceil(grid.radius / grid.size))
     cell = np.floor((grid.columns - grid.center[:2]) / grid.size).astype(int) + half
     table = np.full((2 * half, 2 * half), -1)

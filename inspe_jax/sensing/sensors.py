@@ -70,7 +70,7 @@ class RayGrid:
         """Coordinate of column ``index``, wrapped round or held at the edge column."""
         last = self.column_count - 1
         index = index % self.column_count if self.wraps else jnp.clip(index, 0, last)
-        return self.first_column + index * self.column_step
+        return self.first_column + index.astype(float) * self.column_step
 
     @property
     def column_limits(self) -> tuple[float, float]:

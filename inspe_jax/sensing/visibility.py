@@ -38,7 +38,7 @@ def _best_margin(
     grid: RayGrid, pose: Float[Array, "6"], centers: Float[Array, "V 3"], half: float
 ) -> Float[Array, " V"]:
     turn = rotation(pose[3:])
-    r = centers - pose[:3]  # (V, 3), world axes
+    r = centers - pose[None, :3]  # (V, 3), world axes
     offset = (r[:, 0], r[:, 1], r[:, 2])
     best = jnp.full(len(centers), -jnp.inf, r.dtype)
     for row, column in _candidates(grid, turn, offset, half):
@@ -183,14 +183,15 @@ def about_center(scene: Scene) -> Ground:
 def poses_about_center(scene: Scene, layout: Layout) -> Float[Array, "S 6"]:
     """The layout's poses relative to the scene's centre, traced or not."""
     shift = np.concatenate([scene.voxels.center, np.zeros(3)])
-    return jnp.asarray(layout.poses - shift, float)
+    return jnp.asarray(layout.poses - shift[None], float)
 
 
 def view_margin(scene: Scene, layout: Layout) -> Float[Array, "S V"]:
     """In-view margin of every sensor and voxel [m]; see :func:`in_view_margin`."""
     centers, poses = about_center(scene).centers, poses_about_center(scene, layout)
     groups = layout.groups()
-    margins = [in_view_margin(g, poses[index], centers, scene.voxels.size / 2) for g, index in groups]
+    half = scene.voxels.size / 2
+    margins = [in_view_margin(grid, poses[index], centers, half) for grid, index in groups]
     order = np.argsort(np.concatenate([index for _, index in groups]))
     return jnp.concatenate(margins)[order]
 
@@ -208,12 +209,13 @@ def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, 
     of sight. Raises InspeError where there is no such frame.
     """
     check_layout(scene, layout)
-    if not 0 <= frame < scene.traffic.frame_count:
-        raise InspeError(f"frame {frame}: the scene has frames 0 to {scene.traffic.frame_count - 1}")
+    last = scene.traffic.frame_count - 1
+    if not 0 <= frame <= last:
+        raise InspeError(f"frame {frame}: the scene has frames 0 to {last}")
     ground = about_center(scene)
     prisms = jax.tree.map(lambda leaf: leaf[frame], ground.prisms)
     ceilings = _ceilings(poses_about_center(scene, layout)[:, :3], prisms, ground.columns)
-    clear = ground.heights > ceilings[:, :, None]
+    clear = ground.heights[None] > ceilings[:, :, None]
     return np.asarray(clear.reshape(len(layout), -1))
 
 

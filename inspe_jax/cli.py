@@ -1,0 +1,331 @@
+"""The command line: thin, every command a few calls into the package.
+
+Heavy imports stay inside the commands, so that ``inspe --help`` answers at once.
+"""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from inspe_jax.errors import InspeError
+
+if TYPE_CHECKING:
+    from inspe_jax.scene.scene import Scene
+    from inspe_jax.sensing.layout import Layout
+
+app = typer.Typer(
+    help="Score placements of roadside cameras and LiDARs at road intersections.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+out = Console()
+err = Console(stderr=True, highlight=False)
+
+DEFAULT_SCENE = "four_way"
+DEFAULT_LAYOUT = "Cam-d1/L-d1"
+
+SceneArgument = Annotated[
+    str, typer.Argument(metavar="[SCENE]", help="A built-in intersection or a saved .npz scene.")
+]
+LayoutArgument = Annotated[
+    str, typer.Argument(metavar="[LAYOUT]", help="A layout .yaml, or a strategy by name.")
+]
+PlotOption = Annotated[
+    Path | None, typer.Option("--plot", metavar="FILE", help="Draw it: .png, .svg or .pdf.")
+]
+
+
+def main() -> None:
+    """Run the command line; an error that the user can mend is one line and status 2."""
+    try:
+        app()
+    except InspeError as e:
+        err.print(f"[bold red]Error:[/] {_plain(str(e))}", soft_wrap=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        err.print("Interrupted; nothing was written.")
+        sys.exit(130)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from inspe_jax import __version__
+
+        out.print(f"inspe_jax {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def scene(
+    source: Annotated[
+        str,
+        typer.Argument(help="A built-in intersection, an OpenDRIVE .xodr map or a saved .npz."),
+    ] = DEFAULT_SCENE,
+    list_: Annotated[
+        bool, typer.Option("--list", help="List the junctions of a map, or the built-ins.")
+    ] = False,
+    junction: Annotated[
+        int | None, typer.Option(help="Junction id on the map (see --list).")
+    ] = None,
+    center: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="X Y",
+            help="Centre [m] instead of a junction id, for a place of several junctions.",
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(help="Radius of the region of interest [m]; 50 if not given.")
+    ] = None,
+    voxel: Annotated[
+        float | None, typer.Option(help="Edge of a voxel [m]; 0.5 if not given.")
+    ] = None,
+    density: Annotated[
+        str | None,
+        typer.Option(
+            help="Traffic: none, low, medium, high (0, 20, 40, 60 objects) or a number; "
+            "medium if not given."
+        ),
+    ] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames of traffic; 100 if not given.")] = None,
+    mix: Annotated[
+        str | None,
+        typer.Option(help="mixed road users, or the paper's largest vehicle only: largest."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the traffic; 0 if not given.")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
+    ] = None,
+    plot: PlotOption = None,
+) -> None:
+    """Build a scene: region of interest, voxels and traffic of one intersection.
+
+    Examples:
+
+    - `inspe scene roundabout --plot roundabout.png`
+    - `inspe scene MAP.xodr --list`
+    - `inspe scene MAP.xodr --junction 189 --radius 50 --voxel 0.5 --density medium --out j189.npz`
+    - `inspe scene j189.npz --plot j189.png`
+    """
+    from inspe_jax.report.figures import save_figure, scene_view
+    from inspe_jax.report.tables import scene_table
+    from inspe_jax.scene.procedural import built_in
+    from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+
+    if list_:
+        _list_places(source)
+        return
+    options = {
+        name: value
+        for name, value in dict(
+            radius=radius, voxel=voxel, density=density, frames=frames, mix=mix, seed=seed
+        ).items()
+        if value is not None
+    }
+    path = Path(source)
+    if path.suffix == ".npz":
+        given = [*options, *(["junction"] if junction is not None else [])]
+        if given or center:
+            raise InspeError(
+                f"{source}: a saved scene keeps its settings; leave out "
+                + ", ".join(f"--{name}" for name in given or ["center"])
+            )
+        built = load_scene(source)
+    else:
+        if path.suffix == ".xodr":
+            from inspe_jax.scene.opendrive import read_opendrive
+
+            with _busy(f"reading {path.name}"):
+                place = read_opendrive(
+                    path, junction=junction, center=center, radius=options.get("radius", 50.0)
+                )
+        else:
+            if junction is not None or center is not None:
+                raise InspeError(f"{source}: --junction and --center are for .xodr maps")
+            place = built_in(source)
+        with _progress("traffic") as report:
+            built = build_scene(place, **options, progress=report)
+    out.print(scene_table(built))
+    if save:
+        save_scene(built, save)
+        out.print(f"saved {save}", highlight=False)
+    if plot:
+        save_figure(scene_view(built), plot)
+        out.print(f"drew {plot}", highlight=False)
+
+
+@app.command()
+def layout(
+    source: SceneArgument = DEFAULT_SCENE,
+    strategy: Annotated[
+        str, typer.Option(help="Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair as Cam-c/L-c.")
+    ] = DEFAULT_LAYOUT,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera device (see `inspe devices`).")
+    ] = None,
+    lidar: Annotated[str | None, typer.Option(help="LiDAR device (see `inspe devices`).")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
+    ] = None,
+) -> None:
+    """Place sensors on a scene by one of the paper's strategies.
+
+    Examples:
+
+    - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
+    - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
+    """
+    from inspe_jax.placement.strategies import strategy as place
+    from inspe_jax.report.tables import layout_table
+    from inspe_jax.scene.scene import load_scene
+    from inspe_jax.sensing.layout import save_layout
+
+    devices = {k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None}
+    placed = place(load_scene(source), strategy, **devices)
+    out.print(layout_table(placed))
+    if save:
+        save_layout(placed, save)
+        out.print(f"saved {save}", highlight=False)
+
+
+@app.command()
+def score(
+    source: SceneArgument = DEFAULT_SCENE,
+    sensors: LayoutArgument = DEFAULT_LAYOUT,
+    record: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE|-", help="Write the scores as JSON; - for stdout."),
+    ] = None,
+    plot: PlotOption = None,
+    weights: Annotated[
+        tuple[float, float, float],
+        typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
+    ] = (0.3, 0.5, 0.2),
+    occlusion_reference: Annotated[
+        str, typer.Option(help="What occlusion is a share of: roi, covered or targets.")
+    ] = "roi",
+    visibility: Annotated[
+        str, typer.Option(help="Visibility in information gain: in_view or line_of_sight.")
+    ] = "in_view",
+) -> None:
+    """Score a layout on a scene: coverage, occlusion, information gain and P_sm.
+
+    Examples:
+
+    - `inspe score`  (the built-in four-way with cameras and LiDARs at its corners)
+    - `inspe score roundabout Cam-c/L-c --plot roundabout.png`
+    - `inspe score j189.npz layout.yaml --json -`
+    """
+    from inspe_jax.evaluation import evaluate
+    from inspe_jax.files import write_text
+    from inspe_jax.report.figures import plan_view, save_figure
+    from inspe_jax.report.tables import scores_record, scores_table
+
+    with _busy(f"reading {source}"):
+        world, placed = _scene_and_layout(source, sensors)
+    with _busy("scoring"):
+        scores = evaluate(
+            world,
+            placed,
+            weights=weights,
+            occlusion_reference=occlusion_reference,
+            visibility=visibility,
+        )
+    text = json.dumps(scores_record(scores, world, placed), indent=2)
+    if record == "-":
+        typer.echo(text)
+    else:
+        out.print(scores_table(scores, placed))
+        if record:
+            write_text(record, text + "\n")
+            out.print(f"wrote {record}", highlight=False)
+    if plot:
+        save_figure(plan_view(world, placed, scores), plot)
+        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+
+
+@app.command()
+def devices() -> None:
+    """List the catalogue of cameras and LiDARs that a layout can name."""
+    from inspe_jax.report.tables import devices_table
+    from inspe_jax.sensing.devices import devices as catalogue
+
+    out.print(devices_table(catalogue()))
+
+
+def _list_places(source: str) -> None:
+    from inspe_jax.report.tables import built_ins_table, junctions_table
+
+    if Path(source).suffix == ".xodr":
+        from inspe_jax.scene.opendrive import list_junctions
+
+        with _busy(f"reading {source}"):
+            found = list_junctions(source)
+        out.print(junctions_table(found, Path(source).name))
+    else:
+        out.print(built_ins_table())
+
+
+def _scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
+    """A scene, and the layout that a file or a strategy's name gives on it."""
+    from inspe_jax.placement.strategies import STRATEGIES, strategy
+    from inspe_jax.scene.scene import load_scene
+    from inspe_jax.sensing.layout import load_layout
+
+    world = load_scene(source)
+    if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
+        return world, load_layout(sensors)
+    if sensors.lower() not in (name.lower() for name in STRATEGIES):
+        raise InspeError(
+            f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"
+        )
+    return world, strategy(world, sensors)
+
+
+@contextmanager
+def _busy(what: str) -> Iterator[None]:
+    """A spinner on a terminal, nothing elsewhere."""
+    if not err.is_terminal:
+        yield
+        return
+    with err.status(f"{what} …"):
+        yield
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Any]:
+    """A progress bar with time left on a terminal; gives a callback (done, total) or None."""
+    if not err.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _plain(message: str) -> str:
+    """Text with rich's markup brackets escaped."""
+    from rich.markup import escape
+
+    return escape(message)

@@ -5,7 +5,6 @@ Sensors are fused before a metric sees them, by ``any_of`` over the sensors or b
 """
 
 import jax.numpy as jnp
-from jax.scipy.special import entr
 from jaxtyping import Array, Float
 
 from inspe_jax.errors import InspeError
@@ -61,12 +60,17 @@ def occlusion(
     """
     has = original > 0
     share = jnp.where(has, seen / jnp.where(has, original, 1.0), 0.0)
-    return share.sum(0) / jnp.maximum(has.sum(0), 1)
+    return share.sum(0) / jnp.maximum(has.astype(share.dtype).sum(0), 1.0)
 
 
 def entropy(p: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Binary entropy H(p) in nats; 0 at p = 0 and p = 1."""
-    return entr(p) + entr(1.0 - p)
+    return -_x_log_x(p) - _x_log_x(1.0 - p)
+
+
+def _x_log_x(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """x ln x, 0 at 0; the inner choice keeps the logarithm from ever seeing a 0."""
+    return x * jnp.log(jnp.where(x > 0, x, 1.0))
 
 
 def information_gain(

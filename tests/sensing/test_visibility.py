@@ -1,0 +1,127 @@
+"""In view against walked rays, line of sight against Embree."""
+
+import jax
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, embree_line_of_sight, place_sensors, random_layout, with_boxes, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.sensing import raycast
+from inspe_jax.sensing.devices import devices
+from inspe_jax.sensing.visibility import in_view, in_view_margin, line_of_sight
+
+DEVICES = devices()
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_in_view_agrees_with_every_ray_walked(name):
+    """At least 99.9 % of voxels for every device, and C within 0.001.
+
+    The disagreements are cubes that a ray clips within centimetres of a corner,
+    where two corners lie equally far towards the ray's row.
+    """
+    scene = world(radius=25.0, count=0, slope=0.04)
+    layout = random_layout(scene, [DEVICES[name].spec] * 2, seed=len(name), heights=(2.0, 8.0))
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean(axis=1).min() >= 0.999
+    w = scene.voxels.weight
+    for a, b in zip(ours, walked, strict=True):
+        assert w @ a / w.sum() == pytest.approx(w @ b / w.sum(), abs=1e-3)
+    assert not (ours & ~walked).sum() > 1e-4 * ours.size  # nothing is seen without a ray
+
+
+def test_one_ray_lights_the_voxels_it_passes_through():
+    """A camera of one pixel 1.25 m up looks along +x at y = 0.25: level 2, one row, to 10 m."""
+    from inspe_jax.sensing.sensors import CameraSpec
+
+    pencil = CameraSpec("pencil", 1, 1, 1.0, (0.5, 0.5), 1.0, 10.0)
+    scene = world(radius=20.0, count=0)
+    layout = place_sensors((pencil, [-3.1, 0.25, 1.25, 0.0, 0.0, 0.0]))
+    seen = scene.voxels.centers[in_view(scene, layout)[0]]
+    assert sorted(seen[:, 0]) == pytest.approx(np.arange(-3.25, 7.0, 0.5))
+    assert set(seen[:, 1]) == {0.25}
+    assert set(seen[:, 2]) == {1.25}
+
+
+def test_field_of_view_and_reach_of_a_camera():
+    """A camera at 3 m sees nothing behind it, beside its field of view or beyond its depth."""
+    scene = world(radius=40.0, count=0)
+    layout = place_sensors((CAMERA, [0.1, 0.1, 3.0, 0.0, -0.2, 0.0]))
+    seen = scene.voxels.centers[in_view(scene, layout)[0]]
+    assert seen[:, 0].min() > 0
+    away = seen[:, 0] > 5  # nearer, a voxel's edge subtends more than the tolerance
+    assert np.abs(np.arctan2(seen[away, 1], seen[away, 0])).max() < np.radians(50) + 0.1
+    distance = np.linalg.norm(seen - [0.1, 0.1, 3.0], axis=1)
+    assert 29.0 < distance.max() < 30.0 + 0.5 * 3**0.5
+
+
+def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
+    """The voxel column under the sensor has no azimuth; a level ray is parallel to two faces."""
+    scene = world(radius=15.0, count=0)
+    layout = place_sensors(
+        (LIDAR, [0.25, 0.25, 5.0, 0.0, 0.0, 0.0]), (CAMERA, [0.25, 0.25, 3.75, 0.0, -np.pi / 2, 0.0])
+    )
+    assert in_view(scene, layout)[1].any()
+    for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
+        centers = scene.voxels.centers.astype(np.float32)
+        margin = in_view_margin(
+            sensor.spec.grid, pose[None].astype(np.float32), centers, scene.voxels.size / 2
+        )
+        assert np.isfinite(np.asarray(margin)).all()
+
+
+@pytest.mark.parametrize(
+    ("seed", "slope", "heights", "center"),
+    [
+        (0, 0.0, (1.0, 3.0), (0, 0, 0)),  # below and among the tops
+        (1, 0.0, (4.0, 9.0), (0, 0, 0)),  # above them
+        (2, 0.08, (1.0, 9.0), (0, 0, 0)),
+        (3, -0.12, (1.0, 9.0), (1873.2, -951.7, 41.0)),  # far from the origin, sloping
+    ],
+)
+def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
+    """At least 99.99 % of (sensor, voxel, frame); both round in single precision at an edge."""
+    scene = world(radius=20.0, frames=3, count=20, seed=seed, slope=slope, center=center)
+    layout = random_layout(scene, [LIDAR] * 3 + [CAMERA] * 3, seed=seed, heights=heights)
+    differ = total = 0
+    for frame in range(3):
+        ours, embree = line_of_sight(scene, layout, frame), embree_line_of_sight(scene, layout, frame)
+        assert 0.05 < embree.mean() < 0.999
+        differ, total = differ + (ours != embree).sum(), total + ours.size
+    assert differ / total <= 1e-4
+
+
+def test_line_of_sight_behind_a_car_by_hand():
+    """From 5 m, a 1.5 m car 8..12 m away hides what lies below 5 − 3.5·x/12 behind it."""
+    scene = with_boxes(world(radius=25.0), (10.0, 0.0, 0.0, 4.0, 1.8, 1.5))
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    clear = line_of_sight(scene, layout, 0)[0]
+    at = {tuple(c): v for v, c in enumerate(scene.voxels.centers.round(3).tolist())}
+    assert clear[at[(7.75, 0.25, 0.25)]]  # before it
+    assert not clear[at[(10.25, 0.25, 1.25)]]  # in it
+    assert clear[at[(10.25, 0.25, 1.75)]]  # over it
+    assert not clear[at[(14.25, 0.25, 0.75)]]  # 5 − 3.5·14.25/12 = 0.84
+    assert clear[at[(15.25, 0.25, 0.75)]]  # 0.55
+    assert clear[at[(14.25, 2.25, 0.25)]]  # beside the shadow
+
+
+def test_unknown_frame_and_sensor_in_the_ground():
+    scene = world(slope=0.1)
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InspeError, match="frame 9: the scene has frames 0 to 3"):
+        line_of_sight(scene, layout, 9)
+    buried = layout.with_poses(np.array([[10.0, 0.0, 0.9, 0.0, 0.0, 0.0]]))
+    with pytest.raises(InspeError, match=r"'s0' at \(10.00, 0.00\) is in the ground"):
+        in_view(scene, buried)
+
+
+def test_devices_of_one_kind_compile_once(capfd):
+    """Sensors with the same rays share a kernel, wherever they stand."""
+    scene = world(radius=12.0, count=0)
+    layout = place_sensors(*[(LIDAR, [float(x), 0.0, 5.0, 0.0, 0.0, 0.3 * x]) for x in range(3)])
+    assert len(layout.groups()) == 1
+    in_view(scene, layout)
+    before = in_view_margin._cache_size()
+    in_view(scene, layout.with_poses(layout.poses + 0.1))
+    assert in_view_margin._cache_size() == before
+    assert jax.config.jax_debug_nans

@@ -1,0 +1,79 @@
+"""The house's plan, read from the imports: data flows one way, libraries keep to their rooms."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import inspe_jax
+
+PACKAGE = Path(inspe_jax.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# Lowest first. A module may import its own row and the rows above it in this list.
+LADDER = [
+    ("errors",),
+    ("files", "numerics"),
+    ("geometry",),
+    ("scene",),
+    ("sensing",),
+    ("metrics", "evaluation"),
+    ("placement",),
+    ("report",),
+    ("cli",),
+]
+ROOMS = {
+    "shapely": ("scene/", "placement/constraints.py", "placement/strategies.py", "report/figures.py"),
+    "carla": ("scene/opendrive",),
+    "jaxopt": ("placement/gradient.py",),
+    "optax": ("placement/gradient.py",),
+    "matplotlib": ("report/",),
+    "typer": ("cli.py",),
+}
+LEVEL = {room: i for i, row in enumerate(LADDER) for room in row}
+
+
+def imports(path: Path) -> list[str]:
+    """Dotted names that a file imports anywhere, also inside functions and type checks."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+def room(dotted: str) -> str:
+    return dotted.split(".")[0]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_run_only_downward(path):
+    here = path.relative_to(PACKAGE).with_suffix("").parts[0]
+    if here == "__init__":
+        return
+    for name in imports(path):
+        if name.startswith("inspe_jax.") and name != "inspe_jax.__version__":
+            there = room(name.removeprefix("inspe_jax."))
+            assert LEVEL[there] <= LEVEL[here], f"{here} imports {name}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_libraries_keep_to_their_rooms(path):
+    where = path.relative_to(PACKAGE).as_posix()
+    for name in imports(path):
+        allowed = ROOMS.get(room(name))
+        assert allowed is None or where.startswith(allowed), f"{where} imports {name}"
+
+
+def test_every_room_is_on_the_plan():
+    rooms = {p.relative_to(PACKAGE).with_suffix("").parts[0] for p in FILES} - {"__init__"}
+    assert rooms == set(LEVEL)
+
+
+def test_files_stay_short():
+    """About 400 lines is when to look for the wall."""
+    long = {p.name: n for p in FILES if (n := len(p.read_text().splitlines())) > 450}
+    assert not long

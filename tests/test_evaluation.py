@@ -1,0 +1,229 @@
+"""The limits and invariances of the scores, and an independent calculation of them."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from shapely import affinity
+from worlds import CAMERA, LIDAR, embree_line_of_sight, place_sensors, random_layout, with_boxes, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import evaluate
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic import no_traffic
+from inspe_jax.scene.voxels import build_voxels
+from inspe_jax.sensing import raycast
+from inspe_jax.sensing.sensors import LidarSpec
+
+SPECS = [LIDAR, CAMERA, CAMERA]
+FOUR = ("coverage", "occlusion", "information_gain", "surrogate")
+
+
+def solid_voxels(scene, frame):
+    """Voxels whose centre is in a vehicle, by turning each into the vehicle's frame."""
+    t, centers = scene.traffic, scene.voxels.centers
+    solid = np.zeros(len(centers), bool)
+    for b in np.flatnonzero(t.valid[frame]):
+        c, yaw, size = t.center[frame, b], t.yaw[frame, b], t.size[frame, b]
+        d = centers[:, :2] - c[:2]
+        x, y = d @ [np.cos(yaw), np.sin(yaw)], d @ [-np.sin(yaw), np.cos(yaw)]
+        stands = (np.abs(x) < size[0] / 2) & (np.abs(y) < size[1] / 2)
+        solid |= stands & (centers[:, 2] < c[2] + size[2] / 2)
+    return solid
+
+
+@pytest.mark.parametrize("reference", ["roi", "covered"])
+def test_scores_equal_those_of_walked_rays_and_embree(reference):
+    """C, O and IG once more, in NumPy, from the two oracles; both agree to 1e-3 by design."""
+    scene = world(radius=20.0, frames=5, count=15, seed=4)
+    layout = random_layout(scene, SPECS, seed=4)
+    f = raycast.in_view(scene, layout, "exact")
+    solid = np.stack([solid_voxels(scene, k) for k in range(5)])
+    w = scene.voxels.weight
+    shares = []
+    for k in range(5):
+        seen = (f & embree_line_of_sight(scene, layout, k)).any(0) & ~solid[k]
+        original = ~solid[k] if reference == "roi" else ~solid[k] & f.any(0)
+        shares.append(seen.sum() / original.sum())
+    p = solid.mean(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        h = np.nan_to_num(-p * np.log(p) - (1 - p) * np.log(1 - p))
+    q = 1 - np.prod([1 - s.reliability * row for s, row in zip(SPECS, f, strict=True)], axis=0)
+    expected = [w @ f.any(0) / w.sum(), np.mean(shares), (q * h).sum() / h.sum()]
+
+    scores = evaluate(scene, layout, occlusion_reference=reference)
+    ours = [scores.coverage, scores.occlusion, scores.information_gain]
+    assert ours == pytest.approx(expected, abs=1e-3)
+    assert scores.surrogate == pytest.approx(np.dot([0.3, 0.5, 0.2], ours), abs=1e-6)
+    assert all(type(getattr(scores, name)) is float for name in FOUR)
+
+
+def test_no_vehicles_make_occlusion_the_unweighted_coverage():
+    scene = world(radius=20.0, frames=2, count=1)
+    gone = replace(scene.traffic, valid=np.array([[False], [True]]))
+    far = gone.center.copy()
+    far[1, 0, :2] = 15.0  # off the roads: it stands on no column and hides none
+    sky = place_sensors(
+        (LIDAR, [5.0, 5.0, 6.0, 0.0, 0.0, 0.0]), (CAMERA, [-8, 0, 5, 0, -0.3, 0.0])
+    )
+    empty = replace(scene, traffic=replace(gone, center=far, valid=np.zeros((2, 1), bool)))
+    with pytest.raises(InspeError, match="information gain needs traffic"):
+        evaluate(empty, sky)
+    from inspe_jax.evaluation import watch
+    from inspe_jax.numerics import step
+    from inspe_jax.sensing.visibility import about_center, poses_about_center, view_margin
+
+    f = step(view_margin(empty, sky))
+    seen = watch(
+        about_center(empty),
+        poses_about_center(empty, sky)[:, :3],
+        f,
+        reference="roi",
+        share_sight=False,
+    )
+    assert float(seen.occlusion[0]) == pytest.approx(float(f.max(0).mean()), abs=1e-6)
+
+
+def test_a_sensor_that_sees_all_scores_one():
+    """A LiDAR of a hundred dense channels above a small scene with one small box far aside."""
+    dense = LidarSpec(
+        "dense", tuple(np.radians(np.linspace(-90, 10, 400)).tolist()), 1800, 2 * np.pi, 100.0
+    )
+    scene = world(radius=10.0, frames=2, count=1, seed=1)
+    high = place_sensors((dense, [0.1, 0.1, 9.0, 0.0, 0.0, 0.0]))
+    scores = evaluate(scene, high)
+    assert scores.coverage == pytest.approx(1, abs=1e-6)
+    assert scores.information_gain == pytest.approx(1, abs=1e-6)
+    assert scores.region_coverage == pytest.approx({k: 1 for k in scores.region_coverage})
+    assert scores.level_coverage == pytest.approx([1] * 8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_adding_a_sensor_never_lowers_a_score(seed):
+    scene = world(radius=15.0, seed=seed)
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA, LIDAR], seed=seed)
+    scores = evaluate(scene, layout)
+    for row in scores.contributions:
+        assert min(getattr(row, name) for name in FOUR) >= 0
+
+
+def test_contributions_are_leave_one_out_drops():
+    scene = world(radius=15.0, seed=6)
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=6)
+    scores = evaluate(scene, layout)
+    for s, row in enumerate(scores.contributions):
+        rest = [k for k in range(3) if k != s]
+        left = place_sensors(*[(layout.sensors[k].spec, layout.poses[k].tolist()) for k in rest])
+        without = evaluate(scene, left)
+        for name in FOUR:
+            drop = getattr(scores, name) - getattr(without, name)
+            assert getattr(row, name) == pytest.approx(drop, abs=2e-6)
+
+
+def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
+    """One car in full view: every voxel of it that is in view counts as seen."""
+    scene = with_boxes(world(radius=15.0), (5.0, 0.0, 0.0, 4.0, 1.8, 1.5))
+    scene = replace(scene, traffic=_twice(scene.traffic, away=(5.0, 0.25)))
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    scores = evaluate(scene, layout, occlusion_reference="targets")
+    f = raycast.in_view(scene, layout, "exact")[0]
+    shares = [f[solid_voxels(scene, k)].mean() for k in range(2)]
+    assert scores.occlusion == pytest.approx(np.mean(shares), abs=1e-6)
+    # A truck in between hides it.
+    hidden = with_boxes(scene, (5.0, 0.0, 0.0, 4.0, 1.8, 1.5), (2.0, 0.0, 0.0, 1.0, 8.0, 4.9))
+    hidden = replace(hidden, traffic=_twice(hidden.traffic, away=(5.0, 0.25)))
+    low = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    assert evaluate(hidden, low, occlusion_reference="targets").occlusion < scores.occlusion
+
+
+def _twice(traffic, away):
+    """The frame twice, its first box moved in the second, so that there is entropy."""
+    two = {k: np.repeat(getattr(traffic, k), 2, 0) for k in ("center", "yaw", "size", "valid", "kind")}
+    two["center"][1, 0, :2] += away
+    return replace(traffic, **two)
+
+
+def test_line_of_sight_lowers_the_information_gain():
+    scene = world(radius=15.0, seed=2)
+    layout = random_layout(scene, [LIDAR], seed=2)
+    ideal = evaluate(scene, layout).information_gain
+    assert 0 < evaluate(scene, layout, visibility="line_of_sight").information_gain < ideal
+
+
+def moved(scene: Scene, turn: np.ndarray, shift: np.ndarray) -> Scene:
+    """The whole world under x → turn·x + shift (a rotation or a mirror), voxelised anew."""
+    place, t = scene.intersection, scene.traffic
+    matrix = [*turn.ravel(), *shift[:2]]
+    point = lambda p: np.column_stack([p[:, :2] @ turn.T + shift[:2], p[:, 2] + shift[2]])  # noqa: E731
+    heading = np.stack([np.cos(t.yaw), np.sin(t.yaw)], -1) @ turn.T
+    new = replace(
+        place,
+        center=point(place.center[None])[0],
+        regions={k: affinity.affine_transform(g, matrix) for k, g in place.regions.items()},
+        ground_points=point(place.ground_points),
+    )
+    traffic = replace(
+        t,
+        center=point(t.center.reshape(-1, 3)).reshape(t.center.shape),
+        yaw=np.arctan2(heading[..., 1], heading[..., 0]),
+    )
+    grid = build_voxels(new, radius=scene.voxels.radius, voxel=scene.voxels.size)
+    return Scene(grid, traffic, new)
+
+
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+MIRROR = np.array([[1.0, 0.0], [0.0, -1.0]])
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [
+        (np.eye(2), np.array([13.5, -7.0, 2.5])),
+        (QUARTER, np.zeros(3)),
+        (MIRROR, np.zeros(3)),
+        (MIRROR @ QUARTER, np.array([100.0, 250.0, -3.0])),
+    ],
+    ids=["translate", "quarter-turn", "mirror", "all"],
+)
+def test_moving_the_whole_world_changes_nothing(turn, shift):
+    """To 2e-4: the world is rounded anew in single precision (1e-5 m on 50 m), which can flip
+    the few voxels that a ray or a shadow's edge only just touches."""
+    scene = world(radius=20.0, seed=8)
+    layout = random_layout(scene, SPECS, seed=8)
+    poses = layout.poses.copy()
+    poses[:, :3] = np.column_stack([poses[:, :2] @ turn.T, poses[:, 2]]) + shift
+    heading = np.stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])], -1) @ turn.T
+    poses[:, 5] = np.arctan2(heading[:, 1], heading[:, 0])
+    if np.linalg.det(turn) < 0:
+        poses[:, 3] *= -1  # a mirror turns roll about
+    before = evaluate(scene, layout)
+    after = evaluate(moved(scene, turn, shift), layout.with_poses(poses))
+    for name in FOUR:
+        assert getattr(after, name) == pytest.approx(getattr(before, name), abs=2e-4)
+
+
+def test_a_scene_without_traffic_says_so():
+    scene = replace(world(radius=12.0), traffic=no_traffic())
+    with pytest.raises(InspeError, match="information gain needs traffic"):
+        evaluate(scene, place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0])))
+
+
+def test_unknown_options():
+    scene, layout = world(radius=12.0), place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InspeError, match="occlusion_reference 'x': one of roi"):
+        evaluate(scene, layout, occlusion_reference="x")
+    with pytest.raises(InspeError, match="visibility 'x': one of in_view"):
+        evaluate(scene, layout, visibility="x")
+    with pytest.raises(InspeError, match="sum to 1"):
+        evaluate(scene, layout, weights=(1, 1, 1))
+
+
+def test_settings_and_seen_share():
+    scene = world(radius=12.0)
+    layout = random_layout(scene, [LIDAR], seed=0)
+    scores = evaluate(scene, layout)
+    assert scores.settings["weights"] == [0.3, 0.5, 0.2]
+    assert scores.seen_share.shape == (len(scene.voxels.columns),)
+    assert 0 < scores.seen_share.mean() < scores.coverage + 0.05
+    assert jnp.isfinite(scores.information_gain_literal)

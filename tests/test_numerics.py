@@ -1,0 +1,48 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from inspe_jax.numerics import any_of, dot, leave_one_out, nonzero, step
+
+
+def test_a_margin_is_read_hard_at_zero_and_soft_around_it():
+    margin = jnp.array([-1.0, 0.0, 1e-6, 2.0])
+    assert step(margin).tolist() == [0, 0, 1, 1]
+    # logistic(±1/0.5) by hand
+    soft = step(jnp.array([-1.0, 0.0, 1.0]), 0.5)
+    np.testing.assert_allclose(soft, [0.1192029, 0.5, 0.8807971], atol=1e-6)
+
+
+def test_softness_to_zero_is_the_hard_reading():
+    margin = jnp.array([-0.3, -0.01, 0.01, 0.3])
+    np.testing.assert_allclose(step(margin, 1e-4), step(margin), atol=1e-6)
+
+
+def test_any_of_is_exact_on_certainties_and_multiplies_chances():
+    p = jnp.array([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]])
+    assert any_of(p, axis=0).tolist() == [0.0, 1.0, 0.75]
+
+
+@pytest.mark.parametrize("certain", [0, 1, 2])
+def test_leave_one_out_equals_leaving_out(certain):
+    """Against any_of over the array with the row deleted, with 0, 1 or 2 rows certain."""
+    p = np.random.default_rng(3).uniform(0, 0.9, (5, 7)).astype(np.float32)
+    p[:certain] = 1.0
+    expected = [any_of(jnp.array(p), 0)]
+    expected += [any_of(jnp.array(np.delete(p, s, 0)), 0) for s in range(5)]
+    np.testing.assert_allclose(leave_one_out(jnp.array(p)), np.stack(expected), atol=1e-6)
+
+
+def test_dot_keeps_single_precision_over_two_million_terms():
+    """Against float64. Partial sums of ~126 terms: 3·126·2⁻²⁴ ≈ 2e-5 at worst, 1e-6 typically."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 1, (2, 2_000_003)).astype(np.float32)
+    exact = float(x.astype(float) @ y.astype(float))
+    assert float(dot(jnp.array(x), jnp.array(y))) == pytest.approx(exact, rel=2e-6)
+    assert dot(jnp.ones((3, 5)), jnp.arange(5.0)).tolist() == [10.0] * 3
+
+
+def test_nonzero_keeps_the_side():
+    assert nonzero(jnp.array([-1e-9, 0.0, 1e-9, 3.0, -3.0])).tolist() == pytest.approx(
+        [-1e-6, 1e-6, 1e-6, 3.0, -3.0]
+    )

@@ -1,0 +1,157 @@
+"""Small scenes with known answers, and a segment–triangle oracle, for the tests."""
+
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from shapely.geometry import box
+
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic import TrafficFrames, no_traffic
+from inspe_jax.scene.voxels import build_voxels
+from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
+
+LIDAR = LidarSpec(
+    "test-lidar", tuple(np.radians(np.linspace(-25, 2, 32)).tolist()), 1800, 2 * np.pi, 50.0
+)
+CAMERA = CameraSpec(
+    "test-camera", 800, 600, 400 / np.tan(np.radians(50)), (400.0, 300.0), 0.1, 30.0, 0.9
+)
+
+
+def crossing(
+    slope: float = 0.0, center: tuple[float, float, float] = (0, 0, 0), width: float = 14.0
+) -> Intersection:
+    """Two straight roads with sidewalks; the ground rises by ``slope`` along x."""
+    x, y, z = center
+    roads = shapely.union(
+        box(x - 120, y - width / 2, x + 120, y + width / 2),
+        box(x - width / 2, y - 120, x + width / 2, y + 120),
+    )
+    sidewalk = roads.buffer(4, join_style="mitre").difference(roads)
+    at = np.stack(np.meshgrid(*[np.arange(-130, 131, 5.0)] * 2, indexing="ij"), -1).reshape(-1, 2)
+    return Intersection(
+        name="test crossing",
+        source="tests",
+        center=np.array(center, float),
+        regions={
+            Region.DRIVEWAY: roads,
+            Region.JUNCTION: box(x - width / 2, y - width / 2, x + width / 2, y + width / 2),
+            Region.SIDEWALK: sidewalk,
+        },
+        arms=(),
+        routes=(),
+        mounting=sidewalk,
+        poles=np.zeros((0, 3)),
+        ground_points=np.column_stack([at + [x, y], z + slope * at[:, 0]]),
+    )
+
+
+def random_traffic(
+    place: Intersection, frames: int, count: int, radius: float, seed: int
+) -> TrafficFrames:
+    """Boxes anywhere at any heading, some of them padding, standing on the ground."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-radius, radius, (frames, count, 2)) + place.center[:2]
+    size = rng.uniform([2, 0.6, 1.4], [9, 2.5, 3.5], (frames, count, 3))
+    z = place.ground(xy.reshape(-1, 2)).reshape(frames, count) + size[..., 2] / 2
+    return TrafficFrames(
+        center=np.concatenate([xy, z[..., None]], -1),
+        yaw=rng.uniform(-np.pi, np.pi, (frames, count)),
+        size=size,
+        valid=rng.uniform(size=(frames, count)) < 0.9,
+        kind=np.zeros((frames, count), np.int8),
+    )
+
+
+def world(
+    *,
+    radius: float = 20.0,
+    voxel: float = 0.5,
+    frames: int = 4,
+    count: int = 12,
+    seed: int = 0,
+    slope: float = 0.0,
+    center: tuple[float, float, float] = (0, 0, 0),
+) -> Scene:
+    """A test crossing with random traffic."""
+    place = crossing(slope, center)
+    traffic = random_traffic(place, frames, count, radius, seed) if count else no_traffic()
+    return Scene(build_voxels(place, radius=radius, voxel=voxel), traffic, place)
+
+
+def with_boxes(scene: Scene, *boxes: tuple[float, float, float, float, float, float]) -> Scene:
+    """One frame of given boxes, each (x, y, yaw, length, width, height), on the ground."""
+    b = np.array(boxes, float).reshape(-1, 6)
+    z = scene.intersection.ground(b[:, :2]) + b[:, 5] / 2
+    traffic = TrafficFrames(
+        center=np.column_stack([b[:, :2], z])[None],
+        yaw=b[None, :, 2],
+        size=b[None, :, 3:],
+        valid=np.ones((1, len(b)), bool),
+        kind=np.zeros((1, len(b)), np.int8),
+    )
+    return replace(scene, traffic=traffic)
+
+
+def place_sensors(*sensors: tuple[Spec, list[float]]) -> Layout:
+    """Each sensor on a unit of its own: (spec, [x, y, z, roll, pitch, yaw]) in metres, radians."""
+    units = [Unit(f"u{i}", (p[0], p[1], 0.0)) for i, (_, p) in enumerate(sensors)]
+    members = [Sensor(f"s{i}", spec, i) for i, (spec, _) in enumerate(sensors)]
+    return make_layout(members, units, np.array([p for _, p in sensors], float))
+
+
+def random_layout(
+    scene: Scene, specs: list[Spec], seed: int, heights: tuple[float, float] = (1.0, 8.0)
+) -> Layout:
+    """Sensors anywhere near the centre, at ``heights`` above the ground there."""
+    rng = np.random.default_rng(seed)
+    n = len(specs)
+    xy = rng.uniform(-15, 15, (n, 2)) + scene.voxels.center[:2]
+    z = scene.intersection.ground(xy) + rng.uniform(*heights, n)
+    angles = rng.uniform([-0.1, -0.6, -np.pi], [0.1, 0.1, np.pi], (n, 3))
+    poses = np.column_stack([xy, z, angles])
+    return place_sensors(*zip(specs, poses.tolist(), strict=True))
+
+
+# Two triangles a face; corners 0–3 are the bottom's, 4–7 the top's.
+_FACES = np.array(
+    [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6], [0, 4, 5], [0, 5, 1]]
+    + [[1, 5, 6], [1, 6, 2], [2, 6, 7], [2, 7, 3], [3, 7, 4], [3, 4, 0]]
+)
+
+
+def triangles(scene: Scene, frame: int, depth: float = 50.0) -> np.ndarray:
+    """The vehicles of a frame as triangles (N, 3, 3), carried ``depth`` metres into the ground."""
+    t, found = scene.traffic, []
+    for b in np.flatnonzero(t.valid[frame]):
+        (length, width, height), c, yaw = t.size[frame, b], t.center[frame, b], t.yaw[frame, b]
+        flat = np.array([[-length, -width], [length, -width], [length, width], [-length, width]])
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        corners = flat / 2 @ turn.T + c[:2]
+        low, high = c[2] - height / 2 - depth, c[2] + height / 2
+        solid = [np.column_stack([corners, np.full(4, z)]) for z in (low, high)]
+        found.append(np.concatenate(solid)[_FACES])
+    return np.concatenate(found)
+
+
+def embree_line_of_sight(scene: Scene, layout: Layout, frame: int) -> np.ndarray:
+    """Line of sight (S, V) by Embree: no triangle between each sensor and each voxel's centre."""
+    engine, shift = EmbreeScene(), scene.voxels.center
+    TriangleMesh(engine, (triangles(scene, frame) - shift).astype(np.float32))
+    clear = []
+    for pose in np.asarray(layout.poses):
+        to = scene.voxels.centers - pose[:3]
+        distance = np.linalg.norm(to, axis=1)
+        hit = engine.run(
+            np.repeat((pose[:3] - shift)[None], len(to), 0).astype(np.float32),
+            (to / distance[:, None]).astype(np.float32),
+            dists=distance.astype(np.float32),
+        )
+        clear.append(hit < 0)
+    return np.stack(clear)

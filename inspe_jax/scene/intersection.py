@@ -111,14 +111,12 @@ def mouth_crosswalks(arms: tuple[Arm, ...], width: float = CROSSWALK_WIDTH) -> B
     return unary_union(strips) if strips else MultiPolygon()
 
 
-def corner_islands(
-    arms: tuple[Arm, ...], size: float = 2.0, setback: float = 1.5
-) -> BaseGeometry:
+def corner_islands(arms: tuple[Arm, ...], size: float = 2.0, setback: float = 1.5) -> BaseGeometry:
     """Square islands of ``size`` metres at the corners between neighbouring arms.
 
-    A corner is where the kerb lines of two neighbouring arms meet, moved
-    ``setback`` metres outward; where they run parallel it is midway between the
-    two mouths' kerb points.
+    A corner is midway between the facing kerb points of two neighbouring mouths, moved
+    ``setback`` metres outward from the middle of all mouths: on the kerb where the kerb runs
+    straight, behind it where it rounds a corner.
     """
     if len(arms) < 2:
         return MultiPolygon()

@@ -3,6 +3,7 @@
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -49,13 +50,14 @@ def build_scene(
     frames: int = 100,
     mix: str = "mixed",
     seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """Voxelise an intersection and fill it with waypoint traffic.
 
     ``radius`` and ``voxel`` in metres; ``density`` is ``none``, ``low``,
     ``medium``, ``high`` or a mean number of objects; ``mix`` as in
-    :func:`~inspe_jax.scene.traffic.waypoint_traffic`. Raises InspeError on a
-    value out of range.
+    :func:`~inspe_jax.scene.traffic.waypoint_traffic`; ``progress`` is called with
+    (frames done, frames). Raises InspeError on a value out of range.
     """
     count = _density(density)
     if frames < 1:
@@ -63,7 +65,13 @@ def build_scene(
     voxels = build_voxels(intersection, radius=radius, voxel=voxel)
     traffic = (
         waypoint_traffic(
-            intersection, radius=radius, count=count, frames=frames, mix=mix, seed=seed
+            intersection,
+            radius=radius,
+            count=count,
+            frames=frames,
+            mix=mix,
+            seed=seed,
+            progress=progress,
         )
         if count
         else no_traffic()
@@ -88,6 +96,11 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
     if str(source) in BUILT_INS:
         return build_scene(built_in(str(source)))
     path = Path(source)
+    if path.suffix == ".xodr":
+        raise InspeError(
+            f"{path}: a map is not a scene yet; build one: inspe scene {path} --junction ID "
+            "--out scene.npz (--list shows the junctions)"
+        )
     if path.suffix != ".npz":
         raise InspeError(
             f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"

@@ -1,0 +1,68 @@
+"""What every experiment shares: its command line, the machine's name, and its output files."""
+
+import argparse
+import csv
+import json
+import os
+import platform
+import resource
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import inspe_jax
+from inspe_jax.files import write_text
+
+MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
+"""Town maps beside the checkout, where there are any."""
+
+
+def arguments(description: str | None) -> argparse.Namespace:
+    """The options of every experiment: ``--quick``, ``--out`` and ``--seed``."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    return options
+
+
+def machine() -> dict[str, str]:
+    """Processor, cores and versions: what a time means nothing without."""
+    processor = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        processor = names[0].split(":")[1].strip() if names else processor
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return dict(
+        processor=processor,
+        cores=str(cores),
+        python=platform.python_version(),
+        jax=jax.__version__,
+        numpy=np.__version__,
+        inspe_jax=inspe_jax.__version__,
+        device=jax.devices()[0].device_kind,
+    )
+
+
+def peak_memory() -> float:
+    """Peak resident memory of this process so far [GiB]."""
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes on macOS, KiB on Linux
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
+
+
+def write_results(path: Path, rows: list[dict[str, Any]], settings: dict[str, Any]) -> None:
+    """Write rows as CSV and, beside them, the settings and versions as JSON."""
+    with path.open("w", newline="", encoding="utf-8") as f:
+        writer = csv.DictWriter(f, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    record = json.dumps(dict(settings=settings, machine=machine()), indent=2, default=str)
+    write_text(path.with_suffix(".json"), record + "\n")

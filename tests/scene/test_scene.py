@@ -1,0 +1,123 @@
+"""Scenes are built, saved, loaded; bad input is told."""
+
+import numpy as np
+import pytest
+from worlds import crossing, random_traffic
+
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
+from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+from inspe_jax.scene.voxels import build_voxels
+
+
+def test_columns_are_labelled_by_precedence_and_stand_on_the_ground():
+    place = crossing(slope=0.1)
+    grid = build_voxels(place, radius=20, voxel=0.5)
+    labels = {tuple(c): r for c, r in zip(grid.columns.tolist(), grid.region, strict=True)}
+    assert labels[(0.25, 0.25)] == Region.JUNCTION  # over driveway
+    assert labels[(10.25, 0.25)] == Region.DRIVEWAY
+    assert labels[(10.25, 8.25)] == Region.SIDEWALK
+    assert (12.25, 12.25) not in labels  # off the map
+    at = np.flatnonzero((grid.columns == [10.25, 0.25]).all(1))[0]
+    assert grid.ground[at] == pytest.approx(1.025, abs=0.05)  # within the 5 m of ground points
+    assert np.hypot(*grid.columns.T).max() <= 20
+
+
+def test_voxels_run_from_the_ground_to_four_metres():
+    grid = build_voxels(crossing(), radius=15, voxel=0.5)
+    assert grid.level_count == 8
+    assert grid.centers.shape == (grid.count, 3)
+    assert sorted(set(grid.centers[:, 2])) == pytest.approx(np.arange(0.25, 4, 0.5))
+    assert grid.weight.shape == (grid.count,)
+    # Voxel v is column v // Z, level v % Z.
+    np.testing.assert_array_equal(grid.centers[8 * 5 + 3, :2], grid.columns[5])
+    assert grid.centers[8 * 5 + 3, 2] == pytest.approx(1.75)
+    assert grid.weight[8 * 5] == WEIGHTS[Region(grid.region[5])]
+    assert set(PRECEDENCE) == set(Region) == set(WEIGHTS)
+
+
+def test_the_area_of_the_columns_is_that_of_the_regions():
+    """14 m roads and 4 m sidewalks within 20 m, by shapely."""
+    from shapely import union_all
+    from shapely.geometry import Point
+
+    place = crossing()
+    area = union_all(list(place.regions.values())).intersection(Point(0, 0).buffer(20, 64)).area
+    grid = build_voxels(place, radius=20, voxel=0.25)
+    assert len(grid.columns) * 0.25**2 == pytest.approx(area, rel=0.01)
+
+
+def test_a_saved_scene_loads_the_same(tmp_path):
+    scene = build_scene(built_in("t_junction"), radius=20, frames=3, density=5)
+    path = tmp_path / "t.npz"
+    save_scene(scene, path)
+    again = load_scene(path)
+    for part in ("voxels", "traffic"):
+        for name, value in vars(getattr(scene, part)).items():
+            np.testing.assert_array_equal(getattr(getattr(again, part), name), value)
+    a, b = scene.intersection, again.intersection
+    assert a.name == b.name
+    assert a.notes == b.notes
+    assert a.arms == b.arms
+    assert all(b.regions[r].equals(g) for r, g in a.regions.items())
+    assert b.mounting.equals(a.mounting)
+    np.testing.assert_array_equal(a.poles, b.poles)
+    for r, q in zip(a.routes, b.routes, strict=True):
+        np.testing.assert_array_equal(r.waypoints, q.waypoints)
+        assert (r.width, r.user, r.through) == (q.width, q.user, q.through)
+    assert again.settings == scene.settings
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(radius=5), "radius 5 m is out of range: between 10 and 200 m"),
+        (dict(radius=float("nan")), "radius nan m is out of range"),
+        (dict(voxel=0), "voxel 0 m is out of range: between 0.05 and 2 m"),
+        (dict(radius=200, voxel=0.05), r"too large for memory: .* million voxels, about [\d,]+ GiB"),
+        (dict(density="heavy"), "density 'heavy': none, low, medium, high"),
+        (dict(density=-3), "density '-3'"),
+        (dict(frames=0), "frames 0 is out of range"),
+        (dict(mix="tanks"), "mix 'tanks'"),
+    ],
+)
+def test_values_out_of_range(options, message):
+    with pytest.raises(InspeError, match=message):
+        build_scene(built_in("four_way"), **{"frames": 2, **options})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("for_way", "no scene 'for_way': .*did you mean four_way"),
+        ("none.npz", "none.npz: no such file"),
+        ("bad.npz", "bad.npz: not a scene saved by this package"),
+        ("town.xodr", "inspe scene .*--junction"),
+    ],
+)
+def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(InspeError, match=message):
+        load_scene(name)
+
+
+def test_nothing_is_left_of_a_scene_that_could_not_be_saved(tmp_path, monkeypatch):
+    scene = build_scene(built_in("t_junction"), radius=15, frames=2, density=2)
+
+    def fail(*_, **__):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(np, "savez_compressed", fail)
+    with pytest.raises(OSError, match="disk full"):
+        save_scene(scene, tmp_path / "t.npz")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InspeError, match="no such folder"):
+        save_scene(scene, tmp_path / "nowhere" / "t.npz")
+
+
+def test_traffic_of_the_test_world_is_padded():
+    traffic = random_traffic(crossing(), 3, 10, 20.0, seed=0)
+    assert traffic.frame_count == 3
+    assert traffic.mean_count == pytest.approx(traffic.valid.sum() / 3)

@@ -1,0 +1,510 @@
+"""The waypoint model: nobody overlaps, everybody gets through, and turning the world turns it."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapely import STRtree
+from shapely.affinity import rotate, translate
+from shapely.geometry import MultiPolygon, box
+
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.traffic import (
+    CLASSES,
+    MIXES,
+    ROAD_USERS,
+    TrafficFrames,
+    _quota,
+    no_traffic,
+    waypoint_traffic,
+)
+from inspe_jax.scene.waypoint_model import WaypointModel, _overlap, _safe_speed, _truncated_normal
+from inspe_jax.scene.waypoint_paths import SPACING, lay_paths
+
+MAPS = Path(__file__).resolve().parents[2] / ".." / "shared" / "maps"
+CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
+LANE = 3.5
+FAR = 80.0
+
+
+def line(*corners: tuple[float, ...], grade: float = 0.0) -> np.ndarray:
+    """A polyline every metre, rising by ``grade`` along x."""
+    points = np.array(corners, float)
+    arc = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    even = np.arange(0, arc[-1] + 1e-9)
+    x, y = (np.interp(even, arc, axis) for axis in points.T)
+    return np.stack([x, y, grade * x], -1)
+
+
+def quarter_bend(x: float, y: float, radius: float, left: bool) -> list[tuple[float, float]]:
+    """Points of a quarter circle from (x, y) travelling +x."""
+    angle = np.linspace(0, np.pi / 2, 30)
+    side = 1 if left else -1
+    across = side * radius * (1 - np.cos(angle))
+    return list(zip(x + radius * np.sin(angle), y + across, strict=True))
+
+
+def intersection(routes: list[Route], center: tuple[float, ...] = (0, 0, 0)) -> Intersection:
+    return Intersection(
+        name="test crossing",
+        source="by hand",
+        center=np.array(center, float),
+        regions={},
+        arms=(),
+        routes=tuple(routes),
+        mounting=MultiPolygon(),
+        poles=np.zeros((0, 3)),
+        ground_points=np.zeros((1, 3)),
+    )
+
+
+def turned(route: Route, angle: float, shift: tuple[float, ...] = (0, 0, 0)) -> Route:
+    """A route turned about the origin, then shifted; exact for quarter turns."""
+    c, s = np.cos(angle), np.sin(angle)
+    quarters = angle / (np.pi / 2)
+    if quarters == int(quarters):
+        c, s = round(c), round(s)
+    x, y, z = route.waypoints.T
+    return replace(route, waypoints=np.stack([c * x - s * y, s * x + c * y, z], -1) + shift)
+
+
+@cache
+def crossing(turns: bool = True, walks: bool = True) -> Intersection:
+    """Two roads of two lanes each way, with turns, and pedestrians across and beside each arm."""
+    inner, outer, kerb = -LANE / 2, -LANE * 1.5, -LANE * 2 - 2
+    arm = [Route(line((-FAR, y), (FAR, y)), LANE, "vehicle", (0, 2)) for y in (inner, outer)]
+    if turns:
+        right = [(-FAR, outer), *quarter_bend(-13.0, outer, 13.0 + outer, False), (outer, -FAR)]
+        left = [(-FAR, inner), *quarter_bend(-13.0, inner, 13.0 - inner, True), (-inner, FAR)]
+        arm += [Route(line(*right), LANE, "vehicle", (0, 1))]
+        arm += [Route(line(*left), LANE, "vehicle", (0, 3))]
+    if walks:
+        across, beside = [(-16.0, -11.0), (-16.0, 11.0)], [(-FAR, kerb), (kerb, kerb)]
+        walk = [line(*across), line(*across[::-1]), line(*beside), line(*beside[::-1])]
+        arm += [Route(w, 2.0, "pedestrian") for w in walk]
+    return intersection([turned(route, k * np.pi / 2) for k in range(4) for route in arm])
+
+
+@cache
+def usual(mix: str = "mixed", count: int = 40, frames: int = 60, seed: int = 0) -> TrafficFrames:
+    return waypoint_traffic(crossing(), radius=50, count=count, frames=frames, mix=mix, seed=seed)
+
+
+def model_of(
+    place: Intersection, count: int, *, radius: float = 50.0, seed: int = 0
+) -> WaypointModel:
+    paths = lay_paths(place, radius)
+    kind = _quota(paths, MIXES["mixed"], count)
+    return WaypointModel(paths, ROAD_USERS, kind, 0.06, np.random.default_rng(seed))
+
+
+def overlapping(traffic: TrafficFrames) -> list[tuple[int, int, int]]:
+    """(frame, i, j) of boxes that meet, by shapely."""
+    found = []
+    for t in range(traffic.frame_count):
+        bodies = []
+        for b in np.flatnonzero(traffic.valid[t]):
+            x, y, _ = traffic.center[t, b]
+            length, width, _ = traffic.size[t, b]
+            body = box(-length / 2, -width / 2, length / 2, width / 2)
+            bodies.append(
+                translate(rotate(body, traffic.yaw[t, b], origin=(0, 0), use_radians=True), x, y)
+            )
+        pairs = STRtree(bodies).query(bodies, predicate="intersects").T
+        found += [(t, int(i), int(j)) for i, j in pairs if i < j]
+    return found
+
+
+# --- what the frames hold --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mix", "count"), [("mixed", 20), ("mixed", 40), ("mixed", 60), ("largest", 40)]
+)
+def test_nobody_overlaps(mix: str, count: int) -> None:
+    assert overlapping(usual(mix, count)) == []
+
+
+@pytest.mark.parametrize("count", [5, 20, 40])
+def test_mean_count(count: int) -> None:
+    assert usual(count=count).mean_count == pytest.approx(count, rel=0.1)
+
+
+def test_largest_fills_a_wide_region() -> None:
+    traffic = waypoint_traffic(crossing(), radius=80, count=40, frames=30, mix="largest")
+    assert traffic.mean_count == pytest.approx(40, rel=0.1)
+
+
+def test_more_than_fit_is_as_many_as_fit() -> None:
+    place = intersection([Route(line((-FAR, 0), (FAR, 0)), LANE)])
+    traffic = waypoint_traffic(place, radius=20, count=50, frames=20, mix="largest")
+    # 40 m of one lane; a truck and its gap at a standstill are 10.5 m, moving much more.
+    assert 1 <= traffic.mean_count <= 4
+    assert overlapping(traffic) == []
+
+
+def test_shapes_types_and_padding() -> None:
+    traffic = usual()
+    shape = (60, traffic.valid.sum(1).max())
+    assert traffic.valid.shape == traffic.yaw.shape == traffic.kind.shape == shape
+    assert traffic.center.shape == traffic.size.shape == (*shape, 3)
+    assert {traffic.center.dtype, traffic.yaw.dtype, traffic.size.dtype} == {np.dtype(float)}
+    assert traffic.kind.dtype == np.int8
+    assert traffic.valid.dtype == bool
+    assert (np.diff(traffic.valid.astype(int), axis=1) <= 0).all()  # padding comes last
+    assert (np.hypot(*traffic.center[traffic.valid][:, :2].T) <= 50).all()
+    assert (traffic.size > 0).all()
+
+
+def test_no_objects() -> None:
+    traffic = waypoint_traffic(crossing(), radius=50, count=0, frames=3)
+    assert traffic.center.shape == (3, 0, 3)
+    assert traffic.mean_count == no_traffic().mean_count == 0
+
+
+def test_sizes_by_class() -> None:
+    largest = usual("largest")
+    assert (largest.size[largest.valid] == ROAD_USERS[TRUCK].size).all()
+    mixed = usual(frames=300, count=20)
+    for k, user in enumerate(ROAD_USERS):
+        size = mixed.size[mixed.valid & (mixed.kind == k)]
+        assert (np.abs(size / user.size - 1) <= 0.12 + 1e-12).all(), user.name
+        assert len(np.unique(size[:, 0])) > 1
+    cars = np.unique(mixed.size[mixed.valid & (mixed.kind == CAR)], axis=0)
+    # About 100 cars, 6 % spread cut at two deviations: standard error 0.5 %.
+    assert cars.mean(0) == pytest.approx(ROAD_USERS[CAR].size, rel=0.02)
+
+
+def test_shares() -> None:
+    paths = lay_paths(crossing(), 50)
+    # 0.68 · 20 = 13.6, 2, 2, 2.4: the one left over goes to the largest remainder.
+    assert np.bincount(_quota(paths, MIXES["mixed"], 20)).tolist() == [14, 2, 2, 2]
+    roads = lay_paths(crossing(walks=False), 50)
+    assert np.bincount(_quota(roads, MIXES["mixed"], 88)).tolist() == [68, 10, 10]
+
+
+def test_tables_agree() -> None:
+    assert tuple(u.name for u in ROAD_USERS) == CLASSES
+    assert all(len(mix.shares) == len(CLASSES) for mix in MIXES.values())
+    assert all(sum(mix.shares) == pytest.approx(1) for mix in MIXES.values())
+
+
+def test_stands_on_the_ground_of_its_route() -> None:
+    route = Route(line((-FAR, 0), (FAR, 0), grade=0.1), LANE)
+    traffic = waypoint_traffic(intersection([route]), radius=50, count=5, frames=10)
+    x, _, z = traffic.center[traffic.valid].T
+    assert z - traffic.size[traffic.valid][:, 2] / 2 == pytest.approx(0.1 * x, abs=1e-9)
+
+
+def test_cyclists_and_pedestrians_keep_right() -> None:
+    road = Route(line((-FAR, 0), (FAR, 0)), LANE)
+    walk = Route(line((-FAR, 9), (FAR, 9)), 2.0, "pedestrian")
+    traffic = waypoint_traffic(intersection([road, walk]), radius=50, count=20, frames=5)
+    y, kind = traffic.center[traffic.valid][:, 1], traffic.kind[traffic.valid]
+    assert y[kind == CYCLIST] == pytest.approx(-(LANE / 2 - 0.6))
+    assert y[kind == PEDESTRIAN] == pytest.approx(9 - 0.5)
+    assert y[(kind == CAR) | (kind == TRUCK)] == pytest.approx(0)
+    assert traffic.yaw[traffic.valid] == pytest.approx(0)
+
+
+# --- how they move ---------------------------------------------------------------------------
+
+
+def test_tracks_are_continuous_and_point_ahead() -> None:
+    model = model_of(crossing(), 40)
+    model.fill()
+    fastest = np.array([u.top_speed for u in ROAD_USERS])[model.kind]
+    stood = moved = 0
+    for _ in range(300):
+        track, point, heading = model.track.copy(), model.point.copy(), model.heading.copy()
+        was_on = model.active.copy()
+        model.step(0.2)
+        same = was_on & model.active & (track == model.track)
+        step = model.point[same] - point[same]
+        distance = np.hypot(*step[:, :2].T)
+        assert (distance <= fastest[same] * 0.2 + 1e-9).all()
+        ahead = (model.heading[same] + heading[same]) / 2
+        along = (step[:, :2] * ahead).sum(1)
+        # Within 8 degrees: a long body in a bend turns about its axles, not its middle.
+        assert (along >= np.cos(np.radians(8)) * distance - 1e-9).all()
+        stood += int((distance == 0).sum())
+        moved += int((distance > 0.5).sum())
+    assert stood > 300  # they stop and
+    assert moved > 300  # go
+    assert model.removed == 0
+
+
+def test_every_arm_discharges_and_nobody_is_stuck() -> None:
+    """100 s after the warm-up: each of the four approaches, and its left turn, has its turn."""
+    model = model_of(crossing(), 40)
+    model.fill()
+    left: list[int] = []
+    for _ in range(700):
+        was, path = model.active.copy(), model.path.copy()
+        ended = model.arc >= model.paths.length[model.path] - 2.5
+        model.step(0.2)
+        left += path[was & ~model.active & ended].tolist()
+    first = model.paths.point[model.paths.start]
+    vehicles = [p for p in left if model.paths.user[p] == 0]
+    approach = np.round(np.arctan2(*first[vehicles, 1::-1].T) / (np.pi / 2)).astype(int) % 4
+    assert (np.bincount(approach, minlength=4) >= 5).all()
+    assert {model.paths.user[p] for p in left} == {0, 1, 2}
+    assert model.removed == 0
+
+
+def test_free_road_is_driven_at_the_desired_speed() -> None:
+    place = intersection([Route(line((-FAR, 0), (FAR, 0)), LANE)])
+    model = model_of(place, 1)
+    speeds = []
+    for _ in range(40):
+        model.step(0.2)
+        speeds.append(model.speed[0])
+    assert speeds[5:35] == pytest.approx([model.wish[0]] * 30)
+    assert 0.8 * 10 <= model.wish[0] <= 10
+
+
+def test_follows_without_closing_the_gap() -> None:
+    """Behind a stopped car on a straight road one comes to rest at the class's gap."""
+    place = intersection([Route(line((-FAR, 0), (FAR, 0)), LANE)])
+    model = model_of(place, 2)
+    model.fill()
+    model.kind[:] = CAR
+    ahead, behind = 0, 1
+    model.path[:], model.active[:] = 0, True
+    model.size[:], model.gap[:], model.route[:] = ROAD_USERS[CAR].size, 1.5, 0
+    model.wish[ahead], model.wish[behind] = 0.0, 9.0
+    model.arc[ahead], model.arc[behind] = 80.0, 20.0
+    model._place(np.arange(2))
+    for _ in range(100):
+        model.step(0.2)
+    room = model.arc[ahead] - model.arc[behind] - 4.6
+    assert model.speed[behind] == 0
+    assert 1.5 - 1e-9 <= room <= 2.5  # the gap; bisection and the last crawl leave less than 1 m
+
+
+def test_who_would_meet_somebody_is_held_back() -> None:
+    """Three cars 1.4 m apart; the last move is refused to whoever would run into the next."""
+    place = intersection([Route(line((-FAR, 0), (FAR, 0)), LANE)])
+    model = model_of(place, 3)
+    model.path[:], model.active[:] = 0, True
+    model.size[:] = ROAD_USERS[CAR].size
+    on = np.arange(3)
+    model.arc[:] = [32.0, 26.0, 20.0]
+    model._place(on)
+    model._move(on, np.array([0.0, 9.0, 9.0]), 0.2)  # 1.8 m a step
+    assert model.arc.tolist() == [32, 26, 20]  # the last would meet the one held back
+    model._move(on, np.array([9.0, 9.0, 9.0]), 0.2)
+    assert model.arc == pytest.approx([33.8, 27.8, 21.8])
+    model._move(on, np.array([0.0, 6.0, 5.0]), 0.2)  # 1.2 m and 1 m leave room
+    assert model.arc == pytest.approx([33.8, 29.0, 22.8])
+
+
+def test_a_side_road_has_its_turn() -> None:
+    """Six lanes that never cease to flow do not shut out the seventh."""
+    main = [Route(line((-FAR, y), (FAR, y)), LANE) for y in LANE * np.arange(6.0)]
+    side = Route(line((0, -FAR), (0, FAR)), LANE)
+    model = model_of(intersection([*main, side]), 60)
+    for _ in range(900):
+        model.step(0.2)
+    x, y = model.paths.point[model.paths.start[model.path]][:, :2].T
+    ends = model.paths.length[model.path]
+    passed = model.active & (x == 0) & (y < 0) & (model.arc > ends / 2)
+    assert model.removed == 0
+    assert model.still.max() < 60
+    assert passed.any() or (model.still[model.active & (x == 0)] < 30).all()
+
+
+def test_one_stream_waits_for_the_other() -> None:
+    """Two lanes that cross: the stop line, by hand, and never two bodies in the square."""
+    place = intersection(
+        [Route(line((-FAR, 0), (FAR, 0)), LANE), Route(line((0, -FAR), (0, FAR)), LANE)]
+    )
+    paths = lay_paths(place, 50)
+    numbers = paths.block[paths.user == 0, 0]
+    # Seen every metre, two lanes (2.6 + 0.37 m free) are in conflict up to 2 m from where they
+    # cross, at 50 m. Cyclists, 1.15 m to the right of the other lane (1.7 + 0.37 m free), reach
+    # from 0.9 m before to 3.2 m beyond. Lines are 1 m before, ends 1 m beyond.
+    right_of_it = np.array([1, -1]) * 1.15
+    assert paths.stop[numbers] == pytest.approx(50 + np.minimum(-2, right_of_it - 2) - 1, abs=0.6)
+    assert paths.leave[numbers] == pytest.approx(50 + np.maximum(2, right_of_it + 2) + 1, abs=0.6)
+    assert np.isfinite(paths.clear[numbers[0], numbers[1]])
+    assert paths.clear[numbers[0], numbers[0]] == -np.inf  # whoever follows needs no leave
+    traffic = waypoint_traffic(place, radius=50, count=12, frames=100, mix="largest")
+    near = np.abs(traffic.center[..., :2]).max(-1) < 1.25
+    assert ((near & traffic.valid).sum(1) <= 1).all()
+    both = [np.abs(np.sin(traffic.yaw)) < 0.5, np.abs(np.sin(traffic.yaw)) > 0.5]
+    assert all((near & traffic.valid & b).any() for b in both)
+
+
+def test_streams_that_do_not_meet_need_no_leave() -> None:
+    opposite = [
+        Route(line((-FAR, -LANE / 2), (FAR, -LANE / 2)), LANE),
+        Route(line((FAR, LANE / 2), (-FAR, LANE / 2)), LANE),
+        Route(line((-FAR, -LANE * 1.5), (FAR, -LANE * 1.5)), LANE),
+    ]
+    paths = lay_paths(intersection(opposite), 50)
+    assert (paths.block == -1).all()
+
+
+def test_people_cross_when_no_vehicle_is_in_the_way() -> None:
+    walk = Route(line((0, -8), (0, 8)), 2.0, "pedestrian")
+    place = intersection([Route(line((-FAR, 0), (FAR, 0)), LANE), walk])
+    traffic = waypoint_traffic(place, radius=50, count=10, frames=150, seed=1)
+    assert overlapping(traffic) == []
+    walking = traffic.valid & (traffic.kind == PEDESTRIAN)
+    assert (np.abs(traffic.center[..., 1]) < 1)[walking].any()
+    assert (traffic.center[..., 0] > 10)[traffic.valid & (traffic.kind == CAR)].any()
+
+
+# --- the same again --------------------------------------------------------------------------
+
+
+def test_seed_repeats_and_another_differs() -> None:
+    again = waypoint_traffic(crossing(), radius=50, count=40, frames=60)
+    for name in ("center", "yaw", "size", "valid", "kind"):
+        assert np.array_equal(getattr(again, name), getattr(usual(), name))
+    other = usual(seed=1, frames=60)
+    assert other.center.shape != again.center.shape or not np.allclose(other.center, again.center)
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, np.pi, np.radians(37)])
+def test_turning_the_world_turns_the_traffic(angle: float) -> None:
+    shift = (0.0, 0.0, 0.0) if angle != np.radians(37) else (120.0, -45.0, 3.0)
+    place = intersection([turned(r, angle, shift) for r in crossing().routes], shift)
+    here = usual(frames=60)
+    there = waypoint_traffic(place, radius=50, count=40, frames=60)
+    assert np.array_equal(here.valid, there.valid)
+    assert np.array_equal(here.kind, there.kind)
+    v = here.valid
+    x, y, z = here.center[v].T
+    c, s = np.cos(angle), np.sin(angle)
+    expected = np.stack([c * x - s * y, s * x + c * y, z], -1) + shift
+    assert there.center[v] == pytest.approx(expected, abs=1e-6)
+    wrapped = (there.yaw - here.yaw - angle + np.pi) % (2 * np.pi) - np.pi
+    assert wrapped[v] == pytest.approx(0, abs=1e-6)
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[int, int]] = []
+    waypoint_traffic(
+        crossing(), radius=50, count=2, frames=3, progress=lambda done, of: told.append((done, of))
+    )
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+# --- bad input -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, largest; did you mean mixed?"),
+        ({"count": -1}, "traffic count -1 is out of range: at least 0"),
+        ({"frames": 0}, "traffic frames 0 is out of range: at least 1"),
+        ({"seed": -1}, "traffic seed -1 is out of range: at least 0"),
+        ({"radius": 0.0}, "traffic radius 0.0 is out of range: above 0"),
+        ({"radius": float("nan")}, "traffic radius nan is out of range: above 0"),
+        ({"step": -1.0}, "traffic step -1.0 is out of range: above 0"),
+        ({"step": float("inf")}, "traffic step inf is out of range: above 0"),
+    ],
+)
+def test_bad_input(change: dict, words: str) -> None:
+    with pytest.raises(InspeError) as raised:
+        waypoint_traffic(crossing(), **({"radius": 50.0, "count": 1, "frames": 1} | change))
+    assert str(raised.value) == words
+
+
+def test_no_route_within_reach() -> None:
+    away = intersection([Route(line((500, 0), (600, 0)), LANE)])
+    with pytest.raises(InspeError, match=r"test crossing: no route within 50 m .* mix 'mixed'"):
+        waypoint_traffic(away, radius=50, count=1, frames=1)
+
+
+# --- the parts -------------------------------------------------------------------------------
+
+
+def test_overlap_agrees_with_shapely() -> None:
+    rng = np.random.default_rng(3)
+    n = 2000
+    point, half = rng.uniform(-4, 4, (2, n, 2)), rng.uniform(0.2, 3, (2, n, 2))
+    angle = rng.uniform(-np.pi, np.pi, (2, n))
+    heading = np.stack([np.cos(angle), np.sin(angle)], -1)
+    found = _overlap(point[0], heading[0], half[0], point[1], heading[1], half[1])
+    bodies = [
+        [
+            translate(
+                rotate(box(-length, -width, length, width), a, origin=(0, 0), use_radians=True),
+                x,
+                y,
+            )
+            for (length, width), a, (x, y) in zip(half[k], angle[k], point[k], strict=True)
+        ]
+        for k in (0, 1)
+    ]
+    assert found.tolist() == [a.intersects(b) for a, b in zip(*bodies, strict=True)]
+    assert 0.2 < found.mean() < 0.9
+
+
+def test_safe_speed_by_hand() -> None:
+    # 3 m/s² and 0.7 s: v · 0.7 + v² / 6 = free. From 3 m/s: 2.1 + 1.5 = 3.6 m.
+    assert _safe_speed(np.array([3.6, 0.0, -1.0]), np.zeros(3)) == pytest.approx([3, 0, 0])
+    # Behind a leader who drives v itself, the reaction's way is enough: 5 · 0.7 = 3.5 m.
+    assert _safe_speed(np.array([3.5]), np.array([5.0])) == pytest.approx([5])
+
+
+def test_truncated_normal() -> None:
+    draw = _truncated_normal(np.random.default_rng(0), 20_000)
+    assert np.abs(draw).max() <= 2
+    assert draw.mean() == pytest.approx(0, abs=0.03)
+    assert draw.std() == pytest.approx(0.88, abs=0.02)  # of a normal cut at ±2: 0.8796
+
+
+def test_bends_slow_one_down() -> None:
+    radius = 10.0
+    bend = [(-40.0, 0.0), *quarter_bend(0.0, 0.0, radius, True), (radius, 50.0)]
+    paths = lay_paths(intersection([Route(line(*bend), LANE)]), 60)
+    middle = int(paths.start[0] + (40 + radius * np.pi / 4) / SPACING)
+    assert paths.limit[middle] == pytest.approx(np.sqrt(2.2 * radius), rel=0.1)
+    assert paths.limit[paths.start[0]] > 10  # and not before it need be
+
+
+def test_a_body_in_a_bend_has_its_axles_on_the_path() -> None:
+    radius = 10.0
+    bend = [(-40.0, 0.0), *quarter_bend(0.0, 0.0, radius, True), (radius, 50.0)]
+    paths = lay_paths(intersection([Route(line(*bend), LANE)]), 60)
+    zero, length = np.array([0]), np.array([8.5])
+    point, heading = paths.chord(zero, np.array([40 + radius * np.pi / 4]), length)
+    # The middle of a chord of arc 0.6 · 8.5 m lies r · cos(arc / 2r) from the bend's centre.
+    off = np.hypot(*(point[0, :2] - [0, radius]))
+    assert off == pytest.approx(radius * np.cos(0.3 * 8.5 / radius), abs=0.03)
+    assert np.arctan2(heading[0, 1], heading[0, 0]) == pytest.approx(np.pi / 4, abs=0.03)
+
+
+# --- other places ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["four_way", "roundabout", "highway_ramp"])
+def test_built_ins(name: str) -> None:
+    from inspe_jax.scene.procedural import built_in
+
+    traffic = waypoint_traffic(built_in(name), radius=50, count=20, frames=40)
+    assert overlapping(traffic) == []
+    assert traffic.mean_count == pytest.approx(20, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("town", "where"), [("Town05", {"junction": 53}), ("Town03", {"center": (0.0, 0.0)})]
+)
+def test_town(town: str, where: dict) -> None:
+    pytest.importorskip("carla", reason="needs the CARLA client")
+    if not (MAPS / f"{town}.xodr").is_file():
+        pytest.skip("needs the maps beside the checkout")
+    from inspe_jax.scene.opendrive import read_opendrive
+
+    place = read_opendrive(MAPS / f"{town}.xodr", **where)
+    traffic = waypoint_traffic(place, radius=50, count=30, frames=40)
+    assert overlapping(traffic) == []
+    assert traffic.mean_count == pytest.approx(30, rel=0.1)

@@ -1,0 +1,120 @@
+"""Layout files: what a good one means, and the one message of every bad one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import LIDAR, place_sensors
+
+from inspe_jax.errors import InspeError
+from inspe_jax.geometry import rotation
+from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout, save_layout
+
+GOOD = """
+units:
+  - name: pole
+    base: [12.0, -3.0, 0.5]
+    sensors:
+      - device: paper-camera-midday
+        height: 6.0
+        offset: [0.5, -0.25]
+        yaw_deg: 90
+        pitch_deg: -15
+      - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "layout.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_gives_world_poses(tmp_path):
+    layout = load_layout(write(tmp_path, GOOD))
+    expected = [[12.5, -3.25, 6.5, 0, np.radians(-15), np.pi / 2], [12, -3, 5.5, 0, 0, 0]]
+    np.testing.assert_allclose(layout.poses, expected, atol=1e-12)
+    assert [s.spec for s in layout.sensors] == [
+        device("paper-camera-midday").spec,
+        device("paper-lidar-32").spec,
+    ]
+    assert layout.units == (Unit("pole", (12.0, -3.0, 0.5)),)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("height: 6.0", "heigth: 6.0"), r"sensors\[0\].heigth: unknown key; did you mean height"),
+        (("units:", "unit:"), r"unit: unknown key; did you mean units\?"),
+        (("        height: 6.0\n", ""), r"units\[0\].sensors\[0\].height: missing key"),
+        (("device: paper-camera-midday", "device: paper-camera-middy"), "paper-camera-midday"),
+        (("height: 6.0", "height: .nan"), r"height: .*finite"),
+        (("height: 6.0", "height: high"), r"sensors\[0\].height: .*'high'"),
+        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: "),
+        (("pitch_deg: -15", "pitch_deg: -115"), r"pitch_deg: .*-90.*-115"),
+        (
+            ("offset: [0.5, -0.25]", "offset: [0.0, 2.1]"),
+            r"unit 'pole': sensors 'pole 1' and 'pole 2' are 2.10 m apart in plan; at most 2 m",
+        ),
+        (
+            ("height: 6.0", "height: 9.5"),
+            r"sensors 'pole 1' and 'pole 2' are 4.50 m apart in height; at most 4 m",
+        ),
+        ((GOOD, ""), "the layout is empty"),
+        ((GOOD, "units: []"), "units: .*at least 1"),
+        ((GOOD, "units:\n  - base: [0, 0]\n    sensors: []"), r"units\[0\].sensors: .*at least 1"),
+        ((GOOD, "just words"), "the file"),
+        ((GOOD, "units: [}"), "not YAML"),
+    ],
+)
+def test_each_bad_file_gets_one_clear_message(tmp_path, change, message):
+    path = write(tmp_path, GOOD.replace(*change))
+    with pytest.raises(InspeError, match=message) as caught:
+        load_layout(path)
+    assert str(caught.value).startswith(str(path)) or "layout: unit" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(InspeError, match=r"none.yaml: no such file"):
+        load_layout(tmp_path / "none.yaml")
+
+
+pose = st.tuples(
+    st.floats(-500, 500), st.floats(-500, 500), st.floats(0.5, 12), *[st.floats(-1.5, 1.5)] * 3
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(poses=st.lists(pose, min_size=1, max_size=4))
+def test_saved_layouts_load_to_the_same_poses(tmp_path_factory, poses):
+    """To the 0.1 mm and 0.0001° that the file keeps."""
+    spec = device("paper-lidar-32").spec
+    sensors = [Sensor(f"s{i}", spec, i) for i in range(len(poses))]
+    units = [Unit(f"u{i}", (p[0], p[1], 0.25)) for i, p in enumerate(poses)]
+    layout = make_layout(sensors, units, np.array(poses))
+    path = tmp_path_factory.mktemp("layout") / "layout.yaml"
+    save_layout(layout, path)
+    again = load_layout(path)
+    np.testing.assert_allclose(again.poses, layout.poses, atol=1e-4)
+    assert again.sensors == layout.sensors
+
+
+def test_rays_are_the_specification_turned_and_moved():
+    layout = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0.1, -0.2, 0.3]))
+    origin, directions, reach = layout.rays(0)
+    assert origin.tolist() == [1, 2, 5]
+    assert reach == 50
+    assert directions.shape == (32 * 1800, 3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
+    # Channel 0, azimuth 0 is at −180°: backward and down 25°, then turned.
+    body = [-np.cos(np.radians(25)), 0, -np.sin(np.radians(25))]
+    turn = np.asarray(rotation(np.array([0.1, -0.2, 0.3]), np))
+    np.testing.assert_allclose(directions[0], turn @ body, atol=1e-12)
+
+
+def test_wrong_number_of_poses():
+    layout = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0, 0, 0]))
+    with pytest.raises(InspeError, match=r"shape \(2, 6\), expected \(1, 6\)"):
+        layout.with_poses(np.zeros((2, 6)))

@@ -1,0 +1,157 @@
+"""The command line as a stranger meets it: what it prints, what it writes, how it fails."""
+
+import json
+import sys
+
+import pytest
+
+from inspe_jax.cli import main
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene, save_scene
+
+LAYOUT = """
+units:
+  - base: [8.0, 8.0]
+    sensors:
+      - {device: paper-camera-midday, height: 6.0, yaw_deg: -135, pitch_deg: -20}
+      - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A small scene, one without traffic, and a layout."""
+    folder = tmp_path_factory.mktemp("files")
+    save_scene(build_scene(built_in("four_way"), radius=20, frames=5, density=8), folder / "s.npz")
+    empty = build_scene(built_in("four_way"), radius=15, density="none")
+    save_scene(empty, folder / "empty.npz")
+    (folder / "layout.yaml").write_text(LAYOUT)
+    (folder / "none.yaml").write_text("")
+    (folder / "nan.yaml").write_text(LAYOUT.replace("height: 6.0", "height: .nan"))
+    (folder / "buried.yaml").write_text(LAYOUT.replace("height: 6.0", "height: -1.0"))
+    (folder / "device.yaml").write_text(LAYOUT.replace("paper-lidar-32", "paper-lidar-23"))
+    (folder / "key.yaml").write_text(LAYOUT.replace("yaw_deg: -135", "yaw: -135"))
+    (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
+    (folder / "page.xodr").write_text("<html></html>")
+    (folder / "cut.xodr").write_text("<OpenDRIVE><road id='1'>")
+    return folder
+
+
+@pytest.fixture
+def inspe(files, monkeypatch, capsys):
+    """Run the command line in the folder of files: (status, stdout, stderr)."""
+
+    def run(*arguments):
+        monkeypatch.chdir(files)
+        monkeypatch.setattr(sys, "argv", ["inspe", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "160")
+        status = 0
+        try:
+            main()
+        except SystemExit as e:
+            status = e.code or 0
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+def test_score_prints_a_table_and_the_same_numbers_as_json(inspe, files):
+    status, table, _ = inspe("score", "s.npz", "layout.yaml", "--json", "scores.json")
+    assert status == 0
+    status, text, _ = inspe("score", "s.npz", "layout.yaml", "--json", "-")
+    record = json.loads(text)
+    assert record == json.loads((files / "scores.json").read_text())
+    for name in ("coverage", "occlusion", "information_gain", "surrogate"):
+        assert 0 < record[name] < 1
+        assert f"{record[name]:.3f}" in table
+    assert len(record["contributions"]) == 2
+
+
+def test_plots_are_written(inspe, files):
+    assert inspe("score", "s.npz", "layout.yaml", "--plot", "plan.png")[0] == 0
+    assert inspe("scene", "s.npz", "--plot", "scene.svg")[0] == 0
+    assert (files / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert b"<svg" in (files / "scene.svg").read_bytes()[:1000]
+
+
+def test_a_strategy_is_written_and_scores_as_by_name(inspe):
+    assert inspe("layout", "s.npz", "--strategy", "cam-d1/l-d1", "--out", "placed.yaml")[0] == 0
+    by_file = json.loads(inspe("score", "s.npz", "placed.yaml", "--json", "-")[1])
+    by_name = json.loads(inspe("score", "s.npz", "Cam-d1/L-d1", "--json", "-")[1])
+    # The file keeps 0.1 mm and 0.0001°.
+    assert by_file["surrogate"] == pytest.approx(by_name["surrogate"], abs=1e-3)
+
+
+def test_scene_from_a_built_in_is_saved_and_listed(inspe, files):
+    arguments = ("--radius", 15, "--voxel", 1, "--density", "low", "--frames", 3)
+    status, text, _ = inspe("scene", "triangle", *arguments, "--out", "t.npz")
+    assert status == 0
+    assert "voxels" in text
+    assert (files / "t.npz").is_file()
+    assert "roundabout" in inspe("scene", "--list")[1]
+
+
+def test_devices_and_version(inspe):
+    assert "paper-lidar-64" in inspe("devices")[1]
+    assert inspe("--version")[1].startswith("inspe_jax 0.")
+
+
+@pytest.mark.parametrize("command", ["scene", "layout", "score"])
+def test_help_has_examples(inspe, command):
+    status, text, _ = inspe(command, "--help")
+    assert status == 0
+    assert "Examples" in text
+    assert f"inspe {command}" in text
+
+
+BAD = [
+    (("score", "none.npz"), "none.npz: no such file"),
+    (("score", "s.npz", "missing.yaml"), "missing.yaml: no such file"),
+    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': a .yaml file or a strategy: Cam-c"),
+    (("score", "s.npz", "none.yaml"), "the layout is empty"),
+    (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
+    (("score", "s.npz", "buried.yaml"), "is in the ground"),
+    (("score", "s.npz", "device.yaml"), "did you mean paper-lidar-"),
+    (("score", "s.npz", "key.yaml"), "unknown key; did you mean yaw_deg"),
+    (("score", "s.npz", "rule.yaml"), "are 3.00 m apart in plan; at most 2 m"),
+    (("score", "empty.npz", "layout.yaml"), "information gain needs traffic"),
+    (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
+    (("score", "s.npz", "layout.yaml", "--weights", 1, 1, 1), "sum to 1"),
+    (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
+    (("scene", "for_way"), "did you mean four_way"),
+    (("scene", "four_way", "--junction", 3), "--junction and --center are for .xodr maps"),
+    (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
+    (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
+    (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
+    (("scene", "s.npz", "--radius", 30), "a saved scene keeps its settings"),
+    (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
+    (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
+    (("scene", "cut.xodr", "--list"), "cut.xodr"),
+    (("layout", "s.npz", "--strategy", "L-x"), "L-x"),
+    (("layout", "s.npz", "--camera", "paper-camera-noon"), "paper-camera-"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD, ids=lambda v: " ".join(map(str, v)))
+def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
+    before = sorted(files.iterdir())
+    status, _, error = inspe(*arguments)
+    assert status == 2
+    assert message in " ".join(error.split())
+    assert "Traceback" not in error
+    assert sorted(files.iterdir()) == before  # nothing half-written
+
+
+def test_unknown_junction_lists_those_there_are(inspe, maps):
+    status, _, error = inspe("scene", maps / "Town10HD.xodr", "--junction", 7)
+    assert status == 2
+    assert "189" in error
+
+
+def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
+    monkeypatch.setitem(sys.modules, "carla", None)
+    (files / "ok.xodr").write_text("<OpenDRIVE><header/></OpenDRIVE>")
+    status, _, error = inspe("scene", "ok.xodr", "--list")
+    assert status == 2
+    assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())

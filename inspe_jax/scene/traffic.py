@@ -19,10 +19,10 @@ CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
 
 ROAD_USERS: tuple[RoadUser, ...] = (
-    RoadUser("car", "vehicle", (4.6, 1.85, 1.55), top_speed=10.0, acceleration=2.0, gap=1.5),
+    RoadUser("car", "vehicle", (4.6, 1.85, 1.55), top_speed=10, acceleration=2.0, gap=1.5),
     RoadUser("truck", "vehicle", (8.5, 2.5, 3.4), top_speed=8.5, acceleration=1.2, gap=2.0),
-    RoadUser("cyclist", "cyclist", (1.8, 0.65, 1.75), top_speed=5.0, acceleration=1.0, gap=1.0),
-    RoadUser("pedestrian", "pedestrian", (0.5, 0.5, 1.72), top_speed=1.5, acceleration=1.5, gap=0.3),
+    RoadUser("cyclist", "cyclist", (1.8, 0.65, 1.75), top_speed=5, acceleration=1.0, gap=1.0),
+    RoadUser("pedestrian", "pedestrian", (0.5, 0.5, 1.72), 1.5, acceleration=1.5, gap=0.3),
 )
 """How each class looks and moves in the waypoint model, in the order of :data:`CLASSES`."""
 

@@ -10,12 +10,12 @@ from inspe_jax.scene.waypoint_paths import USERS, Paths
 BRAKING = 3.0  # what drivers count on, of themselves and of whoever is ahead [m/s²]
 REACTION = 0.7  # [s]
 MARGIN = 0.05  # least distance ever kept between two bodies [m]
-SIDE_MARGIN = 0.1  # room wanted beside one's own path [m]
-ENTRY_ROOM = 3.0  # free road wanted before and behind an arrival [m]
-LOOK = 1.0  # step of looking ahead [m]; shorter than the shortest reach of a body and its gap
-HORIZON = 25.0  # how far ahead one looks [m]
-PATIENCE = 8.0  # after waiting so long [s] one goes before those who came later
-STUCK = 45.0  # a user that has not moved for so long [s] goes and comes again elsewhere
+SIDE_MARGIN = 0.04  # looked for beside one's own path [m]; less than is kept, so never at once
+ENTRY_ROOM = 1.5  # free road wanted before and behind an arrival, at most [m]
+LOOK = 1.0  # step of looking ahead, at most [m]
+HORIZON = 27  # how many steps one looks ahead
+PATIENCE = 8.0  # the longest waiting has its turn after so long, and no sooner after a turn [s]
+STUCK = 120.0  # a user that has not moved for so long [s] goes and comes again elsewhere
 ARRIVALS = 4  # that are tried in one step
 
 
@@ -59,11 +59,11 @@ class WaypointModel:
         self.top_speed = np.array([u.top_speed for u in users])[kind]
         self.acceleration = np.array([u.acceleration for u in users])[kind]
         self.gap = np.array([u.gap for u in users])[kind]
-        route = np.array([USERS.index(u.path) for u in users])[kind]
+        self.route = np.array([USERS.index(u.path) for u in users])[kind]
         self.choices = [np.flatnonzero(paths.user == r) for r in range(len(USERS))]
-        self.route = route
         self.time = 0.0
-        self.removed = 0
+        self.turn = 0.0  # when the longest waiting last had its turn [s]
+        self.removed = 0  # for having been stuck
         self.arrived = 0
         self.active = np.zeros(many, bool)
         self.path = np.zeros(many, int)
@@ -95,15 +95,15 @@ class WaypointModel:
         on = np.flatnonzero(self.active)
         if not len(on):
             return
-        free, leader, leader_speed = self._look_ahead(on)
-        self._give_way(on, free, leader)
+        free, leader, follows = self._look_ahead(on)
+        self._give_way(on, free, leader, follows)
         line = self._line_distance(on)  # to the stop line of the next block not granted
         speed = np.minimum.reduce(
             [
                 self.speed[on] + self.acceleration[on] * dt,
                 self.wish[on],
                 self.paths.speed_limit(self.path[on], self.arc[on]),
-                _safe_speed(free, leader_speed),
+                _safe_speed(free, self.speed[on][leader] * follows),
                 _safe_speed(line, np.zeros(len(on))),
             ]
         )
@@ -111,7 +111,7 @@ class WaypointModel:
 
     # --- coming and going -------------------------------------------------------------------
 
-    def _draw(self, who: int) -> None:
+    def _draw(self, who: int | np.intp) -> None:
         """A new user in place of the last: size, speed and path, at the path's start."""
         among = self.choices[self.route[who]]
         weight = self.paths.weight[among]
@@ -123,25 +123,25 @@ class WaypointModel:
         self.wish[who] = self.top_speed[who] * (0.9 + 0.05 * _truncated_normal(self.rng, 1)[0])
         self.arc[who], self.speed[who] = 0.0, 0.0
 
-    def _has_room(self, who: int) -> bool:
+    def _has_room(self, who: int | np.intp) -> bool:
         """Whether nobody is on the spot or within :data:`ENTRY_ROOM` of it along the path."""
         self._place(np.array([who]))
         others = np.flatnonzero(self.active)
         if not len(others):
             return True
         half = self.size[others, :2] / 2
-        own = self.size[who, :2] / 2 + [min(ENTRY_ROOM, 3 * self.gap[who]), SIDE_MARGIN]
+        own = self.size[who, :2] / 2 + [min(ENTRY_ROOM, 3 * self.gap[who]), 2 * MARGIN]
         return not _overlap(
             self.point[who, :2], self.heading[who], own,
             self.point[others, :2], self.heading[others], half,
         ).any()  # fmt: skip
 
-    def _in_block(self, who: int) -> bool:
+    def _in_block(self, who: int | np.intp) -> bool:
         blocks = self.paths.block[self.path[who]]
         front, rear = self._ends(np.array([who]))
         return bool(((self.paths.stop[blocks] < front) & (self.paths.leave[blocks] > rear)).any())
 
-    def _admit(self, who: int) -> None:
+    def _admit(self, who: int | np.intp) -> None:
         blocks = self.paths.block[self.path[who]]
         self.granted[who] = self.paths.stop[blocks] < self._ends(np.array([who]))[0]
         self.active[who], self.still[who], self.asked[who] = True, 0.0, np.inf
@@ -159,10 +159,18 @@ class WaypointModel:
                 self.speed[who] = self.wish[who]  # it looks ahead before it moves
                 self._admit(who)
 
-    def _first_free(self, who: int) -> bool:
-        """Whether nobody is in the way of a user that would begin inside its first block."""
+    def _first_free(self, who: int | np.intp) -> bool:
+        """Whether nobody is in the way of a user that would begin inside its first block.
+
+        Nor anybody standing there, for it must leave the block again.
+        """
         on = np.flatnonzero(self.active)
-        return not self._held_against(self.paths.block[self.path[[who]], 0], on).any()
+        first = self.paths.block[self.path[who], :1]
+        away = self.point[on, :2] - self.point[who, :2]
+        room = self.paths.leave[first] + self.size[who, 0] + 2.0
+        near = away[:, 0] ** 2 + away[:, 1] ** 2 < room**2
+        standing = near & (self.speed[on] < 1.0)
+        return not (standing.any() or self._held_against(first, on).any())
 
     # --- right of way -----------------------------------------------------------------------
 
@@ -178,42 +186,68 @@ class WaypointModel:
         return self.paths.stop[block] - self._ends(on)[0]
 
     def _held_against(self, block: np.ndarray, on: np.ndarray) -> np.ndarray:
-        """(A, M): whether a block is in conflict with a stretch that a user holds and is still on."""
+        """(A, M): whether a block is in conflict with one that a user holds and has not left."""
         theirs = self.paths.block[self.path[on]]  # (M, C)
         until = self.paths.clear[block[:, None, None], theirs[None]]  # (A, M, C)
         return (self.granted[on] & (until > self._ends(on)[1][:, None])).any(-1)
 
-    def _give_way(self, on: np.ndarray, free: np.ndarray, leader: np.ndarray) -> None:
-        """Grant blocks: first come, first served, as far as nobody crossing is still in it.
+    def _pressed(self, on: np.ndarray, leader: np.ndarray) -> np.ndarray:
+        """Whether one has long stood before somebody in its queue, six deep, who holds a block.
+
+        Giving way out of courtesy would then keep that block held, perhaps
+        against the very one who is given way to.
+        """
+        holds = self.granted[on] & (
+            self.paths.leave[self.paths.block[self.path[on]]] > self._ends(on)[1][:, None]
+        )
+        pressing = holds.any(1)
+        pressed = np.zeros(len(on), bool)
+        for _ in range(6):
+            pressed[leader[(pressing | pressed) & (leader >= 0)]] = True
+        return pressed & (self.still[on] > PATIENCE)
+
+    def _give_way(
+        self, on: np.ndarray, free: np.ndarray, leader: np.ndarray, follows: np.ndarray
+    ) -> None:
+        """Grant blocks: to who is further on first, then first come, first served.
 
         A block is asked for in time to brake before it, by whoever has nobody
-        between itself and the line that still needs leave. Those who wait longer
-        than :data:`PATIENCE` go before any who asked later; until then a stream
-        that flows keeps flowing.
+        between itself and the line that still needs leave. It is granted where
+        nobody in conflict is still in one and there is room to leave it again.
+        A stream that flows keeps flowing until the longest waiting has had
+        :data:`PATIENCE`; then nobody in its way is let go before it. So streams
+        take turns, those that do not meet together, as under signals.
         """
         column, block = self._next_block(on)
         line = self._line_distance(on)
-        line_of = np.full(len(self.kind), np.inf)
-        line_of[on] = line
+        # Index -1, nobody ahead, reads the last entry: no line, no body in the way.
+        line_of = np.append(line, np.inf)
         near = line < self.speed[on] ** 2 / (2 * BRAKING) + 1.5 * self.speed[on] + 2.0
-        first = (free >= line) | (leader < 0) | (line_of[leader] > line)
-        asking = np.flatnonzero(near & first)
+        asking = np.flatnonzero(near & ((free >= line) | (line_of[leader] > line)))
         self.asked[on[asking]] = np.minimum(self.asked[on[asking]], self.time)
+        needed = self.paths.leave[block] - self._ends(on)[1] + 0.5
+        reach = free + _reach(free, line, leader, follows)
+        asking = asking[reach[asking] >= needed[asking]]
         if not len(asking):
             return
-        asking = asking[np.argsort(self.asked[on[asking]], kind="stable")]
-        want, who = block[asking], on[asking]
-        denied = self._held_against(want, on).any(1)
-        met = self.paths.clear[want[:, None], want[None, :]] > -np.inf  # (A, A)
-        patient = self.time - self.asked[who] > PATIENCE
-        refused: list[int] = []
+        asked = self.asked[on[asking]]
+        longest = int(np.argmin(asked))
+        due = np.zeros(len(asking), bool)
+        due[longest] = self.time - max(asked[longest], self.turn) > PATIENCE
+        order = np.lexsort((asked, -column[asking], ~due))
+        asking, due = asking[order], due[order]
+        want, who, inside = block[asking], on[asking], column[asking] > 0
+        met = self.paths.clear[want[:, None], want] > -np.inf  # (A, A)
+        yields = ~self._pressed(on, leader)[asking]
+        denied = np.asarray(self._held_against(want, on).any(1))
         for k in range(len(asking)):
-            if denied[k] or any(met[k, q] for q in refused if patient[q]):
-                refused.append(k)
-                continue
-            self.granted[who[k], column[asking[k]]] = True
-            self.asked[who[k]] = np.inf
-            denied |= met[:, k]
+            if not denied[k]:
+                self.granted[who[k], column[asking[k]]] = True
+                self.asked[who[k]] = np.inf
+                self.turn = self.time if due[k] else self.turn
+                denied |= met[:, k]
+            elif due[k] or inside[k]:  # who is inside already goes before those who come in
+                denied |= met[:, k] & yields
 
     # --- seeing and moving ------------------------------------------------------------------
 
@@ -223,49 +257,55 @@ class WaypointModel:
         return self.arc[on] + half, self.arc[on] - half
 
     def _place(self, on: np.ndarray) -> None:
-        self.point[on], self.heading[on] = self.paths.pose(self.path[on], self.arc[on])
+        self.point[on], self.heading[on] = self.paths.chord(
+            self.path[on], self.arc[on], self.size[on, 0]
+        )
 
     def _look_ahead(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Free way along each path [m], who ends it (−1: nobody) and its speed that way [m/s].
+        """Free way along each path [m], who ends it (index into ``on``; −1: nobody), and how.
 
-        The body, longer by its gap and a little wider, is slid along the path
-        until it meets another; the last metre by bisection.
+        The last is the cosine between both headings where they are much alike,
+        so that one follows the other, else 0.
+
+        The body, a little wider, is slid along its path until it meets another;
+        the last step by bisection. Its gap is taken off.
         """
         half = self.size[on, :2] / 2
-        probe = half + np.stack([self.gap[on] / 2, np.full(len(on), SIDE_MARGIN)], -1)
-        ahead = np.arange(0.0, HORIZON, LOOK)
-        needed = self.speed[on] ** 2 / (2 * BRAKING) + 2 * self.speed[on] + 3.0
+        probe = half + [0.0, SIDE_MARGIN]
+        look = np.minimum(LOOK, self.size[on, 0])  # no body slips through between two looks
+        ahead = look[:, None] * np.arange(HORIZON)  # (M, D)
+        needed = self.speed[on] ** 2 / (2 * BRAKING) + 2 * self.speed[on] + 5.0
 
         def meets(i: np.ndarray, j: np.ndarray, distance: np.ndarray) -> np.ndarray:
-            at, toward = self.paths.pose(self.path[on[i]], self.arc[on[i]] + distance)
-            at = at[:, :2] + toward * (self.gap[on[i]] / 2)[:, None]
+            arc = self.arc[on[i]] + distance
+            at, toward = self.paths.chord(self.path[on[i]], arc, self.size[on[i], 0])
             point, heading = self.point[on[j], :2], self.heading[on[j]]
-            return _overlap(at, toward, probe[i], point, heading, half[j])
+            return _overlap(at[:, :2], toward, probe[i], point, heading, half[j])
 
-        at, _ = self.paths.pose(self.path[on, None], self.arc[on, None] + ahead)  # (M, D, 3)
+        at = self.paths.at(self.path[on, None], self.arc[on, None] + ahead)  # (M, D, 3)
         apart = at[:, :, None, :2] - self.point[None, None, on, :2]  # (M, D, M, 2)
-        # Circles about both bodies, the probe's centre moved by half its gap at most.
-        reach = np.hypot(*probe.T)[:, None] + self.gap[on, None] / 2 + np.hypot(*half.T)
+        # Circles about both bodies; in a bend the probe's centre is a little off its path.
+        reach = np.hypot(*probe.T)[:, None] + np.hypot(*half.T) + 1.0
         close = apart[..., 0] ** 2 + apart[..., 1] ** 2 < (reach**2)[:, None, :]
         close &= (ahead < needed[:, None])[:, :, None]
         close[np.arange(len(on)), :, np.arange(len(on))] = False
         i, d, j = np.nonzero(close)
-        hit = meets(i, j, ahead[d])
+        hit = meets(i, j, ahead[i, d])
         i, d, j = i[hit], d[hit], j[hit]
-        free, leader = np.full(len(on), HORIZON), np.full(len(on), -1)
+        free, leader = np.full(len(on), float(HORIZON)), np.full(len(on), -1)
         seen, where = np.unique(i, return_index=True)  # nonzero lists the nearest first
-        free[seen], leader[seen] = ahead[d[where]], j[where]
-        # Between the last step that was free and the first that was not.
-        low, high = np.maximum(free[seen] - LOOK, 0.0), free[seen]
+        leader[seen] = j[where]
+        # Between the last look that was free and the first that was not.
+        high = ahead[seen, d[where]]
+        low = np.maximum(high - look[seen], 0.0)
         for _ in range(3):
             middle = (low + high) / 2
             met = meets(seen, leader[seen], middle)
             low, high = np.where(met, low, middle), np.where(met, middle, high)
-        free[seen] = low
+        free[seen] = np.maximum(low - self.gap[on[seen]], 0.0)
         h = self.heading[on]
         along = h[:, 0] * h[leader, 0] + h[:, 1] * h[leader, 1]
-        speed = np.where((leader >= 0) & (along > 0.7), self.speed[on][leader] * along, 0.0)
-        return free, np.where(leader >= 0, on[leader], -1), speed
+        return free, leader, np.where((leader >= 0) & (along > 0.7), along, 0.0)
 
     def _move(self, on: np.ndarray, speed: np.ndarray, dt: float) -> None:
         """Move everybody whose way stays clear of everybody else's; the others stand.
@@ -303,11 +343,25 @@ class WaypointModel:
 
 
 def _safe_speed(free: np.ndarray, leader_speed: np.ndarray) -> np.ndarray:
-    """Speed from which one stops within the free way [m] even if the leader brakes (Krauss 1998)."""
+    """Speed to stop within the free way [m] even if the leader brakes [m/s] (Krauss 1998)."""
     lag = BRAKING * REACTION
     free = np.maximum(free, 0.0)
     reach = np.sqrt(lag**2 + leader_speed**2 + 2 * BRAKING * free) - lag
     return np.where(free > 0, reach, 0.0)
+
+
+def _reach(
+    free: np.ndarray, line: np.ndarray, leader: np.ndarray, follows: np.ndarray
+) -> np.ndarray:
+    """How far whoever is ahead of each can surely go on [m], six deep: queues have ends.
+
+    It goes as far as its own line and its own leader let it. Infinite where
+    nobody is ahead, or somebody who merely crosses.
+    """
+    ahead = np.where(follows > 0, 0.0, np.inf)
+    for _ in range(6):
+        ahead = np.where(follows > 0, np.minimum(line, free + ahead)[leader], np.inf)
+    return ahead
 
 
 def _is_ahead(

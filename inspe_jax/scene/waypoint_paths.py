@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from inspe_jax.scene.intersection import Intersection, Route
@@ -27,6 +27,7 @@ DIVERGING = 12  # a stream that has just split is no conflict yet [m]
 MERGE_GAP = (12.0, 8.0, 2.5)  # room to wait between two conflicts, by kind of path [m]
 SETBACK = 1.0  # from a stop line to the first conflict [m]
 LATERAL = 2.2  # comfortable lateral acceleration in a bend [m/s²]
+AXLE = 0.3  # of a body's length, from its middle to either axle
 BRAKING = 2.0  # comfortable braking before a bend [m/s²]
 SHORTEST = (8.0, 8.0, 2.0)  # stretches shorter than this are not worth driving [m]
 
@@ -38,8 +39,7 @@ class Paths:
     ``start`` is the index of each path's first pose, ``count`` its number of
     poses, ``user`` indexes :data:`USERS`, ``width`` is the lane's [m] and
     ``weight`` the share of new arrivals. Pose m of a path is :data:`SPACING`·m
-    metres from its start: ``point`` [m], unit ``heading`` in plan, ``limit`` on
-    speed [m/s].
+    metres from its start: ``point`` [m] and ``limit`` on speed [m/s].
 
     A block is a stretch of a path that other streams cross or join; ``block``
     (P, C) numbers each path's blocks in order, then −1; ``stop`` and ``leave``
@@ -54,7 +54,6 @@ class Paths:
     width: Float[np.ndarray, " P"]
     weight: Float[np.ndarray, " P"]
     point: Float[np.ndarray, "N 3"]
-    heading: Float[np.ndarray, "N 2"]
     limit: Float[np.ndarray, " N"]
     block: Int[np.ndarray, "P C"]
     stop: Float[np.ndarray, " K"]
@@ -66,17 +65,32 @@ class Paths:
         """Length of each path [m]."""
         return (self.count - 1) * SPACING
 
-    def pose(
+    def at(
         self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
-    ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
-        """Point [m] and unit heading at an arc length [m] of a path; ends are held."""
-        place = np.clip(arc / SPACING, 0.0, self.count[path] - 1)
-        below = np.minimum(place.astype(int), self.count[path] - 2)
+    ) -> Float[np.ndarray, "*S 3"]:
+        """Point [m] at an arc length [m] of a path; straight on beyond its ends."""
+        place = arc / SPACING
+        below = np.clip(np.floor(place).astype(int), 0, self.count[path] - 2)
         part = (place - below)[..., None]
         below = below + self.start[path]
-        point = self.point[below] * (1 - part) + self.point[below + 1] * part
-        heading = self.heading[below] * (1 - part) + self.heading[below + 1] * part
-        return point, heading / np.sqrt(_dot(heading, heading))[..., None]
+        return self.point[below] * (1 - part) + self.point[below + 1] * part
+
+    def chord(
+        self,
+        path: Int[np.ndarray, "*S"],
+        arc: Float[np.ndarray, "*S"],
+        length: Float[np.ndarray, "*S"],
+    ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
+        """Centre [m] and unit heading of a body of some length [m] whose axles are on the path.
+
+        On a straight these are the path's own. In a bend a long body cuts the
+        corner, as it does on the road; on the tangent its tail would swing into
+        the next lane.
+        """
+        rear = self.at(path, arc - AXLE * length)
+        front = self.at(path, arc + AXLE * length)
+        along = front[..., :2] - rear[..., :2]
+        return (rear + front) / 2, along / np.sqrt(_dot(along, along))[..., None]
 
     def speed_limit(
         self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
@@ -90,16 +104,17 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
     """The intersection's routes within ``radius`` [m] of its centre, as :class:`Paths`."""
     stretches: list[tuple[np.ndarray, int, float]] = []
     for route in intersection.routes:
-        for user in (2,) if route.user == "pedestrian" else (0, 1):
-            points = _within(_line(route, user), intersection.center, radius)
-            if (len(points) - 1) * SPACING >= SHORTEST[user]:
-                stretches.append((points, user, route.width))
+        for kind in (2,) if route.user == "pedestrian" else (0, 1):
+            points = _within(_line(route, kind), intersection.center, radius)
+            if (len(points) - 1) * SPACING >= SHORTEST[kind]:
+                stretches.append((points, kind, route.width))
     count = np.array([len(p) for p, _, _ in stretches], int)
     start = np.cumsum(count) - count
     user = np.array([u for _, u, _ in stretches], int)
+    headings = [_heading(p) for p, _, _ in stretches]
     point = np.concatenate([np.zeros((0, 3)), *(p for p, _, _ in stretches)])
-    heading = np.concatenate([np.zeros((0, 2)), *(_heading(p) for p, _, _ in stretches)])
-    limit = np.concatenate([np.zeros(0), *(_limit(_heading(p)) for p, _, _ in stretches)])
+    heading = np.concatenate([np.zeros((0, 2)), *headings])
+    limit = np.concatenate([np.zeros(0), *(_limit(h) for h in headings)])
     block, stop, leave, clear = _blocks(start, count, user, point[:, :2], heading)
     return Paths(
         start=start,
@@ -108,7 +123,6 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
         width=np.array([w for _, _, w in stretches], float),
         weight=_weights(point[start], user, heading[start], heading[start + count - 1]),
         point=point,
-        heading=heading,
         limit=limit,
         block=block,
         stop=stop,
@@ -117,10 +131,10 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
     )
 
 
-def _line(route: Route, user: int) -> np.ndarray:
+def _line(route: Route, kind: int) -> np.ndarray:
     """A route's poses for one kind of user: cyclists and pedestrians keep to the right."""
     points = _resample(np.asarray(route.waypoints, float))
-    offset = (0.0, max(route.width / 2 - 0.6, 0.0), min(route.width / 4, 0.5))[user]
+    offset = (0.0, max(route.width / 2 - 0.6, 0.0), min(route.width / 4, 0.5))[kind]
     if not offset or len(points) < 2:
         return points
     heading = _heading(points)

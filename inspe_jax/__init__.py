@@ -12,4 +12,50 @@ Conventions, stated once:
   Z levels, T frames, B boxes, R rays.
 """
 
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Contribution, Scores, evaluate
+from inspe_jax.placement.strategies import STRATEGIES, strategy
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
+from inspe_jax.scene.traffic import TrafficFrames
+from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.sensing.devices import Device, device, devices
+from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.sensing.visibility import in_view, line_of_sight
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "BUILT_INS",
+    "STRATEGIES",
+    "CameraSpec",
+    "Contribution",
+    "Device",
+    "InspeError",
+    "Intersection",
+    "Layout",
+    "LidarSpec",
+    "Region",
+    "Scene",
+    "Scores",
+    "Sensor",
+    "TrafficFrames",
+    "Unit",
+    "VoxelGrid",
+    "build_scene",
+    "built_in",
+    "device",
+    "devices",
+    "evaluate",
+    "in_view",
+    "line_of_sight",
+    "load_layout",
+    "load_scene",
+    "make_layout",
+    "save_layout",
+    "save_scene",
+    "strategy",
+]

@@ -34,7 +34,7 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
             message = f"unknown key{nearest(str(fault['loc'][-1]), known)}"
             message += f"; allowed: {', '.join(known)}"
         elif fault["type"] == "missing":
-            message = "missing key"
+            message = f"missing {'value' if isinstance(fault['loc'][-1], int) else 'key'}"
         else:
             given = f", got {fault['input']!r}" if not isinstance(fault["input"], dict) else ""
             message = fault["msg"][:1].lower() + fault["msg"][1:] + given

@@ -249,7 +249,7 @@ def _assemble(
         name=name,
         source="built-in",
         center=np.zeros(3),
-        regions=regions,
+        regions={region: _surface(shape) for region, shape in regions.items()},
         arms=arms,
         routes=tuple(routes),
         mounting=mounting.difference(regions[Region.CROSSWALK]),
@@ -260,6 +260,12 @@ def _assemble(
 
 
 # ── Shapes ──────────────────────────────────────────────────────────────────
+
+
+def _surface(shape: BaseGeometry) -> BaseGeometry:
+    """The polygons of a shape, without the lines where two only touched."""
+    parts = [g for g in shapely.get_parts(shape) if g.geom_type == "Polygon" and g.area > 1e-6]
+    return MultiPolygon(parts)
 
 
 def _direction(bearing: float) -> Float[np.ndarray, "2"]:

@@ -109,7 +109,7 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with path.open("rb") as f, np.load(f, allow_pickle=False) as data:
             return _unpack({k: data[k] for k in data.files})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, shapely.errors.ShapelyError) as e:
         raise InspeError(f"{path}: not a scene saved by this package ({e})") from e

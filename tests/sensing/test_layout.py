@@ -51,7 +51,7 @@ def test_a_file_gives_world_poses(tmp_path):
         (("device: paper-camera-midday", "device: paper-camera-middy"), "paper-camera-midday"),
         (("height: 6.0", "height: .nan"), r"height: .*finite"),
         (("height: 6.0", "height: high"), r"sensors\[0\].height: .*'high'"),
-        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: "),
+        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base\[1\]: missing value"),
         (("pitch_deg: -15", "pitch_deg: -115"), r"pitch_deg: .*-90.*-115"),
         (
             ("offset: [0.5, -0.25]", "offset: [0.0, 2.1]"),

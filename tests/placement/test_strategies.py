@@ -1,0 +1,449 @@
+"""The nine placements, on intersections laid by hand, on the built-in ones and on a real map."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from shapely import affinity
+from shapely.geometry import LineString, MultiPoint, Point
+from shapely.ops import unary_union
+
+from inspe_jax.errors import InspeError
+from inspe_jax.placement.strategies import STRATEGIES, spread, strategy
+from inspe_jax.scene.intersection import Arm, Intersection, Route, mouth_crosswalks
+from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import Scene, build_scene
+
+FOUR, TEE, WYE = (0, 90, 180, 270), (0, 180, 270), (30, 150, 270)
+FIVE = (0, 72, 144, 216, 288)
+CENTER = np.array([100.0, -50.0, 7.0])
+
+
+def unit_vectors(bearing: float) -> tuple[np.ndarray, np.ndarray]:
+    along = np.array([np.cos(bearing), np.sin(bearing)])
+    return along, np.array([-along[1], along[0]])
+
+
+def hand_made(degrees=FOUR, *, mouth=14.0, width=14.0, poles=(), mounting=None) -> Intersection:
+    """Straight roads of two lanes each way, 3 m sidewalks, on a slope of 2 % to the east."""
+    middle = CENTER[:2]
+    arms, roads, lanes_in, lanes_out = [], [], [], []
+    for bearing in np.radians(degrees):
+        along, left = unit_vectors(bearing)
+        mouth_at = middle + mouth * along
+        arms.append(Arm(tuple(mouth_at), float(bearing), width))
+        roads.append(LineString([mouth_at, middle + 80 * along]).buffer(width / 2, cap_style=2))
+        # Right-hand traffic: inbound on the left looking outward.
+        for lanes, side in ((lanes_in, width / 4), (lanes_out, -width / 4)):
+            lanes.append([middle + d * along + side * left for d in (80.0, mouth)])
+    kerbs = [
+        unit_vectors(a.bearing)[1] * side * width / 2 + a.mouth for a in arms for side in (-1, 1)
+    ]
+    junction = MultiPoint(kerbs).convex_hull
+    road = unary_union([junction, *roads])
+    sidewalk = road.buffer(3.0, join_style=2).difference(road)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-90, 90, (400, 2)) + middle
+    heights = CENTER[2] + 0.02 * (points[:, 0] - middle[0])
+    routes = []
+    for i, (far, near) in enumerate(lanes_in):
+        for j, (exit_far, exit_near) in enumerate(lanes_out):
+            if i != j:
+                line = np.array([far, near, exit_near, exit_far])
+                waypoints = np.column_stack([line, np.full(4, CENTER[2])])
+                routes.append(Route(waypoints, 3.5, "vehicle", (i, j)))
+    return Intersection(
+        name="hand-made",
+        source="test",
+        center=CENTER,
+        regions={
+            Region.DRIVEWAY: unary_union(roads),
+            Region.JUNCTION: junction,
+            Region.CROSSWALK: mouth_crosswalks(tuple(arms)),
+            Region.SIDEWALK: sidewalk,
+        },
+        arms=tuple(arms),
+        routes=tuple(routes),
+        mounting=sidewalk if mounting is None else mounting,
+        poles=np.array([[*middle + p, 99.0] for p in poles]).reshape(-1, 3),
+        ground_points=np.column_stack([points, heights]),
+    )
+
+
+def turned(place: Intersection, degrees: float) -> Intersection:
+    """The whole world turned about the intersection's centre."""
+    angle, middle = np.radians(degrees), place.center[:2]
+
+    def points(p):
+        along, left = unit_vectors(angle)
+        out = np.array(p, float)
+        out[..., :2] = (out[..., :2] - middle) @ np.array([along, left]) + middle
+        return out
+
+    def shape(geometry):
+        return affinity.rotate(geometry, degrees, origin=tuple(middle))
+
+    return replace(
+        place,
+        regions={label: shape(region) for label, region in place.regions.items()},
+        arms=tuple(Arm(tuple(points(a.mouth)), a.bearing + angle, a.width) for a in place.arms),
+        routes=tuple(replace(r, waypoints=points(r.waypoints)) for r in place.routes),
+        mounting=shape(place.mounting),
+        poles=points(place.poles),
+        ground_points=points(place.ground_points),
+    )
+
+
+def scene_of(place: Intersection, radius: float = 50.0) -> Scene:
+    return build_scene(place, radius=radius, voxel=2.0, density="none", frames=1)
+
+
+SCENES: dict[str, Scene] = {}
+
+
+def scene_named(name: str) -> Scene:
+    if name not in SCENES:
+        arms = {"four": FOUR, "tee": TEE, "wye": WYE, "five": FIVE, "bend": (0, 180)}
+        SCENES[name] = scene_of(hand_made(arms[name]) if name in arms else built_in(name))
+    return SCENES[name]
+
+
+HAND_MADE = ("four", "tee", "wye", "five", "bend")
+EVERY = [(s, n) for s in (*HAND_MADE, *BUILT_INS) for n in STRATEGIES]
+
+
+def kinds(layout) -> tuple[int, int]:
+    listed = [sensor.spec.kind for sensor in layout.sensors]
+    return listed.count("camera"), listed.count("lidar")
+
+
+# ── What is placed ──────────────────────────────────────────────────────────
+
+LIDARS = {"": 0, "L-c": 1, "L-d1": 4, "L-d2": 2}
+
+
+@pytest.mark.parametrize(("where", "name"), EVERY)
+def test_counts_are_the_papers(where, name):
+    six = ("tee", "wye", "bend", "t_junction", "triangle", "highway_ramp")
+    cameras = 6 if where in six else 8
+    cameras = cameras if name.startswith("Cam") else 0
+    lidars = LIDARS[name[name.find("L-") :] if "L-" in name else ""]
+    assert kinds(strategy(scene_named(where), name)) == (cameras, lidars)
+
+
+def test_a_small_crossroads_has_six_cameras():
+    small = scene_of(hand_made(FOUR, mouth=8.0, width=7.0))
+    for name in ("Cam-c", "Cam-d1", "Cam-d2"):
+        assert kinds(strategy(small, name)) == (6, 0)
+
+
+def test_devices_are_the_papers_unless_named():
+    def devices(name, **options):
+        return {s.spec.name for s in strategy(scene_named("four"), name, **options).sensors}
+
+    assert devices("Cam-c") == {"paper-camera-midday"}
+    assert devices("L-c") == devices("L-d2") == {"paper-lidar-64"}
+    assert devices("Cam-d1/L-d1") == {"paper-camera-midday", "paper-lidar-32"}
+    assert devices("L-d2", lidar="paper-lidar-32") == {"paper-lidar-32"}
+    assert devices("Cam-d1", camera="paper-camera-night") == {"paper-camera-night"}
+
+
+# ── Where it stands ─────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(("where", "name"), EVERY)
+def test_every_pole_stands_where_something_carries_it(where, name):
+    """Feet are in mounting area or on a pole, off every lane; the hung unit is at the centre."""
+    scene = scene_named(where)
+    place, layout = scene.intersection, strategy(scene, name)
+    lanes = [(LineString(r.waypoints), r.width) for r in place.routes if r.user == "vehicle"]
+    for unit in layout.units:
+        foot = Point(unit.base[:2])
+        assert unit.base[2] == pytest.approx(place.ground(np.array(unit.base[:2]))[0])
+        if unit.name == "centre":
+            np.testing.assert_array_equal(unit.base[:2], place.center[:2])
+            continue
+        on_pole = any(np.hypot(*(p[:2] - unit.base[:2])) < 1e-6 for p in place.poles)
+        assert on_pole or place.mounting.distance(foot) < 1e-6
+        for lane, width in lanes:
+            assert lane.distance(foot) >= width / 2 - 1e-6
+    for pose in np.asarray(layout.poses):
+        assert np.hypot(*(pose[:2] - place.center[:2])) <= scene.voxels.radius
+
+
+@pytest.mark.parametrize(("where", "name"), EVERY)
+def test_unit_rule_and_heights(where, name):
+    """Pairs of one unit within 2 m and 4 m; lorries pass beneath what hangs over them."""
+    layout = strategy(scene_named(where), name)
+    poses, bases = np.asarray(layout.poses), [np.array(unit.base) for unit in layout.units]
+    assert {s.unit for s in layout.sensors} == set(range(len(layout.units)))
+    assert len({unit.name for unit in layout.units}) == len(layout.units)
+    for a, b in combinations(range(len(layout)), 2):
+        if layout.sensors[a].unit == layout.sensors[b].unit:
+            assert np.hypot(*(poses[a] - poses[b])[:2]) <= 2.0
+            assert abs(poses[a, 2] - poses[b, 2]) <= 4.0
+    for pose, sensor in zip(poses, layout.sensors, strict=True):
+        above = pose[2] - bases[sensor.unit][2]
+        central = layout.units[sensor.unit].name == "centre"
+        low, high = (6.0, 8.0) if central else (4.0, 6.0)
+        assert low - 1e-9 <= above <= high + 1e-9
+        assert np.hypot(*(pose - np.append(bases[sensor.unit], [0, 0, 0]))[:2]) <= 2.0
+    for a, b in combinations(bases, 2):
+        assert np.hypot(*(a - b)[:2]) > 2.0
+
+
+def test_standing_poles_near_a_corner_are_used():
+    """A signal pole 3 m from the corner carries the cameras; one in a lane or far off does not."""
+    stands, in_lane, far = (15.0, 12.0), (-12.0, 3.5), (12.0, -40.0)
+    place = hand_made(FOUR, poles=(stands, in_lane, far))
+    bases = [np.array(u.base[:2]) - CENTER[:2] for u in strategy(scene_of(place), "Cam-d1").units]
+    assert any(np.allclose(base, stands) for base in bases)
+    for pole in (in_lane, far):
+        assert all(np.hypot(*(base - pole)) > 1.0 for base in bases)
+
+
+def test_four_way_corners_by_hand():
+    """Between kerb points (14, 7) and (7, 14) the chord is the kerb, so 0.3 m beyond its middle."""
+    layout = strategy(scene_named("four"), "L-d1")
+    d = 10.5 + 0.3 / np.sqrt(2)
+    got = np.array([unit.base[:2] for unit in layout.units]) - CENTER[:2]
+    np.testing.assert_allclose(got, [[d, d], [-d, d], [-d, -d], [d, -d]], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(layout.poses)[:, 4], 0.0)
+
+
+def test_t_junction_has_four_lidar_corners_two_on_the_far_side():
+    """The far side's corners are at the kerbs of the two opposite mouths, x = ±14, y = 7.3."""
+    layout = strategy(scene_named("tee"), "L-d1")
+    got = np.array([unit.base[:2] for unit in layout.units]) - CENTER[:2]
+    far = sorted(got[got[:, 1] > 0].tolist())
+    np.testing.assert_allclose(far, [[-14, 7.3], [14, 7.3]], atol=1e-6)
+    assert len(got) == 4
+
+
+@pytest.mark.parametrize("where", ["four", "tee", "five", "roundabout"])
+def test_l_d1_surrounds_and_l_d2_faces(where):
+    """No gap between L-d1's neighbours exceeds a half turn; L-d2's two are on opposite sides."""
+    scene = scene_named(where)
+    for name, most in (("L-d1", 170.0), ("L-d2", 216.5)):
+        away = np.array([u.base for u in strategy(scene, name).units]) - scene.intersection.center
+        around = np.sort(np.arctan2(away[:, 1], away[:, 0]))
+        gaps = np.diff(np.append(around, around[0] + 2 * np.pi))
+        assert np.degrees(gaps.max()) <= most
+
+
+@pytest.mark.parametrize("where", ["wye", *BUILT_INS])
+def test_corner_lidars_stand_well_apart(where):
+    bases = np.array([unit.base[:2] for unit in strategy(scene_named(where), "L-d1").units])
+    assert min(np.hypot(*(a - b)) for a, b in combinations(bases, 2)) > 8.0
+
+
+def test_motorway_poles_stand_where_the_roads_meet():
+    """Mouths 40 to 75 m away are drawn in to 25 m, so poles are within 25 + 8 m and a shoulder."""
+    scene = scene_named("highway_ramp")
+    for name in STRATEGIES:
+        bases = np.array([unit.base for unit in strategy(scene, name).units])
+        assert np.hypot(*(bases - scene.intersection.center)[:, :2].T).max() < 40.0
+
+
+def test_nothing_stands_outside_a_small_radius():
+    scene = scene_of(hand_made(FOUR), radius=18.0)
+    for name in STRATEGIES:
+        poses = np.asarray(strategy(scene, name).poses)
+        assert (np.hypot(*(poses[:, :2] - CENTER[:2]).T) <= 18.0).all()
+
+
+# ── Where it looks ──────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("where", [*HAND_MADE, *BUILT_INS])
+def test_corner_cameras_look_along_the_arms(where):
+    """Every yaw of Cam-d1 is some arm's bearing or its opposite, and every arm is watched.
+
+    A roundabout's corners lie far beside the arms: from there half look across at the arm.
+    """
+    scene = scene_named(where)
+    yaws = np.asarray(strategy(scene, "Cam-d1").poses)[:, 5]
+    bearings = np.array([arm.bearing for arm in scene.intersection.arms])
+    along = np.cos(yaws[:, None] - bearings)
+    if where == "roundabout":
+        np.testing.assert_allclose(along[4:].min(1), -1.0, atol=1e-9)
+        assert (along[:4].diagonal() > np.cos(np.radians(50.0))).all()
+        return
+    np.testing.assert_allclose(np.abs(along).max(1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(along.max(0), 1.0, atol=1e-9)
+
+
+def axis_on_the_ground(scene: Scene, pose: np.ndarray) -> np.ndarray:
+    """Where a camera's optical axis meets the ground, by walking down it."""
+    x, y, z, _, pitch, yaw = pose
+    t = np.arange(0.0, 80.0, 0.02)[:, None]
+    ray = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)])
+    line = np.array([x, y, z]) + t * ray
+    below = line[:, 2] < scene.intersection.ground(line[:, :2])
+    return line[np.argmax(below), :2]
+
+
+@pytest.mark.parametrize("where", [*HAND_MADE, *BUILT_INS])
+@pytest.mark.parametrize("name", ["Cam-c", "Cam-d1", "Cam-d2"])
+def test_cameras_look_down_at_ground_that_counts(where, name):
+    """The axis dips, and meets the ground within the camera's depth, on the road's area."""
+    scene = scene_named(where)
+    layout = strategy(scene, name)
+    road = unary_union(list(scene.intersection.regions.values()))
+    for pose, sensor in zip(np.asarray(layout.poses), layout.sensors, strict=True):
+        meets = axis_on_the_ground(scene, pose)
+        assert -70 < np.degrees(pose[4]) < -8
+        assert np.hypot(*(meets - pose[:2])) < sensor.spec.depth
+        assert road.distance(Point(meets)) < 2.0
+
+
+def test_roadside_cameras_see_their_crosswalk():
+    """Each of the first four looks over its crosswalk at the junction; the others look outward."""
+    scene = scene_named("four")
+    poses = np.asarray(strategy(scene, "Cam-d2").poses)
+    inward = [(p[:2] - CENTER[:2]) @ [np.cos(p[5]), np.sin(p[5])] < 0 for p in poses]
+    assert inward == [True] * 4 + [False] * 4
+    for pose, arm in zip(poses[:4], scene.intersection.arms, strict=True):
+        gaze = LineString([pose[:2], axis_on_the_ground(scene, pose)])
+        strip = mouth_crosswalks((arm,))
+        assert gaze.intersects(strip)
+
+
+def test_central_cameras_all_round():
+    layout = strategy(scene_named("four"), "Cam-c")
+    yaws = np.sort(np.degrees(np.asarray(layout.poses)[:, 5]) % 360)
+    np.testing.assert_allclose(yaws, np.arange(8) * 45.0, atol=1e-9)
+
+
+def test_shorter_sight_and_higher_poles_look_steeper():
+    scene = scene_named("four")
+
+    def dip(**options):
+        return -np.asarray(strategy(scene, "Cam-d1", **options).poses)[:, 4]
+
+    assert (dip(camera="paper-camera-night") > dip()).all()
+    assert (dip(camera_height=9.0) > dip()).all()
+
+
+# ── Invariance ──────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("arms", [FOUR, TEE, WYE, FIVE], ids=len)
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_layout_turns_with_the_world(arms, name):
+    """Rotate by 37° about the centre; 1 cm allows for GEOS's polygons in place of circles."""
+    place = hand_made(arms, poles=((15.0, 12.0),) if arms == FOUR else ())
+    before = np.asarray(strategy(scene_of(place), name).poses)
+    after = np.asarray(strategy(scene_of(turned(place, 37.0)), name).poses)
+    c, s = np.cos(np.radians(37.0)), np.sin(np.radians(37.0))
+    expected = before.copy()
+    expected[:, :2] = (before[:, :2] - CENTER[:2]) @ np.array([[c, s], [-s, c]]) + CENTER[:2]
+    np.testing.assert_allclose(after[:, :3], expected[:, :3], atol=0.01)
+    np.testing.assert_allclose(after[:, 3:5], expected[:, 3:5], atol=0.002)
+    turn = after[:, 5] - before[:, 5] - np.radians(37.0)
+    np.testing.assert_allclose(np.cos(turn), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_same_scene_same_layout(name):
+    one, two = (strategy(scene_of(hand_made(TEE)), name) for _ in range(2))
+    np.testing.assert_array_equal(one.poses, two.poses)
+    assert (one.sensors, one.units) == (two.sensors, two.units)
+
+
+# ── Pairs and options ───────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(("name", "shared"), [("c", 1), ("d1", 4), ("d2", 2)])
+def test_pairs_share_units(name, shared):
+    """A pair is its two halves on the same poles: at a four-way every LiDAR joins cameras."""
+    scene = scene_named("four")
+    pair = strategy(scene, f"Cam-{name}/L-{name}")
+    alone = [strategy(scene, f"Cam-{name}"), strategy(scene, f"L-{name}")]
+    np.testing.assert_allclose(pair.poses, np.concatenate([a.poses for a in alone]))
+    assert len(pair.units) == len(alone[0].units)
+    mixed = {s.unit for s in pair.sensors if s.spec.kind == "lidar"} & {
+        s.unit for s in pair.sensors if s.spec.kind == "camera"
+    }
+    assert len(mixed) == shared
+
+
+def test_sensors_too_far_apart_in_height_do_not_share():
+    pair = strategy(scene_named("four"), "Cam-d1/L-d1", camera_height=10.0, lidar_height=4.0)
+    assert len(pair.units) == 8
+    assert "corner 1, lidar" in {unit.name for unit in pair.units}
+
+
+def test_heights_are_above_the_ground_of_the_foot():
+    layout = strategy(scene_named("four"), "Cam-d2/L-d2", camera_height=8.0, lidar_height=5.5)
+    for pose, sensor in zip(np.asarray(layout.poses), layout.sensors, strict=True):
+        above = pose[2] - layout.units[sensor.unit].base[2]
+        assert above == pytest.approx(8.0 if sensor.spec.kind == "camera" else 5.5)
+
+
+def test_no_mast_arm_reaches_over_traffic_at_its_height():
+    layout = strategy(scene_named("four"), "Cam-d1", camera_height=4.0)
+    bases = np.array([layout.units[s.unit].base[:2] for s in layout.sensors])
+    np.testing.assert_allclose(np.asarray(layout.poses)[:, :2], bases)
+
+
+def test_names_in_any_case():
+    assert strategy(scene_named("four"), " cam-D1/l-d1 ").name == "Cam-d1/L-d1"
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("Cam-d3", {}, r"no strategy 'Cam-d3': Cam-c, .*Cam-d2/L-d2; did you mean Cam-d"),
+        ("xyz", {}, r"no strategy 'xyz': Cam-c, .*Cam-d2/L-d2$"),
+        ("Cam-d1", {"camera_height": 2.0}, r"camera_height 2 m .* Cam-d1: between 3 and 12 m"),
+        ("L-d1", {"lidar_height": 12.5}, r"lidar_height 12.5 m .* L-d1: between 3 and 12 m"),
+        ("L-c", {"lidar_height": 4.0}, r"lidar_height 4 m .* L-c: between 5 and 12 m"),
+        ("L-c", {"lidar_height": float("nan")}, r"lidar_height nan m is out of range"),
+        ("Cam-c", {"camera": "paper-lidar-32"}, r"camera 'paper-lidar-32' is a lidar"),
+        ("L-c", {"lidar": "paper-camera-dusk"}, r"lidar 'paper-camera-dusk' is a camera"),
+        ("L-c", {"lidar": "no-such-thing"}, r"no-such-thing"),
+    ],
+)
+def test_bad_input_is_named(name, options, said):
+    with pytest.raises(InspeError, match=said):
+        strategy(scene_named("four"), name, **options)
+
+
+def test_an_intersection_needs_two_arms_and_room_for_a_pole():
+    place = hand_made(FOUR)
+    with pytest.raises(InspeError, match="has 1 arm; strategies need at least 2"):
+        strategy(scene_of(replace(place, arms=place.arms[:1])), "Cam-c")
+    bare = scene_of(replace(place, mounting=Point(0, 0).buffer(0)))
+    with pytest.raises(InspeError, match="a corner pole has nowhere to stand"):
+        strategy(bare, "L-d1")
+
+
+def test_spread_by_hand():
+    """Of four directions the opposite two; of a cross with a diagonal, the cross."""
+    quarter = np.radians([0.0, 90.0, 180.0, 270.0])
+    assert spread(quarter, 2) == [0, 2]
+    assert spread(quarter, 4) == [0, 1, 2, 3]
+    assert spread(np.radians([0.0, 45.0, 90.0, 180.0, 270.0]), 4) == [0, 2, 3, 4]
+
+
+# ── A real map ──────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_a_town_junction_can_carry_every_strategy(maps, name, town_junction):
+    layout = strategy(town_junction, name)
+    for unit in layout.units:
+        if unit.name != "centre":
+            assert town_junction.intersection.mounting.distance(Point(unit.base[:2])) < 1e-6 or (
+                np.hypot(*(town_junction.intersection.poles[:, :2] - unit.base[:2]).T).min() < 1e-6
+            )
+
+
+@pytest.fixture(scope="module")
+def town_junction(maps) -> Scene:
+    from inspe_jax.scene.opendrive import read_opendrive
+
+    return scene_of(read_opendrive(maps / "Town05.xodr", junction=53))

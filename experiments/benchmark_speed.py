@@ -148,8 +148,9 @@ def main() -> None:
         table.add_row(row["what"], f"{row['seconds']:.3f}", f"{row['ratio']:.1f}")
     console.print(table)
     console.print(
-        f"{embree.segments / 1e6:.1f} million segments, {embree.segments / traced / 1e6:.1f} million "
-        f"a second; line of sight agrees on {same:.6%}; peak memory of scoring {memory:.2f} GiB",
+        f"{embree.segments / 1e6:.1f} million segments, {embree.segments / traced / 1e6:.1f} "
+        f"million a second; line of sight agrees on {same:.6%}; "
+        f"peak memory of scoring {memory:.2f} GiB",
         highlight=False,
     )
     stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")

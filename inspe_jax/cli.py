@@ -133,7 +133,7 @@ def scene(
     if list_:
         _list_places(source)
         return
-    options = {
+    options: dict[str, Any] = {
         name: value
         for name, value in dict(
             radius=radius, voxel=voxel, density=density, frames=frames, mix=mix, seed=seed
@@ -178,9 +178,7 @@ def layout(
     strategy: Annotated[
         str, typer.Option(help="Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair as Cam-c/L-c.")
     ] = DEFAULT_LAYOUT,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera device (see `inspe devices`).")
-    ] = None,
+    camera: Annotated[str | None, typer.Option(help="Camera device (see `inspe devices`).")] = None,
     lidar: Annotated[str | None, typer.Option(help="LiDAR device (see `inspe devices`).")] = None,
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
@@ -198,7 +196,9 @@ def layout(
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.layout import save_layout
 
-    devices = {k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None}
+    devices: dict[str, Any] = {
+        k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
+    }
     placed = place(load_scene(source), strategy, **devices)
     out.print(layout_table(placed))
     if save:

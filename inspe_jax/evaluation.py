@@ -106,24 +106,27 @@ def evaluate(
     c = metrics.coverage(covered, weight)
     ig = metrics.information_gain(resolved, seen.occupancy)
     scores = jnp.stack([c, seen.occlusion, ig, metrics.surrogate(c, seen.occlusion, ig, weights)])
-    total, *without = np.asarray(scores, float).T
-    covered = np.asarray(covered[0]).reshape(ground.heights.shape)  # (L, Z)
+    total, *without = np.asarray(scores, float).T.tolist()
+    seen_any = np.asarray(covered[0]).reshape(ground.heights.shape)  # (L, Z)
     return Scores(
-        *total.tolist(),
+        coverage=total[0],
+        occlusion=total[1],
+        information_gain=total[2],
+        surrogate=total[3],
         information_gain_literal=float(
             metrics.information_gain_literal(resolved[0], seen.occupancy)
         ),
         region_coverage={
-            region.key: float(covered[scene.voxels.region == region].mean())
+            region.key: float(seen_any[scene.voxels.region == region].mean())
             for region in Region
             if (scene.voxels.region == region).any()
         },
-        level_coverage=tuple(covered.mean(0).tolist()),
+        level_coverage=tuple(seen_any.mean(0).tolist()),
         contributions=tuple(
-            Contribution(sensor.name, *(total - left).tolist())
+            Contribution(sensor.name, *np.subtract(total, left).tolist())
             for sensor, left in zip(layout.sensors, without, strict=True)
         ),
-        seen_share=np.asarray(seen.seen_share).reshape(covered.shape).mean(1),
+        seen_share=np.asarray(seen.seen_share).reshape(seen_any.shape).mean(1),
         settings=dict(
             weights=list(weights), occlusion_reference=occlusion_reference, visibility=visibility
         ),

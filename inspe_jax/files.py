@@ -1,4 +1,4 @@
-"""Files that people write are checked key by key; files that we write appear whole or not at all."""
+"""Files of people's are checked key by key; files of ours appear whole or not at all."""
 
 import os
 import tempfile

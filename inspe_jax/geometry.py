@@ -28,8 +28,9 @@ class Prism(NamedTuple):
     valid: Bool[Array, "*b"]
 
 
-def rotation(angles: Float[Array, "3"], xp: Any = jnp) -> Float[Array, "3 3"]:
-    """Body-to-world rotation Rz(yaw) Ry(−pitch) Rx(roll) of (roll, pitch, yaw) [rad].
+def rotation(angles: Any, xp: Any = jnp) -> Any:
+    """Body-to-world rotation Rz(yaw) Ry(−pitch) Rx(roll) of (roll, pitch, yaw) [rad]:
+    (3,) to (3, 3).
 
     Pitch is positive nose-up in a frame whose y points left, hence its sign.
     ``xp`` is jax.numpy, or numpy for double precision outside a trace.
@@ -50,7 +51,7 @@ def ray_cube_margin(
     offset: tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]],
     half: float,
 ) -> Float[Array, "*n"]:
-    """How deep a ray passes through a cube [m]; positive where it does, negative by how far it misses.
+    """How deep a ray passes through a cube [m]; negative by how far it misses.
 
     The ray starts at 0 and goes ``reach`` metres along the unit ``direction``;
     the cube is centred at ``offset`` with half edge ``half``, axis-aligned.

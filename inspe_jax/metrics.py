@@ -17,7 +17,7 @@ OCCLUSION_REFERENCES = ("roi", "covered", "targets")
 """Readings of V_orig, the voxels that occlusion is a share of; see :func:`occlusion_terms`."""
 
 
-def coverage(covered: Float[Array, "*s V"], weight: Float[Array, " V"]) -> Float[Array, "*s"]:
+def coverage(covered: Float[Array, "... V"], weight: Float[Array, " V"]) -> Float[Array, "..."]:
     """C = Σ w f / Σ w: the weighted share of voxels that some sensor ray passes through.
 
     ``covered`` is f fused over the sensors, ``weight`` the voxel's region weight.
@@ -26,11 +26,11 @@ def coverage(covered: Float[Array, "*s V"], weight: Float[Array, " V"]) -> Float
 
 
 def occlusion_terms(
-    visible: Float[Array, "*s V"],
-    covered: Float[Array, "*s V"],
+    visible: Float[Array, "... V"],
+    covered: Float[Array, "... V"],
     solid: Float[Array, " V"],
     reference: str,
-) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """(|V_orig| − |V_occ|, |V_orig|) of one frame.
 
     ``visible``: in view of some sensor and in its line of sight; ``solid``: inside
@@ -50,9 +50,7 @@ def occlusion_terms(
     raise InspeError(f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}")
 
 
-def occlusion(
-    seen: Float[Array, "T *s"], original: Float[Array, "T *s"]
-) -> Float[Array, "*s"]:
+def occlusion(seen: Float[Array, "T ..."], original: Float[Array, "T ..."]) -> Float[Array, "..."]:
     """O = mean over frames of 1 − |V_occ| / |V_orig|; higher is better.
 
     Takes the terms of :func:`occlusion_terms`, a row a frame. A frame with no
@@ -74,8 +72,8 @@ def _x_log_x(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def information_gain(
-    resolved: Float[Array, "*s V"], occupancy: Float[Array, " V"]
-) -> Float[Array, "*s"]:
+    resolved: Float[Array, "... V"], occupancy: Float[Array, " V"]
+) -> Float[Array, "..."]:
     """IG = 1 − H(Ω|P)/H(Ω), the share of the occupancy entropy that the sensors resolve.
 
     ``resolved`` is q_i, reliability × visibility fused over the sensors;
@@ -89,19 +87,19 @@ def information_gain(
 
 
 def information_gain_literal(
-    resolved: Float[Array, "*s V"], occupancy: Float[Array, " V"]
-) -> Float[Array, "*s"]:
+    resolved: Float[Array, "... V"], occupancy: Float[Array, " V"]
+) -> Float[Array, "..."]:
     """IG to the letter of the paper: 1 − Σ_visible H_i / Σ H_i; for comparison only."""
     h = entropy(occupancy)
     return 1.0 - dot(resolved, h) / dot(jnp.ones_like(h), h)
 
 
 def surrogate(
-    coverage: Float[Array, "*s"],
-    occlusion: Float[Array, "*s"],
-    information_gain: Float[Array, "*s"],
+    coverage: Float[Array, "..."],
+    occlusion: Float[Array, "..."],
+    information_gain: Float[Array, "..."],
     weights: tuple[float, float, float] = WEIGHTS,
-) -> Float[Array, "*s"]:
+) -> Float[Array, "..."]:
     """P_sm = 0.3 C + 0.5 O + 0.2 IG. Raises InspeError unless the weights sum to 1."""
     if len(weights) != 3 or not abs(sum(weights) - 1.0) < 1e-6 or min(weights) < 0:
         raise InspeError(f"weights {weights}: three numbers, none negative, that sum to 1")

@@ -30,7 +30,7 @@ def any_of(p: Float[Array, "*n"], axis: int) -> Float[Array, "*m"]:
     return 1.0 - jnp.prod(1.0 - p, axis=axis)
 
 
-def leave_one_out(p: Float[Array, "S *n"]) -> Float[Array, "1+S *n"]:
+def leave_one_out(p: Float[Array, "S ..."]) -> Float[Array, "1+S ..."]:
     """:func:`any_of` over all s in row 0, and over all but s in row 1 + s.
 
     ∏(1 − p) over the others is the whole product divided by 1 − p_s; factors that
@@ -45,7 +45,7 @@ def leave_one_out(p: Float[Array, "S *n"]) -> Float[Array, "1+S *n"]:
     return 1.0 - jnp.where(counts > 0, 0.0, product / factors)
 
 
-def dot(x: Float[Array, "*s V"], y: Float[Array, " V"]) -> Float[Array, "*s"]:
+def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
     """Σ x·y along the last axis, in three levels of partial sums.
 
     Adding a million numbers one after another in single precision loses 1e-4 of

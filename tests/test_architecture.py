@@ -23,7 +23,7 @@ LADDER = [
     ("cli",),
 ]
 ROOMS = {
-    "shapely": ("scene/", "placement/constraints.py", "placement/strategies.py", "report/figures.py"),
+    "shapely": ("scene/", "placement/constraints.py", "placement/site.py", "report/"),
     "carla": ("scene/opendrive",),
     "jaxopt": ("placement/gradient.py",),
     "optax": ("placement/gradient.py",),

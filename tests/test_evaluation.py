@@ -6,7 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from shapely import affinity
-from worlds import CAMERA, LIDAR, embree_line_of_sight, place_sensors, random_layout, with_boxes, world
+from worlds import (
+    CAMERA,
+    LIDAR,
+    embree_line_of_sight,
+    place_sensors,
+    random_layout,
+    with_boxes,
+    world,
+)
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import evaluate
@@ -64,9 +72,7 @@ def test_no_vehicles_make_occlusion_the_unweighted_coverage():
     gone = replace(scene.traffic, valid=np.array([[False], [True]]))
     far = gone.center.copy()
     far[1, 0, :2] = 15.0  # off the roads: it stands on no column and hides none
-    sky = place_sensors(
-        (LIDAR, [5.0, 5.0, 6.0, 0.0, 0.0, 0.0]), (CAMERA, [-8, 0, 5, 0, -0.3, 0.0])
-    )
+    sky = place_sensors((LIDAR, [5.0, 5.0, 6.0, 0.0, 0.0, 0.0]), (CAMERA, [-8, 0, 5, 0, -0.3, 0.0]))
     empty = replace(scene, traffic=replace(gone, center=far, valid=np.zeros((2, 1), bool)))
     with pytest.raises(InspeError, match="information gain needs traffic"):
         evaluate(empty, sky)
@@ -95,7 +101,7 @@ def test_a_sensor_that_sees_all_scores_one():
     scores = evaluate(scene, high)
     assert scores.coverage == pytest.approx(1, abs=1e-6)
     assert scores.information_gain == pytest.approx(1, abs=1e-6)
-    assert scores.region_coverage == pytest.approx({k: 1 for k in scores.region_coverage})
+    assert scores.region_coverage == pytest.approx(dict.fromkeys(scores.region_coverage, 1))
     assert scores.level_coverage == pytest.approx([1] * 8)
 
 
@@ -139,7 +145,9 @@ def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
 
 def _twice(traffic, away):
     """The frame twice, its first box moved in the second, so that there is entropy."""
-    two = {k: np.repeat(getattr(traffic, k), 2, 0) for k in ("center", "yaw", "size", "valid", "kind")}
+    two = {
+        k: np.repeat(getattr(traffic, k), 2, 0) for k in ("center", "yaw", "size", "valid", "kind")
+    }
     two["center"][1, 0, :2] += away
     return replace(traffic, **two)
 

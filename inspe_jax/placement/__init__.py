@@ -1,0 +1,1 @@
+"""Where sensors stand: the strategies and, later, the search."""

@@ -1,0 +1,1 @@
+"""The frozen world: intersection, voxels and traffic."""

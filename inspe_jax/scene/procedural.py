@@ -5,6 +5,7 @@ straight and run 120 m out, so that a region of interest of up to 100 m is fille
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import shapely
@@ -55,10 +56,7 @@ def crossing(
     left, right = inward * lane_width, outward * lane_width  # kerbs, looking outward
 
     roads = unary_union(
-        [
-            _band(b, 0.0, LENGTH, -r, low)
-            for b, r, low in zip(bearings, right, left, strict=True)
-        ]
+        [_band(b, 0.0, LENGTH, -r, low) for b, r, low in zip(bearings, right, left, strict=True)]
     )
     carriageway = _rounded(roads, corner_radius)
     mouths = _mouths(bearings, gaps, left, right, corner_radius)
@@ -80,7 +78,7 @@ def crossing(
                 for k, n in _lane_pairs(bearings[i], bearings[j], inward[i], outward[j]):
                     entry = _lane(bearings[i], mouths[i], (k + 0.5) * lane_width)
                     exit_ = _lane(bearings[j], mouths[j], -(n + 0.5) * lane_width)
-                    path = _through(entry[::-1], exit_)
+                    path = _through(entry[::-1], exit_, corner_radius + lane_width / 2)
                     turns.append(Route(path, lane_width, "vehicle", (i, j)))
     return _furnish(name, carriageway, junction, arms, turns, shoulder, sidewalk)
 
@@ -174,7 +172,12 @@ def ramp(
         ):
             routes.append(Route(_flat(_resample(np.array(line))), lane_width, "vehicle", through))
     outer = np.array([[ROUTE_LENGTH, -kerb + lane_width / 2]])
-    joined = _bezier(lead[-1], lead[-1] + [12, 0], [58.0, outer[0, 1]], [70.0, outer[0, 1]])
+    joined = _bezier(
+        lead[-1],
+        lead[-1] + [12, 0],
+        outer[0] - [ROUTE_LENGTH - 58, 0],
+        outer[0] - [ROUTE_LENGTH - 70, 0],
+    )
     path = _resample(np.concatenate([lead[:-1], joined, outer]))
     path = path[np.hypot(*path.T) <= ROUTE_LENGTH]
     routes.append(Route(_flat(path), lane_width, "vehicle", (2, 0)))
@@ -252,7 +255,7 @@ def _assemble(
         regions={region: _surface(shape) for region, shape in regions.items()},
         arms=arms,
         routes=tuple(routes),
-        mounting=mounting.difference(regions[Region.CROSSWALK]),
+        mounting=_surface(mounting.difference(regions[Region.CROSSWALK])),
         poles=poles,
         ground_points=np.array([[x, y, 0.0] for x in (-LENGTH, LENGTH) for y in (-LENGTH, LENGTH)]),
         notes=notes,
@@ -326,7 +329,7 @@ def _corners(arms: tuple[Arm, ...]) -> list[np.ndarray]:
     return found
 
 
-def _stand(ground: BaseGeometry, wanted: Sequence[float]) -> tuple[float, float]:
+def _stand(ground: BaseGeometry, wanted: Any) -> tuple[float, float]:
     """The nearest point of ``ground`` to a wanted one."""
     foot = nearest_points(ground, Point(*wanted))[0]
     return foot.x, foot.y
@@ -354,16 +357,30 @@ def _lane(bearing: float, mouth: float, left: float) -> Float[np.ndarray, "N 2"]
     return _resample(np.array([_at(bearing, mouth, left), _at(bearing, ROUTE_LENGTH, left)]))
 
 
-def _through(entry: Float[np.ndarray, "N 2"], exit_: Float[np.ndarray, "M 2"]) -> np.ndarray:
-    """Entry lane, a curve tangent to both, exit lane: waypoints (K, 3) about 1 m apart.
+def _through(
+    entry: Float[np.ndarray, "N 2"], exit_: Float[np.ndarray, "M 2"], corner: float = np.inf
+) -> Float[np.ndarray, "K 3"]:
+    """Entry lane, a curve tangent to both, exit lane: waypoints about 1 m apart.
 
-    The handles are 0.39 of the chord, which makes a right angle's curve a circle.
+    Where the two lanes' lines meet ahead, the curve is the arc that begins and ends
+    equally far from that point, as far out as both lanes allow; on a right turn its
+    radius is at most ``corner`` [m], so that it stays off the kerb.
     """
     a, b = entry[-1], exit_[0]
-    handle = 0.39 * np.hypot(*(b - a))
     u, v = _unit(a - entry[-2]), _unit(exit_[1] - b)
+    cross = u[0] * v[1] - u[1] * v[0]
+    if abs(cross) > 0.05:
+        before = ((b - a)[0] * v[1] - (b - a)[1] * v[0]) / cross  # from a to the meeting point
+        after = ((b - a)[0] * u[1] - (b - a)[1] * u[0]) / cross  # from the meeting point to b
+        widest = corner * np.tan(np.arccos(np.clip(u @ v, -1, 1)) / 2) if cross < 0 else np.inf
+        reach = min(before, -after, widest)
+        if reach > 0:
+            a, b = a + (before - reach) * u, b + (after + reach) * v
+    chord = np.hypot(*(b - a))
+    turn = max(float(np.arccos(np.clip(u @ v, -1, 1))), 1e-3)
+    handle = chord * (2 / 3) * np.tan(turn / 4) / np.sin(turn / 2)  # nearest cubic to the arc
     curve = _bezier(a, a + handle * u, b - handle * v, b)
-    return _flat(_resample(np.concatenate([entry[:-1], curve, exit_[1:]])))
+    return _flat(_resample(np.concatenate([entry, curve, exit_])))
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

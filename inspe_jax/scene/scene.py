@@ -120,7 +120,7 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     if Path(path).suffix != ".npz":
         raise InspeError(f"{path}: a scene is saved as .npz")
     with whole_file(path) as f:
-        np.savez_compressed(f, **_pack(scene))
+        np.savez_compressed(f, **_pack(scene))  # type: ignore[arg-type]  # names are ours
 
 
 def _density(density: str | int) -> int:

@@ -67,7 +67,7 @@ class Layout:
     carries them is static.
     """
 
-    poses: Float[Array, "S 6"]
+    poses: Float[Array | np.ndarray, "S 6"]
     sensors: tuple[Sensor, ...] = field(metadata={"static": True})
     units: tuple[Unit, ...] = field(metadata={"static": True})
     name: str = field(metadata={"static": True}, default="layout")

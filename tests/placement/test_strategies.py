@@ -213,6 +213,24 @@ def test_four_way_corners_by_hand():
     np.testing.assert_allclose(np.asarray(layout.poses)[:, 4], 0.0)
 
 
+def test_roadside_poles_by_hand():
+    """8 m outside the mouths at ±14, on the right looking outward, 0.3 m beyond the kerb at 7."""
+    layout = strategy(scene_named("four"), "Cam-d2")
+    got = np.array([unit.base[:2] for unit in layout.units]) - CENTER[:2]
+    np.testing.assert_allclose(got, [[22, -7.3], [7.3, 22], [-22, 7.3], [-7.3, -22]], atol=1e-6)
+
+
+def test_lanes_are_kept_free_where_the_mounting_area_overlaps_them():
+    """A map may call all ground mountable, and its lanes may be wider than its kerbs are apart."""
+    place = hand_made(FOUR, mounting=Point(CENTER[:2]).buffer(60.0))
+    place = replace(place, routes=tuple(replace(route, width=12.0) for route in place.routes))
+    for name in ("Cam-d1/L-d1", "Cam-d2/L-d2"):
+        for unit in strategy(scene_of(place), name).units:
+            for route in place.routes:
+                lane = LineString(route.waypoints)
+                assert lane.distance(Point(unit.base[:2])) >= route.width / 2
+
+
 def test_t_junction_has_four_lidar_corners_two_on_the_far_side():
     """The far side's corners are at the kerbs of the two opposite mouths, x = ±14, y = 7.3."""
     layout = strategy(scene_named("tee"), "L-d1")
@@ -330,19 +348,20 @@ def test_shorter_sight_and_higher_poles_look_steeper():
 # ── Invariance ──────────────────────────────────────────────────────────────
 
 
-@pytest.mark.parametrize("arms", [FOUR, TEE, WYE, FIVE], ids=len)
+@pytest.mark.parametrize("degrees", [37.0, 251.0])
+@pytest.mark.parametrize("arms", [FOUR, TEE, WYE, FIVE], ids=("four", "tee", "wye", "five"))
 @pytest.mark.parametrize("name", STRATEGIES)
-def test_layout_turns_with_the_world(arms, name):
-    """Rotate by 37° about the centre; 1 cm allows for GEOS's polygons in place of circles."""
+def test_layout_turns_with_the_world(arms, name, degrees):
+    """Rotate about the centre; 1 cm allows for GEOS's polygons in place of circles."""
     place = hand_made(arms, poles=((15.0, 12.0),) if arms == FOUR else ())
     before = np.asarray(strategy(scene_of(place), name).poses)
-    after = np.asarray(strategy(scene_of(turned(place, 37.0)), name).poses)
-    c, s = np.cos(np.radians(37.0)), np.sin(np.radians(37.0))
+    after = np.asarray(strategy(scene_of(turned(place, degrees)), name).poses)
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     expected = before.copy()
     expected[:, :2] = (before[:, :2] - CENTER[:2]) @ np.array([[c, s], [-s, c]]) + CENTER[:2]
     np.testing.assert_allclose(after[:, :3], expected[:, :3], atol=0.01)
     np.testing.assert_allclose(after[:, 3:5], expected[:, 3:5], atol=0.002)
-    turn = after[:, 5] - before[:, 5] - np.radians(37.0)
+    turn = after[:, 5] - before[:, 5] - np.radians(degrees)
     np.testing.assert_allclose(np.cos(turn), 1.0, atol=1e-5)
 
 
@@ -427,6 +446,8 @@ def test_spread_by_hand():
     assert spread(quarter, 2) == [0, 2]
     assert spread(quarter, 4) == [0, 1, 2, 3]
     assert spread(np.radians([0.0, 45.0, 90.0, 180.0, 270.0]), 4) == [0, 2, 3, 4]
+    # Gaps 80, 60, 60, 70, 90: leaving one out merges two, to 170, 140, 120, 130 or 160.
+    assert spread(np.radians([0.0, 80.0, 140.0, 200.0, 270.0]), 4) == [0, 1, 3, 4]
 
 
 # ── A real map ──────────────────────────────────────────────────────────────

@@ -75,7 +75,10 @@ def test_a_saved_scene_loads_the_same(tmp_path):
         (dict(radius=5), "radius 5 m is out of range: between 10 and 200 m"),
         (dict(radius=float("nan")), "radius nan m is out of range"),
         (dict(voxel=0), "voxel 0 m is out of range: between 0.05 and 2 m"),
-        (dict(radius=200, voxel=0.05), r"too large for memory: .* million voxels, about [\d,]+ GiB"),
+        (
+            dict(radius=200, voxel=0.05),
+            r"too large for memory: .* million voxels, about [\d,]+ GiB",
+        ),
         (dict(density="heavy"), "density 'heavy': none, low, medium, high"),
         (dict(density=-3), "density '-3'"),
         (dict(frames=0), "frames 0 is out of range"),

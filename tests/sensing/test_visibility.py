@@ -3,7 +3,15 @@
 import jax
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, embree_line_of_sight, place_sensors, random_layout, with_boxes, world
+from worlds import (
+    CAMERA,
+    LIDAR,
+    embree_line_of_sight,
+    place_sensors,
+    random_layout,
+    with_boxes,
+    world,
+)
 
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
@@ -59,7 +67,8 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
     """The voxel column under the sensor has no azimuth; a level ray is parallel to two faces."""
     scene = world(radius=15.0, count=0)
     layout = place_sensors(
-        (LIDAR, [0.25, 0.25, 5.0, 0.0, 0.0, 0.0]), (CAMERA, [0.25, 0.25, 3.75, 0.0, -np.pi / 2, 0.0])
+        (LIDAR, [0.25, 0.25, 5.0, 0.0, 0.0, 0.0]),
+        (CAMERA, [0.25, 0.25, 3.75, 0.0, -np.pi / 2, 0.0]),
     )
     assert in_view(scene, layout)[1].any()
     for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
@@ -85,7 +94,10 @@ def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
     layout = random_layout(scene, [LIDAR] * 3 + [CAMERA] * 3, seed=seed, heights=heights)
     differ = total = 0
     for frame in range(3):
-        ours, embree = line_of_sight(scene, layout, frame), embree_line_of_sight(scene, layout, frame)
+        ours, embree = (
+            line_of_sight(scene, layout, frame),
+            embree_line_of_sight(scene, layout, frame),
+        )
         assert 0.05 < embree.mean() < 0.999
         differ, total = differ + (ours != embree).sum(), total + ours.size
     assert differ / total <= 1e-4

@@ -1,0 +1,275 @@
+"""Scores, scenes, layouts and catalogues as tables for people, and scores as a record for JSON."""
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from rich import box
+from rich.columns import Columns
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from inspe_jax import __version__
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Scores
+from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.devices import Device
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec, Spec
+
+if TYPE_CHECKING:
+    from inspe_jax.scene.opendrive import JunctionInfo
+
+METRICS: dict[str, str] = {
+    "coverage": "C",
+    "occlusion": "O",
+    "information_gain": "IG",
+    "surrogate": "P_sm",
+}
+"""The four scores by the name they have in records, with the paper's symbol."""
+
+
+def scores_table(scores: Scores, layout: Layout) -> RenderableType:
+    """Scores for people: the four, coverage by region and level, and what each sensor adds.
+
+    What a sensor adds is what the layout loses without it. Raises InspeError
+    where the scores are not of this layout.
+    """
+    members = _members(scores, layout)
+    weights = [f"{w:g}" for w in scores.settings.get("weights", ())] or [""] * 3
+
+    total = _table(f"Scores of {layout.name}", "metric", "symbol", "weight", "score")
+    for (name, symbol), weight in zip(METRICS.items(), [*weights, ""], strict=True):
+        look = "bold" if name == "surrogate" else ""
+        total.add_row(_words(name), symbol, weight, f"{getattr(scores, name):.3f}", style=look)
+
+    regions = _table("Coverage by region", "region", "weight", "coverage")
+    for key, share in scores.region_coverage.items():
+        regions.add_row(key, f"{WEIGHTS[Region[key.upper()]]:g}", f"{share:.3f}")
+
+    levels = _table("Coverage by level", "level, from below", "coverage")
+    for k, share in enumerate(scores.level_coverage):
+        levels.add_row(str(k + 1), f"{share:.3f}")
+
+    each = _table("What each sensor adds", "#", "sensor", "unit", "device", *METRICS.values())
+    for k, (part, unit, device) in enumerate(members):
+        drops = [f"{getattr(part, name):+.4f}" for name in METRICS]
+        each.add_row(str(k + 1), Text(part.sensor), Text(unit), Text(device), *drops)
+
+    beside = Columns(
+        [total, regions, levels], padding=(0, 4)
+    )  # as many as the terminal has room for
+    return Group(beside, "", each)
+
+
+def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any]:
+    """Scores as a JSON-serialisable record, every number exactly as scored.
+
+    Beside the scores it says of what they are and how to make them again. Raises
+    InspeError where the scores are not of this layout.
+    """
+    return {
+        **{name: float(getattr(scores, name)) for name in METRICS},
+        "information_gain_literal": float(scores.information_gain_literal),
+        "region_coverage": {key: float(share) for key, share in scores.region_coverage.items()},
+        "level_coverage": [float(share) for share in scores.level_coverage],
+        "contributions": [
+            {
+                "sensor": part.sensor,
+                "unit": unit,
+                "device": device,
+                **{name: float(getattr(part, name)) for name in METRICS},
+            }
+            for part, unit, device in _members(scores, layout)
+        ],
+        "settings": _plain(scores.settings),
+        "scene": {
+            "name": scene.name,
+            "source": scene.intersection.source,
+            "settings": dict(scene.settings),
+        },
+        "layout": layout.name,
+        "versions": {
+            "inspe_jax": __version__,
+            "jax": jax.__version__,
+            "numpy": np.__version__,
+        },
+    }
+
+
+def scene_table(scene: Scene) -> RenderableType:
+    """A scene for people: where it is from, its voxels, its traffic, its regions, its notes."""
+    place, grid, traffic = scene.intersection, scene.voxels, scene.traffic
+    facts = _table(scene.name, "scene", "")
+    rows = {
+        "source": place.source,
+        "centre": _position(place.center),
+        "region of interest": f"radius {grid.radius:g} m",
+        "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels of "
+        f"{grid.size:g} m = {grid.count:,} voxels",
+        "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
+        "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
+        "settings": ", ".join(f"{key} {value}" for key, value in scene.settings),
+        "notes": "\n".join(place.notes),
+    }
+    for name, value in rows.items():
+        if value:
+            facts.add_row(name, Text(value))
+    share = _table("Regions", "region", "weight", "columns", "share")
+    for region in Region:
+        count = int((grid.region == region).sum())
+        if count:
+            part = f"{count / len(grid.columns):.1%}"
+            share.add_row(region.key, f"{WEIGHTS[region]:g}", f"{count:,}", part)
+    return Group(facts, "", share)
+
+
+def layout_table(layout: Layout) -> RenderableType:
+    """A layout for people: each sensor with its unit, device and pose [m, degrees].
+
+    Height is above the unit's base; roll has a column only where some sensor rolls.
+    """
+    poses = np.asarray(layout.poses, float)
+    height = poses[:, 2] - [layout.units[sensor.unit].base[2] for sensor in layout.sensors]
+    roll, pitch, yaw = np.degrees(poses[:, 3:]).T
+    numbers = {
+        "x\n[m]": poses[:, 0],
+        "y\n[m]": poses[:, 1],
+        "height\n[m]": height,
+        "yaw\n[°]": 180 - (180 - yaw) % 360,
+        "pitch\n[°]": pitch,
+        **({"roll\n[°]": roll} if np.any(np.abs(roll) >= 0.05) else {}),
+    }
+    table = _table(f"Layout {layout.name}", "#", "unit", "sensor", "device", *numbers)
+    for k, (sensor, row) in enumerate(
+        zip(layout.sensors, zip(*numbers.values(), strict=True), strict=True)
+    ):
+        unit = layout.units[sensor.unit].name
+        names = [Text(name) for name in (unit, sensor.name, sensor.spec.name)]
+        table.add_row(str(k + 1), *names, *(f"{value:z.1f}" for value in row))
+    return table
+
+
+def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> RenderableType:
+    """The catalogue for people: what each device resolves, how far, at what price, says who."""
+    headers = (
+        "device",
+        "kind",
+        "pixels,\nchannels",
+        "field of view",
+        "reach\n[m]",
+        "rays",
+        "price\n[US$]",
+    )
+    table = _table("Devices", *headers, "maker")
+    sources = _table("Where their figures are from", "device", "source")
+    for device in devices.values() if isinstance(devices, Mapping) else devices:
+        resolution, view = _resolution(device.spec)
+        grid = device.spec.grid
+        price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
+        rays = f"{len(grid.rows) * grid.column_count:,}"
+        numbers = (resolution, view, f"{grid.reach:g}", rays, price)
+        table.add_row(device.name, device.kind, *numbers, Text(device.maker))
+        sources.add_row(device.name, Text(device.source))
+    return Group(table, "", sources)
+
+
+def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:
+    """The junctions of a map for people: id, centre (x, y, z) [m], arms, size, what is there."""
+    table = _table(
+        f"Junctions of {map_name}", "id", "centre [m]", "arms", "size [m]", "crosswalks", "signals"
+    )
+    for info in infos:
+        counts = (str(info.crosswalks), str(info.signals))
+        table.add_row(
+            str(info.id), _position(info.center), str(info.arms), f"{info.size:.1f}", *counts
+        )
+    return table
+
+
+def built_ins_table() -> RenderableType:
+    """The built-in intersections for people."""
+    table = _table("Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes")
+    for name in BUILT_INS:
+        place = built_in(name)
+        regions = ", ".join(
+            region.key
+            for region in Region
+            if region in place.regions and not place.regions[region].is_empty
+        )
+        counts = (str(len(each)) for each in (place.arms, place.poles, place.routes))
+        table.add_row(name, *counts, regions, Text("\n".join(place.notes)))
+    return table
+
+
+_PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view"}
+_NAMES = {"metric", "symbol", "region", "scene", "device", "kind", "name", "centre [m]"}
+_NAMES |= {"pixels,\nchannels"}
+
+
+def _table(title: str, *columns: str) -> Table:
+    """A table that may break prose between words, but numbers and names at no price."""
+    table = Table(title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.pad_edge, table.collapse_padding = False, True
+    for name in columns:
+        breaks = name in _PROSE
+        table.add_column(
+            Text(name),
+            justify="left" if name in _PROSE | _NAMES else "right",
+            no_wrap=not breaks,
+            min_width=5 if breaks else None,
+            overflow="fold",
+        )
+    return table
+
+
+def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
+    """(contribution, unit, device) of each sensor. Raises InspeError where they do not match."""
+    scored = [part.sensor for part in scores.contributions]
+    placed = [sensor.name for sensor in layout.sensors]
+    if scored != placed:
+        raise InspeError(
+            f"{layout.name}: the scores are of another layout: of sensors {', '.join(scored)}; "
+            f"expected {', '.join(placed)}"
+        )
+    return [
+        (part, layout.units[sensor.unit].name, sensor.spec.name)
+        for part, sensor in zip(scores.contributions, layout.sensors, strict=True)
+    ]
+
+
+def _resolution(spec: Spec) -> tuple[str, str]:
+    """Pixels or channels, and the field of view from edge to edge [°]."""
+    if isinstance(spec, CameraSpec):
+        angles = [
+            np.degrees(np.arctan2(middle, spec.focal) + np.arctan2(side - middle, spec.focal))
+            for side, middle in zip((spec.width, spec.height), spec.principal, strict=True)
+        ]
+        return f"{spec.width} × {spec.height}", f"{angles[0]:.0f}° × {angles[1]:.0f}°"
+    low, high = np.degrees([spec.elevations[0], spec.elevations[-1]])
+    around = f"{np.degrees(spec.azimuth_fov):.0f}°"
+    return (
+        f"{len(spec.elevations)}",
+        f"{around} × {high - low:.0f}° ({low:+.0f}…{high:+.0f}°)",
+    )
+
+
+def _position(center: Iterable[float]) -> str:
+    return ", ".join(f"{value:z.1f}" for value in center)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _plain(value: Any) -> Any:
+    """Settings as JSON has them: lists for tuples and arrays, Python's own numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

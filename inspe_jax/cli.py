@@ -31,7 +31,7 @@ out = Console()
 err = Console(stderr=True, highlight=False)
 
 DEFAULT_SCENE = "four_way"
-DEFAULT_LAYOUT = "Cam-d1/L-d1"
+DEFAULT_LAYOUT = "Cam-d1"
 
 SceneArgument = Annotated[
     str, typer.Argument(metavar="[SCENE]", help="A built-in intersection or a saved .npz scene.")
@@ -164,6 +164,7 @@ def scene(
         with _progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
     out.print(scene_table(built))
+    _warn_of_full_roads(built)
     if save:
         save_scene(built, save)
         out.print(f"saved {save}", highlight=False)
@@ -230,7 +231,7 @@ def score(
 
     Examples:
 
-    - `inspe score`  (the built-in four-way with cameras and LiDARs at its corners)
+    - `inspe score`  (the built-in four-way with cameras at its corners)
     - `inspe score roundabout Cam-c/L-c --plot roundabout.png`
     - `inspe score j189.npz layout.yaml --json -`
     """
@@ -269,6 +270,19 @@ def devices() -> None:
     from inspe_jax.sensing.devices import devices as catalogue
 
     out.print(devices_table(catalogue()))
+
+
+def _warn_of_full_roads(built: "Scene") -> None:
+    """Say so where the roads could not hold the traffic that was asked for."""
+    from inspe_jax.scene.traffic import DENSITIES
+
+    density = dict(built.settings).get("density", "0")
+    asked, held = DENSITIES.get(density) or int(density), built.traffic.mean_count
+    if held < 0.9 * asked:
+        err.print(
+            f"[yellow]Note:[/] the roads hold {held:.0f} objects on average, not the {asked} asked "
+            "for; a larger radius holds more",
+        )
 
 
 def _list_places(source: str) -> None:

@@ -22,7 +22,7 @@ def coverage(covered: Float[Array, "... V"], weight: Float[Array, " V"]) -> Floa
 
     ``covered`` is f fused over the sensors, ``weight`` the voxel's region weight.
     """
-    return dot(covered, weight) / dot(jnp.ones_like(weight), weight)
+    return dot(covered, weight) / dot(jnp.ones_like(covered), weight)
 
 
 def occlusion_terms(
@@ -83,7 +83,7 @@ def information_gain(
     IG would fall as sensors see more: :func:`information_gain_literal`.
     """
     h = entropy(occupancy)
-    return 1.0 - dot(1.0 - resolved, h) / dot(jnp.ones_like(h), h)
+    return 1.0 - dot(1.0 - resolved, h) / dot(jnp.ones_like(resolved), h)
 
 
 def information_gain_literal(
@@ -91,7 +91,7 @@ def information_gain_literal(
 ) -> Float[Array, "..."]:
     """IG to the letter of the paper: 1 − Σ_visible H_i / Σ H_i; for comparison only."""
     h = entropy(occupancy)
-    return 1.0 - dot(resolved, h) / dot(jnp.ones_like(h), h)
+    return 1.0 - dot(resolved, h) / dot(jnp.ones_like(resolved), h)
 
 
 def surrogate(

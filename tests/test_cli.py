@@ -28,7 +28,9 @@ def files(tmp_path_factory):
     (folder / "layout.yaml").write_text(LAYOUT)
     (folder / "none.yaml").write_text("")
     (folder / "nan.yaml").write_text(LAYOUT.replace("height: 6.0", "height: .nan"))
-    (folder / "buried.yaml").write_text(LAYOUT.replace("height: 6.0", "height: -1.0"))
+    (folder / "buried.yaml").write_text(
+        LAYOUT.replace("base: [8.0, 8.0]", "base: [8.0, 8.0, -7.0]")
+    )
     (folder / "device.yaml").write_text(LAYOUT.replace("paper-lidar-32", "paper-lidar-23"))
     (folder / "key.yaml").write_text(LAYOUT.replace("yaw_deg: -135", "yaw: -135"))
     (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
@@ -133,7 +135,9 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "message"), BAD, ids=lambda v: " ".join(map(str, v)))
+@pytest.mark.parametrize(
+    ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
+)
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
     before = sorted(files.iterdir())
     status, _, error = inspe(*arguments)

@@ -60,9 +60,8 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
         drops = [f"{getattr(part, name):+.4f}" for name in METRICS]
         each.add_row(str(k + 1), Text(part.sensor), Text(unit), Text(device), *drops)
 
-    beside = Columns(
-        [total, regions, levels], padding=(0, 4)
-    )  # as many as the terminal has room for
+    # Side by side as far as the terminal has room.
+    beside = Columns([total, regions, levels], padding=(0, 4))
     return Group(beside, "", each)
 
 

@@ -172,12 +172,8 @@ def ramp(
         ):
             routes.append(Route(_flat(_resample(np.array(line))), lane_width, "vehicle", through))
     outer = np.array([[ROUTE_LENGTH, -kerb + lane_width / 2]])
-    joined = _bezier(
-        lead[-1],
-        lead[-1] + [12, 0],
-        outer[0] - [ROUTE_LENGTH - 58, 0],
-        outer[0] - [ROUTE_LENGTH - 70, 0],
-    )
+    aim, meet = outer[0] - [ROUTE_LENGTH - 58, 0], outer[0] - [ROUTE_LENGTH - 70, 0]
+    joined = _bezier(lead[-1], lead[-1] + [12, 0], aim, meet)
     path = _resample(np.concatenate([lead[:-1], joined, outer]))
     path = path[np.hypot(*path.T) <= ROUTE_LENGTH]
     routes.append(Route(_flat(path), lane_width, "vehicle", (2, 0)))

@@ -102,33 +102,38 @@ class Layout:
 
 
 def make_layout(
-    sensors: list[Sensor], units: list[Unit], poses: Float[np.ndarray, "S 6"], name: str = "layout"
+    sensors: list[Sensor],
+    units: list[Unit],
+    poses: Float[np.ndarray, "S 6"],
+    name: str = "layout",
+    where: str | None = None,
 ) -> Layout:
-    """A checked layout; see :class:`Layout`.
+    """A checked layout; see :class:`Layout`. Messages name ``where``, or the layout.
 
     Raises InspeError where it is empty, a pose is not finite, or two sensors of
     one unit are more than 2 m apart in plan or 4 m in height.
     """
+    where = where or name
     if not sensors:
-        raise InspeError(f"{name}: the layout is empty: it needs at least one sensor")
+        raise InspeError(f"{where}: the layout is empty: it needs at least one sensor")
     poses = np.asarray(poses, float)
     if not np.isfinite(poses).all():
         bad = sensors[int(np.argwhere(~np.isfinite(poses))[0, 0])].name
-        raise InspeError(f"{name}: sensor '{bad}': its pose has a value that is not finite")
+        raise InspeError(f"{where}: sensor '{bad}': its pose has a value that is not finite")
     for u, unit in enumerate(units):
         members = [s for s, sensor in enumerate(sensors) if sensor.unit == u]
         for i, a in enumerate(members):
             for b in members[i + 1 :]:
-                _check_pair(name, unit, sensors[a], sensors[b], poses[b] - poses[a])
+                _check_pair(where, unit, sensors[a], sensors[b], poses[b] - poses[a])
     return Layout(poses, tuple(sensors), tuple(units), name)
 
 
-def _check_pair(name: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray) -> None:
+def _check_pair(where: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray) -> None:
     plan, height = float(np.hypot(apart[0], apart[1])), float(abs(apart[2]))
     for distance, limit, how in ((plan, UNIT_PLAN, "in plan"), (height, UNIT_HEIGHT, "in height")):
         if distance > limit + 1e-6:
             raise InspeError(
-                f"{name}: unit '{unit.name}': sensors '{a.name}' and '{b.name}' are "
+                f"{where}: unit '{unit.name}': sensors '{a.name}' and '{b.name}' are "
                 f"{distance:.2f} m apart {how}; at most {limit:g} m"
             )
 
@@ -188,7 +193,7 @@ def load_layout(path: str | os.PathLike[str]) -> Layout:
             sensors.append(Sensor(item.name or f"{units[u].name} {k + 1}", spec, u))
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
             poses.append([x + item.offset[0], y + item.offset[1], z + item.height, *angles])
-    return make_layout(sensors, units, np.array(poses), entry.name or path.stem)
+    return make_layout(sensors, units, np.array(poses), entry.name or path.stem, str(path))
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:

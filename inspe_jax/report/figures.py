@@ -1,0 +1,449 @@
+"""Plan views of a scene and of a scored layout, at 180 mm width, and how they are saved.
+
+Everything is laid out in inches by hand, so that nothing moves with the content: the map on the
+left, a panel of keys on its right, a heading above and notes below. Colours are of Okabe and
+Ito's palette and of cividis, which readers with any colour vision can tell apart.
+"""
+
+import os
+import textwrap
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from matplotlib import patheffects, style
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, PathPatch
+from matplotlib.path import Path as Outline
+from shapely.geometry.base import BaseGeometry
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Scores
+from inspe_jax.files import whole_file
+from inspe_jax.scene.regions import PRECEDENCE, Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic import CLASSES
+from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec, Spec
+
+FORMATS: dict[str, dict[str, None]] = {
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+"""Suffixes that :func:`save_figure` knows, each with what would make two files differ: the date."""
+
+REGION_COLORS: dict[Region, str] = dict(
+    zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)
+)
+"""Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue."""
+
+CLASS_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#000000")
+"""Blue, vermilion, reddish purple and black, in the order of the road-user classes."""
+
+SENSOR_COLORS: dict[str, str] = {"camera": "#c04a00", "lidar": "#8a2f74"}
+"""Vermilion and reddish purple, dark enough to carry white figures."""
+
+_LINE: dict[str, Any] = dict(ec="#707070", lw=0.3)
+_OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
+_HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
+_POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
+_LANE: dict[str, Any] = dict(color="#303030", lw=0.4)
+_WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
+_CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
+_USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
+_KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
+_MARKERS = {"camera": "o", "lidar": "s"}
+_STYLE: dict[str, Any] = {
+    "font.size": 7.0, "legend.fontsize": 7.0, "axes.labelsize": 7.0, "axes.linewidth": 0.5,
+    "xtick.labelsize": 6.5, "xtick.major.width": 0.5, "xtick.major.size": 2.5,
+    "ytick.labelsize": 6.5, "ytick.major.width": 0.5, "ytick.major.size": 2.5,
+    "hatch.linewidth": 0.4, "pdf.fonttype": 42, "svg.hashsalt": "inspe_jax",
+}  # fmt: skip
+_WIDTH, _MAP, _LEFT, _PANEL, _ASIDE = 180 / 25.4, 4.75, 0.52, 5.40, 1.65  # [inch]
+_HEAD, _FOOT, _NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
+_ROW = 9.5  # height of a row of the panel [pt]
+_BADGE = 8.5  # diameter of a sensor's number on the map [pt]
+_HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
+
+
+def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
+    """Plan view of a scene: its regions, lanes, mounts, and the road users of one frame.
+
+    World metres, north up. Raises InspeError where there is no such ``frame``.
+    """
+    place, grid = scene.intersection, scene.voxels
+    notes = [f"• {note}" for note in (f"source: {place.source}", *place.notes)]
+    facts = (
+        f"radius {grid.radius:g} m, voxel {grid.size:g} m: {len(grid.columns):,} columns × "
+        f"{grid.level_count} levels = {grid.count:,} voxels\n"
+        f"{len(place.arms)} arms, {len(place.poles)} poles; {_users(scene, frame)}"
+    )
+    with _house_style():
+        fig, ax, panel = _sheet(scene.name, facts, notes, 0.0)
+        _frame_map(ax, scene, grid.radius)
+        _draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
+        ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
+        _draw_routes(ax, scene)
+        _draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
+        near = place.poles[_away(scene, place.poles) <= grid.radius]
+        ax.plot(*near.T[:2], **_POLE, zorder=6)
+        panel.legend(handles=_scene_keys(scene), loc="upper left", **_KEYS)
+    return fig
+
+
+def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -> Figure:
+    """Plan view of a scored layout: what each column's chance of being seen is, and by whom.
+
+    The raster is ``scores.seen_share``, the share of frames and levels in which a
+    column is seen. Cameras show their horizontal field of view to their depth,
+    LiDARs their reach. Raises InspeError where there is no such ``frame`` or the
+    scores are not of this scene.
+    """
+    raster, extent = seen_raster(scene.voxels, scores.seen_share)
+    poses = np.asarray(layout.poses, float)
+    facts = (
+        f"coverage C {scores.coverage:.3f},  occlusion O {scores.occlusion:.3f},  "
+        f"information gain IG {scores.information_gain:.3f},  "
+        f"surrogate $P_{{sm}}$ {scores.surrogate:.3f}\n"
+        f"radius {scene.voxels.radius:g} m, voxel {scene.voxels.size:g} m; {_users(scene, frame)}"
+    )
+    keys = _plan_keys(scene, layout)
+    rows = 7 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
+    with _house_style():
+        title = f"{layout.name} at {scene.name}"
+        fig, ax, panel = _sheet(title, facts, [], rows * _ROW / 72, math=True)
+        _frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
+        image = ax.imshow(
+            raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
+            interpolation="nearest", zorder=0.5,
+        )  # fmt: skip
+        _draw_regions(ax, scene, lambda _: _OUTLINE)
+        _draw_users(ax, scene, frame, [_USER] * len(CLASSES))
+        for sensor, pose in zip(layout.sensors, poses, strict=True):
+            outline = view_outline(sensor.spec, pose)
+            ax.plot(*outline.T, **_wedge_look(sensor.spec), zorder=5)
+        _draw_badges(ax, layout, poses)
+        _color_bar(fig, panel, image)
+        _list_sensors(panel, layout, poses)
+        panel.legend(handles=keys, loc="lower left", **_KEYS)
+    return fig
+
+
+def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as ``.png``, ``.svg`` or ``.pdf``; whole or not at all, the same each time.
+
+    Raises InspeError for any other suffix or where the folder is missing.
+    """
+    suffix = Path(path).suffix
+    if suffix.lower() not in FORMATS:
+        given = f"suffix '{suffix}'" if suffix else "no suffix"
+        raise InspeError(f"{path}: {given}: a figure is saved as {', '.join(FORMATS)}")
+    with _house_style(), whole_file(path) as f:
+        fig.savefig(f, format=suffix.lower()[1:], dpi=300, metadata=FORMATS[suffix.lower()])
+
+
+def seen_raster(
+    voxels: VoxelGrid, share: Float[np.ndarray, " L"]
+) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
+    """A value per column as an image, NaN where there is none, and its (x0, x1, y0, y1) [m].
+
+    Row i runs northward and column j eastward from the south-west corner, so the
+    pixel is the column's true square. Raises InspeError where L differs.
+    """
+    share = np.asarray(share, float)
+    if share.shape != (len(voxels.columns),):
+        raise InspeError(
+            f"scores of another scene: seen_share has shape {share.shape}, expected "
+            f"({len(voxels.columns)},), one value a column"
+        )
+    half = int(np.ceil(voxels.radius / voxels.size))
+    index = np.round((voxels.columns - voxels.center[:2]) / voxels.size - 0.5).astype(int) + half
+    raster = np.full((2 * half, 2 * half), np.nan)
+    raster[index[:, 1], index[:, 0]] = share
+    (x, y), reach = voxels.center[:2].tolist(), half * voxels.size
+    return raster, (x - reach, x + reach, y - reach, y + reach)
+
+
+def view_outline(spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "N 2"]:
+    """Closed outline [m] of what a sensor looks at in plan, its pitch left aside.
+
+    A camera's horizontal field of view to its depth, a LiDAR's azimuths to its
+    reach: a sector about yaw that begins and ends at the sensor, or a circle
+    where the LiDAR looks all round.
+    """
+    if isinstance(spec, CameraSpec):
+        right = np.arctan2(spec.principal[0] - spec.width, spec.focal)
+        left, whole = np.arctan2(spec.principal[0], spec.focal), False
+    else:
+        right, left, whole = -spec.azimuth_fov / 2, spec.azimuth_fov / 2, spec.grid.wraps
+    count = max(2, int(np.ceil((left - right) / np.radians(2)))) + 1
+    angle = pose[5] + np.linspace(right, left, count)
+    arc = pose[:2] + spec.grid.reach * np.column_stack([np.cos(angle), np.sin(angle)])
+    return arc if whole else np.vstack([pose[:2], arc, pose[:2]])
+
+
+def spread_badges(
+    anchors: Float[np.ndarray, "S 2"], toward: Float[np.ndarray, "S 2"], gap: float
+) -> Float[np.ndarray, "S 2"]:
+    """Places for labels, each ``gap`` from its anchor in its wished direction where it can be.
+
+    No two labels come nearer than ``gap`` to each other, nor one nearer than
+    0.75·``gap`` to an anchor. ``toward`` holds unit vectors; the rest is in metres.
+    """
+    turn = np.arange(len(anchors)) * 2.4  # the golden angle: coincident wishes part for good
+    place = anchors + gap * toward + 1e-3 * gap * np.column_stack([np.cos(turn), np.sin(turn)])
+    for _ in range(1000):
+        push, count = np.zeros_like(place), np.zeros(len(place))
+        for others, least, share in ((place, gap, 0.5), (anchors, 0.75 * gap, 1.0)):
+            away = place[:, None] - others  # (S, S, 2)
+            distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-9 * gap)
+            if others is place:
+                np.fill_diagonal(distance, np.inf)
+            lack = np.maximum(least - distance, 0.0)
+            push += share * (away * (lack / distance)[..., None]).sum(1)
+            count += (lack > 0).sum(1)
+        if not count.any():
+            break
+        # The mean of the pushes: their sum would throw out a label in the midst of a crowd.
+        place = place + 1.02 * push / np.maximum(count, 1)[:, None]
+    return place
+
+
+def _house_style() -> Any:
+    """Matplotlib's own defaults and ours, whatever the reader's settings are."""
+    return style.context(["default", _STYLE])
+
+
+def _sheet(
+    title: str, facts: str, notes: Sequence[str], panel_height: float, math: bool = False
+) -> tuple[Figure, Axes, Axes]:
+    """An empty sheet: figure, map and panel; as high as the notes and the panel need."""
+    lines = [line for note in notes for line in textwrap.wrap(note, 126, subsequent_indent="  ")]
+    below = _FOOT + (len(lines) * _NOTE_LINE + 0.12 if lines else 0.0)
+    body = max(_MAP, panel_height)
+    height = _HEAD + body + below
+    fig = Figure(figsize=(_WIDTH, height), facecolor="white")
+    left, bottom = _LEFT / _WIDTH, (height - _HEAD - _MAP) / height
+    ax = fig.add_axes((left, bottom, _MAP / _WIDTH, _MAP / height))
+    panel = fig.add_axes((_PANEL / _WIDTH, below / height, _ASIDE / _WIDTH, body / height))
+    panel.set(xlim=(0, _ASIDE * 72), ylim=(-body * 72, 0))  # in points
+    panel.axis("off")
+    heading: dict[str, Any] = dict(size=10, weight="bold", va="top", parse_math=False)
+    fig.text(left, 1 - 0.10 / height, _fit(title, 68), **heading)
+    fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=math, linespacing=1.35)
+    fig.text(
+        left, (below - _FOOT) / height, "\n".join(lines),
+        size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
+    )  # fmt: skip
+    return fig, ax, panel
+
+
+def _frame_map(ax: Axes, scene: Scene, reach: float) -> None:
+    """Limits in world metres, the circle of the region of interest, scale bar, north arrow."""
+    x, y = scene.voxels.center[:2].tolist()
+    limit = 1.06 * reach
+    ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
+    ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
+    ax.add_patch(Circle((x, y), scene.voxels.radius, fill=False, **_CIRCLE, zorder=5))
+    bar = max((m for m in (1, 2, 5, 10, 20, 50, 100) if m <= 0.4 * limit), default=1)
+    at: dict[str, Any] = dict(transform=ax.transAxes, zorder=9, path_effects=_HALO)
+    start, end = 0.98 - bar / (2 * limit), 0.98
+    ax.plot([start, end], [0.02, 0.02], "k-", lw=2.2, solid_capstyle="butt", **at)
+    ax.text((start + end) / 2, 0.03, f"{bar} m", ha="center", va="bottom", **at)
+    ax.plot([0.965, 0.965], [0.90, 0.965], "k-", lw=1.0, **at)
+    ax.plot(0.965, 0.965, "k^", ms=4, **at)
+    ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)
+
+
+def _scene_keys(scene: Scene) -> list[Any]:
+    """Keys of a scene view, for those things only that are there."""
+    place = scene.intersection
+    here, users = set(scene.voxels.region.tolist()), {route.user for route in place.routes}
+    kinds = set(scene.traffic.kind[scene.traffic.valid].tolist())
+    classes = zip(CLASSES, CLASS_COLORS, strict=True)
+    offered: list[tuple[bool, Any]] = [
+        *((r in here, Patch(**_LINE, fc=c, label=r.key)) for r, c in REGION_COLORS.items()),
+        (not place.mounting.is_empty, Patch(**{**_HATCH, "fc": "white"}, label="mounting area")),
+        (len(place.poles) > 0, Line2D([], [], **_POLE, label="standing pole")),
+        ("vehicle" in users, Line2D([], [], **_LANE, marker=">", ms=2.5, label="lane")),
+        ("pedestrian" in users, Line2D([], [], **_WALK, label="walking route")),
+        *(
+            (k in kinds, Patch(fc=c, ec="black", lw=0.3, label=name))
+            for k, (name, c) in enumerate(classes)
+        ),
+        (True, Line2D([], [], **_CIRCLE, label="region of interest")),
+    ]
+    return [key for there, key in offered if there]
+
+
+def _plan_keys(scene: Scene, layout: Layout) -> list[Any]:
+    """Keys of a plan view; they say how far each kind of sensor looks, also beyond the map."""
+    keys: list[Any] = []
+    for kind, name in (("camera", "camera, view to {} m"), ("lidar", "LiDAR, reach {} m")):
+        specs = [sensor.spec for sensor in layout.sensors if sensor.spec.kind == kind]
+        if specs:
+            far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
+            keys.append(Line2D([], [], **_wedge_look(specs[0], halo=False), label=name.format(far)))
+    if scene.traffic.valid.any():
+        keys.append(Patch(**_USER, label="road user"))
+    keys.append(Patch(fc="#d9c76b", ec=_OUTLINE["ec"], lw=0.8, label="region outlined"))
+    return [*keys, Line2D([], [], **_CIRCLE, label="region of interest")]
+
+
+def _users(scene: Scene, frame: int) -> str:
+    """How many road users a frame has, in words. Raises InspeError where there is no such frame."""
+    traffic = scene.traffic
+    if not 0 <= frame < traffic.frame_count:
+        last = traffic.frame_count - 1
+        raise InspeError(f"frame {frame} is out of range: {scene.name} has frames 0 to {last}")
+    count, mean = int(traffic.valid[frame].sum()), traffic.mean_count
+    return f"frame {frame} of {traffic.frame_count}: {count} road users (mean {mean:.1f})"
+
+
+def _away(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """Plan distance of points (N, 2+) from the centre [m]."""
+    return np.hypot(*(points[:, :2] - scene.voxels.center[:2]).T)
+
+
+def _disc(scene: Scene) -> BaseGeometry:
+    """The region of interest in plan."""
+    return shapely.Point(scene.voxels.center[:2]).buffer(scene.voxels.radius, quad_segs=64)
+
+
+def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
+    """The polygons of a shape, holes and all; points and lines left by a clip are dropped."""
+    rings = [
+        Outline(ring.coords, closed=True)
+        for part in shapely.get_parts(shape)
+        if part.geom_type == "Polygon"
+        for polygon in [shapely.geometry.polygon.orient(part)]
+        for ring in (polygon.exterior, *polygon.interiors)
+    ]
+    empty = Outline(np.zeros((0, 2)))
+    return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
+
+
+def _draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]]) -> None:
+    """Regions within the circle, the one that names the column on top."""
+    disc = _disc(scene)
+    for region in reversed(PRECEDENCE):
+        shape = scene.intersection.regions.get(region)
+        if shape is not None:
+            ax.add_patch(_patch(shape.intersection(disc), **look(region), zorder=1))
+
+
+def _draw_routes(ax: Axes, scene: Scene) -> None:
+    """Centre lines of lanes with arrow heads, and walking routes, within the circle."""
+    radius = scene.voxels.radius
+    inside = Circle(tuple(scene.voxels.center[:2]), radius, transform=ax.transData)
+    for user, look in (("vehicle", _LANE), ("pedestrian", _WALK)):
+        lines = [r.waypoints[:, :2] for r in scene.intersection.routes if r.user == user]
+        drawn = LineCollection(lines, **look, zorder=3)
+        ax.add_collection(drawn, autolim=False)
+        drawn.set_clip_path(inside)
+    shape = radius * np.array([[0.012, 0.0], [-0.012, 0.008], [-0.012, -0.008]])
+    heads = [at + shape @ np.array([d, [-d[1], d[0]]]) for at, d in _arrow_heads(scene)]
+    ax.add_collection(PolyCollection(heads, fc="#303030", ec="none", zorder=3), autolim=False)
+
+
+def _arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where lanes carry an arrow head (x, y) [m], and its direction.
+
+    Routes share lanes: one head serves those that run on one line.
+    """
+    radius, heads = scene.voxels.radius, list[tuple[np.ndarray, np.ndarray]]()
+    for route in scene.intersection.routes:
+        if route.user != "vehicle":
+            continue
+        steps = np.diff(route.waypoints[:, :2], axis=0)
+        for s in np.arange(radius / 8, route.length, radius / 4):
+            k = int(np.searchsorted(route.arc, s)) - 1
+            at, ahead = route.waypoints[k, :2], steps[k] / np.hypot(*steps[k])
+            apart = (at - np.array([head for head, _ in heads]).reshape(-1, 2)) / radius  # (H, 2)
+            along, aside = np.abs(apart @ ahead), np.abs(apart @ [-ahead[1], ahead[0]])
+            crowded = (along < 0.12) & (aside < 0.02) | (np.hypot(along, aside) < 0.035)
+            if not crowded.any() and _away(scene, at[None])[0] < 0.97 * radius:
+                heads.append((at, ahead))
+    return heads
+
+
+def _draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]]) -> None:
+    """One frame's road users as oriented rectangles, a look for each class."""
+    traffic = scene.traffic
+    for kind, look in enumerate(looks):
+        who = traffic.valid[frame] & (traffic.kind[frame] == kind)
+        yaw, half = traffic.yaw[frame, who], traffic.size[frame, who, None, :2] / 2
+        x, y = np.moveaxis(half * [[1, 1], [-1, 1], [-1, -1], [1, -1]], -1, 0)  # (B, 4) each
+        cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+        corners = np.stack([x * cos - y * sin, x * sin + y * cos], -1)  # (B, 4, 2)
+        boxes = traffic.center[frame, who, None, :2] + corners
+        ax.add_collection(PolyCollection(list(boxes), **look, zorder=4), autolim=False)
+
+
+def _wedge_look(spec: Spec, halo: bool = True) -> dict[str, Any]:
+    line = "-" if isinstance(spec, CameraSpec) else (0, (4, 2))
+    look: dict[str, Any] = dict(color=SENSOR_COLORS[spec.kind], lw=0.8, ls=line)
+    return dict(look, path_effects=_HALO) if halo else look
+
+
+def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -> None:
+    look: dict[str, Any] = dict(mfc=SENSOR_COLORS[kind], mec="white", mew=0.5)
+    ax.plot(*at, _MARKERS[kind], ms=_BADGE if kind == "camera" else _BADGE - 1, zorder=7, **look)
+    ax.annotate(
+        str(number), tuple(at), size=5.5, weight="bold", color="white", ha="center",
+        va="center_baseline", zorder=8,
+    )  # fmt: skip
+
+
+def _draw_badges(ax: Axes, layout: Layout, poses: np.ndarray) -> None:
+    """A dot where each sensor is, and its number joined to it: a camera's behind it."""
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
+    out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
+    behind = -np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
+    camera = np.array([[sensor.spec.kind == "camera"] for sensor in layout.sensors])
+    gap = (_BADGE + 1.5) * (right - left) / (_MAP * 72)
+    places = spread_badges(poses[:, :2], np.where(camera, behind, out), gap)
+    for k, (sensor, foot, place) in enumerate(zip(layout.sensors, poses, places, strict=True)):
+        kind, color = sensor.spec.kind, SENSOR_COLORS[sensor.spec.kind]
+        ax.plot([foot[0], place[0]], [foot[1], place[1]], color=color, lw=0.7, zorder=6)
+        ax.plot(*foot[:2], _MARKERS[kind], ms=3.5, mfc=color, mec="white", mew=0.4, zorder=6)
+        _badge(ax, place, k + 1, kind)
+
+
+def _color_bar(fig: Figure, panel: Axes, image: Any) -> None:
+    depth = -panel.get_ylim()[0]
+    axes = panel.inset_axes((0.02, 1 - 30 / depth, 0.94, 7 / depth))
+    bar = fig.colorbar(image, cax=axes, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
+    bar.ax.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
+    what = "share of frames and levels\nin which a column is seen"
+    panel.text(panel.get_xlim()[1] / 2, -1, what, ha="center", va="top", linespacing=1.2)
+
+
+def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray) -> None:
+    """Every unit by name and under it its sensors: number, device, height above the base."""
+    look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
+    y = -5.5 * _ROW
+    panel.text(0, y, "device, height above the ground", **look, color="#404040")
+    for u, unit in enumerate(layout.units):
+        members = [k for k, sensor in enumerate(layout.sensors) if sensor.unit == u]
+        if members:
+            y -= _ROW
+            panel.text(0, y, _fit(unit.name, 28), **look, weight="bold")
+        for k in members:
+            y -= _ROW
+            spec, height = layout.sensors[k].spec, poses[k, 2] - unit.base[2]
+            _badge(panel, (6, y), k + 1, spec.kind)
+            panel.text(13, y, f"{_fit(spec.name, 22)}, {height:.1f} m", **look)
+
+
+def _fit(name: str, length: int) -> str:
+    return name if len(name) <= length else name[: length - 1] + "…"

@@ -1,0 +1,430 @@
+"""What a figure shows, read back from the figure: places, angles, colours, and room for text."""
+
+import ast
+import math
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from matplotlib import colormaps, rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.text import Text
+from worlds import CAMERA, LIDAR, place_sensors, random_layout, with_boxes, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Contribution, Scores
+from inspe_jax.report import figures
+from inspe_jax.report.figures import (
+    CLASS_COLORS,
+    REGION_COLORS,
+    plan_view,
+    save_figure,
+    scene_view,
+    seen_raster,
+    spread_badges,
+    view_outline,
+)
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.scene.traffic import no_traffic
+from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+
+SECTOR = LidarSpec("sector", (-0.1, 0.0), 80, math.radians(80), 20.0)
+
+
+def scores_of(scene, layout, share=None):
+    """Scores as they might be; only seen_share and the four numbers are drawn."""
+    share = np.linspace(0, 1, len(scene.voxels.columns)) if share is None else share
+    parts = tuple(Contribution(s.name, 0.01, 0.02, 0.03, 0.019) for s in layout.sensors)
+    return Scores(0.812, 0.703, 0.651, 0.7253, 0.2, {"driveway": 0.8}, (0.8,), parts, share, {})
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=12, voxel=1.0, frames=2, count=6, center=(12.3, -7.7, 1.0))
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """One camera and one LiDAR at one place, away from the centre."""
+    return place_sensors((CAMERA, [20, 0, 6, 0, -0.3, 2.0]), (LIDAR, [20, 0, 5, 0, 0, 0.0]))
+
+
+def pixels(fig):
+    canvas = FigureCanvasAgg(fig)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3] / 255
+
+
+def color_at(fig, xy):
+    """The colour (3,) that is painted at a place of the map."""
+    image = pixels(fig)
+    column, row = fig.axes[0].transData.transform(xy)
+    return image[len(image) - 1 - int(row), int(column)]
+
+
+def drawn_boxes(fig):
+    """(corners (N, 4, 2), face colours) of the road users, told by their four corners."""
+    found = []
+    for collection in fig.axes[0].collections:
+        if isinstance(collection, PolyCollection):
+            for path in collection.get_paths():
+                if len(path.vertices) == 5:  # closed
+                    found.append((path.vertices[:4], tuple(collection.get_facecolor()[0][:3])))
+    return found
+
+
+# ── The heat map ────────────────────────────────────────────────────────────
+
+
+def test_the_raster_puts_each_column_on_its_square(scene):
+    share = np.random.default_rng(0).uniform(size=len(scene.voxels.columns))
+    raster, (x0, x1, y0, y1) = seen_raster(scene.voxels, share)
+    assert (x0, x1, y0, y1) == pytest.approx((0.3, 24.3, -19.7, 4.3))
+    assert np.isfinite(raster).sum() == len(share)
+    for (x, y), value in zip(scene.voxels.columns, share, strict=True):
+        i = (y - y0) / (y1 - y0) * len(raster)
+        j = (x - x0) / (x1 - x0) * len(raster)
+        assert (i % 1, j % 1) == pytest.approx((0.5, 0.5))
+        assert raster[int(i), int(j)] == value
+
+
+def test_one_seen_column_is_painted_where_it_is(scene, pair):
+    empty = replace(scene, traffic=no_traffic())
+    columns = scene.voxels.columns
+    one = int(np.argmin(np.hypot(*(columns - [14.8, -13.2]).T)))  # south-east of the centre
+    share = np.zeros(len(columns))
+    share[one] = 1.0
+    layout = place_sensors((replace_depth(CAMERA, 1.0), [10.0, -2.0, 6, 0, -0.3, 2.0]))
+    fig = plan_view(empty, layout, scores_of(scene, layout, share))
+    colors = colormaps["cividis"]
+    assert color_at(fig, columns[one]) == pytest.approx(colors(1.0)[:3], abs=0.01)
+    for beside in ([1, 0], [-1, 0], [0, 1], [0, -1]):
+        assert color_at(fig, columns[one] + beside) == pytest.approx(colors(0.0)[:3], abs=0.01)
+
+
+def replace_depth(spec, depth):
+    return replace(spec, depth=depth)
+
+
+def test_scores_of_another_scene_are_refused(scene, pair):
+    bad = scores_of(scene, pair, np.zeros(7))
+    with pytest.raises(InspeError, match=r"another scene: seen_share has shape \(7,\), expected"):
+        plan_view(scene, pair, bad)
+
+
+# ── What sensors look at ────────────────────────────────────────────────────
+
+
+def bearings(outline, pose):
+    """Angles of an outline about yaw, and distances, of the points away from the sensor."""
+    way = outline - pose[:2]
+    far = np.hypot(*way.T)
+    way = way[far > 1e-9]
+    angle = np.arctan2(way[:, 1], way[:, 0]) - pose[5]
+    return (angle + np.pi) % (2 * np.pi) - np.pi, np.hypot(*way.T)
+
+
+def test_a_camera_looks_50_degrees_to_either_side_as_deep_as_it_sees():
+    pose = np.array([3.0, -4.0, 6.0, 0.0, -0.4, 2.5])
+    outline = view_outline(CAMERA, pose)
+    angle, far = bearings(outline, pose)
+    assert far == pytest.approx(30.0)
+    assert np.degrees([angle.min(), angle.max()]) == pytest.approx([-50, 50])
+    np.testing.assert_array_equal(outline[[0, -1]], [pose[:2]] * 2)
+    # Area of the sector, a little less for the chords.
+    sector = math.radians(100) / 2 * 30**2
+    assert 0.999 * sector < shapely.Polygon(outline).area < sector
+
+
+@pytest.mark.parametrize("principal", [(400.0, 300.0), (100.0, 300.0), (800.0, 300.0)])
+def test_a_cameras_outline_holds_its_rays_and_no_more(principal):
+    """The rays are another reading of the same camera: half an enlarged pixel inside the edge."""
+    spec = CameraSpec("off-axis", 800, 600, 336.0, principal, 0.1, 30.0)
+    layout = place_sensors((spec, [0, 0, 6, 0, 0, 1.0]))
+    _, rays, _ = layout.rays(0)
+    level = np.arctan2(rays[:, 1], rays[:, 0]) - 1.0
+    angle, _ = bearings(
+        view_outline(spec, np.asarray(layout.poses)[0]), np.array([0, 0, 0, 0, 0, 1.0])
+    )
+    pixel = 10 / 336.0
+    assert 0 < level.min() - angle.min() < pixel / 2 + 1e-9
+    assert 0 < angle.max() - level.max() < pixel / 2 + 1e-9
+
+
+def test_a_lidar_looks_all_round_or_in_a_sector():
+    pose = np.array([1.0, 2.0, 5.0, 0.0, 0.0, -2.0])
+    circle = view_outline(LIDAR, pose)
+    assert np.hypot(*(circle - pose[:2]).T) == pytest.approx(50.0)
+    assert circle[0] == pytest.approx(circle[-1])
+    assert shapely.Polygon(circle).area == pytest.approx(np.pi * 50**2, rel=1e-3)
+    angle, far = bearings(view_outline(SECTOR, pose), pose)
+    assert far == pytest.approx(20.0)
+    assert np.degrees([angle.min(), angle.max()]) == pytest.approx([-40, 40])
+
+
+def test_outlines_are_drawn_as_computed(scene, pair):
+    fig = plan_view(scene, pair, scores_of(scene, pair))
+    lines = [line.get_xydata() for line in fig.axes[0].lines]
+    for sensor, pose in zip(pair.sensors, np.asarray(pair.poses), strict=True):
+        wanted = view_outline(sensor.spec, pose)
+        assert any(xy.shape == wanted.shape and np.allclose(xy, wanted) for xy in lines)
+
+
+def test_numbers_keep_apart_however_crowded_the_sensors_are():
+    rng = np.random.default_rng(1)
+    for case in range(30):
+        count = rng.integers(2, 20)
+        spots = rng.uniform(-10, 10, (rng.integers(1, 5), 2))
+        anchors = spots[rng.integers(0, len(spots), count)]
+        turn = rng.uniform(-np.pi, np.pi, count) * (case % 2)  # half the cases all wish the same
+        wish = np.column_stack([np.cos(turn), np.sin(turn)])
+        place = spread_badges(anchors, wish, 3.0)
+        assert shapely.distance(*pairs(place)).min() > 2.99
+        cross = np.hypot(*(place[:, None] - anchors).reshape(-1, 2).T)
+        assert cross.min() > 0.749 * 3
+        assert np.hypot(*(place - anchors).T).max() < 4 * 3.0  # and near what they name
+
+
+def pairs(points):
+    first, second = zip(*combinations(shapely.points(points), 2), strict=True)
+    return np.array(first), np.array(second)
+
+
+def test_a_number_alone_stands_where_it_wishes():
+    place = spread_badges(np.array([[5.0, 6.0]]), np.array([[0.0, -1.0]]), 2.0)
+    assert place[0] == pytest.approx([5.0, 4.0], abs=0.01)
+
+
+def test_the_list_names_unit_device_and_height_above_its_base(scene):
+    units = [Unit("north pole", (0.0, 0.0, 101.0)), Unit("no sensors", (9.0, 0.0, 0.0))]
+    layout = make_layout([Sensor("a", CAMERA, 0)], units, np.array([[0, 0, 107.25, 0, 0, 0.0]]))
+    texts = [t.get_text() for t in plan_view(scene, layout, scores_of(scene, layout)).findobj(Text)]
+    assert "north pole" in texts
+    assert "test-camera, 6.2 m" in texts
+    assert "no sensors" not in texts
+
+
+# ── Road users and regions ──────────────────────────────────────────────────
+
+
+def test_a_road_user_is_its_oriented_rectangle(scene):
+    one = with_boxes(scene, (12.0, -6.0, math.radians(30), 4.0, 2.0, 1.5))
+    ((corners, color),) = drawn_boxes(scene_view(one))
+    cos, sin = math.sqrt(3) / 2, 0.5
+    front_left = (12.0 + 2 * cos - 1 * sin, -6.0 + 2 * sin + 1 * cos)
+    rear_right = (12.0 - 2 * cos + 1 * sin, -6.0 - 2 * sin - 1 * cos)
+    rectangle = shapely.Polygon(corners)
+    assert rectangle.area == pytest.approx(8.0)
+    for corner in (front_left, rear_right):
+        assert np.hypot(*(corners - corner).T).min() < 1e-9
+    assert color == to_rgb(CLASS_COLORS[0])
+
+
+def test_those_of_the_frame_are_drawn_in_the_colour_of_their_class(scene):
+    kind = np.arange(scene.traffic.kind.size).reshape(scene.traffic.kind.shape) % 4
+    mixed = replace(scene, traffic=replace(scene.traffic, kind=kind.astype(np.int8)))
+    for frame in range(2):
+        valid = scene.traffic.valid[frame]
+        wanted = sorted(to_rgb(CLASS_COLORS[k]) for k in kind[frame][valid])
+        found = drawn_boxes(scene_view(mixed, frame=frame))
+        assert sorted(color for _, color in found) == wanted
+        middles = np.array([corners.mean(0) for corners, _ in found])
+        for center in scene.traffic.center[frame, valid, :2]:
+            assert np.hypot(*(middles - center).T).min() < 1e-9
+
+
+@pytest.mark.parametrize("frame", [-1, 2])
+def test_a_frame_that_is_not_there_is_refused(scene, pair, frame):
+    for draw in (
+        lambda: scene_view(scene, frame=frame),
+        lambda: plan_view(scene, pair, scores_of(scene, pair), frame=frame),
+    ):
+        with pytest.raises(InspeError, match=f"frame {frame} is out of range: .* frames 0 to 1"):
+            draw()
+
+
+def test_regions_are_painted_by_precedence_within_the_circle_and_around_holes(scene):
+    middle = shapely.Point(12.3, -7.7)
+    ring = middle.buffer(30).difference(middle.buffer(4))
+    crosswalk = shapely.box(12.3 - 30, -7.7 + 6, 12.3 + 30, -7.7 + 8)
+    place = replace(
+        scene.intersection,
+        regions={Region.SIDEWALK: middle.buffer(30).difference(middle.buffer(9)),
+                 Region.DRIVEWAY: ring, Region.CROSSWALK: crosswalk},
+        mounting=shapely.MultiPolygon(),
+    )  # fmt: skip
+    fig = scene_view(replace(scene, intersection=place, traffic=no_traffic()))
+
+    def painted(x, y):
+        return pytest.approx(color_at(fig, (12.3 + x, -7.7 + y)), abs=0.01)
+
+    assert to_rgb("white") == painted(0, 0)  # the hole
+    assert to_rgb(REGION_COLORS[Region.DRIVEWAY]) == painted(0, -6)
+    assert to_rgb(REGION_COLORS[Region.DRIVEWAY]) == painted(-10, 0)  # over the sidewalk
+    assert to_rgb(REGION_COLORS[Region.CROSSWALK]) == painted(3, 7)
+    assert to_rgb("white") == painted(-12.3, 3)  # beyond the circle
+
+
+# ── The sheet ───────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def sheets():
+    """Both views of a full scene: 12 sensors that crowd, long names, notes and odd characters."""
+    full = build_scene(built_in("four_way"), radius=40, voxel=2.0, frames=2, density="low")
+    notes = ("a note with $odd$ _characters_ that runs on and on " * 5, "another note")
+    name = "a crossing of two $roads$ with a name that is far too long to fit into one line" * 2
+    full = replace(full, intersection=replace(full.intersection, notes=notes, name=name))
+    layout = random_layout(full, [CAMERA] * 8 + [LIDAR] * 4, seed=3)
+    units = [replace(u, name=f"{u.name} with a $name$ longer than the panel") for u in layout.units]
+    poses = np.array(layout.poses)
+    poses[:6, :2] = poses[0, :2]
+    layout = replace(layout, units=tuple(units), poses=poses)
+    return [scene_view(full), plan_view(full, layout, scores_of(full, layout))]
+
+
+def texts(fig):
+    """(text, its place in pixels) of all that is drawn; ticks beyond the limits are not."""
+    renderer = FigureCanvasAgg(fig).get_renderer()
+    fig.draw(renderer)
+    beyond = [
+        tick.label1
+        for ax in fig.axes
+        for axis in (ax.xaxis, ax.yaxis)
+        for tick in axis.get_major_ticks()
+        if not min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
+    ]
+    return [
+        (text.get_text(), text.get_window_extent(renderer))
+        for text in fig.findobj(Text)
+        if text.get_text().strip() and text.get_visible() and text not in beyond
+    ]
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["scene", "plan"])
+def test_no_text_touches_another_or_leaves_the_sheet(sheets, which):
+    fig = sheets[which]
+    width, height = fig.canvas.get_width_height()
+    found = [(t, box) for t, box in texts(fig) if box.width > 0]
+    assert len(found) > 20
+    for text, box in found:
+        assert box.x0 >= 0, text
+        assert box.x1 <= width, text
+        assert box.y0 >= 0, text
+        assert box.y1 <= height, text
+    for (a, box), (b, other) in combinations(found, 2):
+        across = min(box.x1, other.x1) - max(box.x0, other.x0)
+        along = min(box.y1, other.y1) - max(box.y0, other.y0)
+        assert min(across, along) <= 0.5, f"{a!r} and {b!r}"  # half a pixel of 100 an inch
+
+
+def test_a_sheet_is_180_mm_wide_and_says_the_scores(sheets):
+    for fig in sheets:
+        assert fig.get_size_inches()[0] * 25.4 == pytest.approx(180)
+    words = " ".join(t for t, _ in texts(sheets[1]))
+    for number in ("C 0.812", "O 0.703", "IG 0.651", "0.725"):
+        assert number in words
+
+
+def test_many_sensors_make_the_sheet_higher_not_the_list_shorter(scene):
+    layout = random_layout(scene, [CAMERA] * 40, seed=0)
+    fig = plan_view(scene, layout, scores_of(scene, layout))
+    assert fig.get_size_inches()[1] > 10
+    assert sum("test-camera" in t for t, _ in texts(fig)) == 40
+    assert min(box.y0 for _, box in texts(fig)) >= 0
+
+
+def test_sensors_beyond_the_circle_are_on_the_map(scene):
+    layout = place_sensors((CAMERA, [52.3, -7.7, 6, 0, 0, 3.1]))
+    fig = plan_view(scene, layout, scores_of(scene, layout))
+    assert fig.axes[0].get_xlim()[1] > 52.3
+
+
+def test_no_traffic_no_routes_and_no_poles_can_be_drawn(scene, pair):
+    empty = replace(scene, traffic=no_traffic())
+    assert not drawn_boxes(scene_view(empty))
+    assert "road user" not in [t for t, _ in texts(plan_view(empty, pair, scores_of(scene, pair)))]
+
+
+def test_arrow_heads_point_along_the_lanes():
+    full = build_scene(built_in("roundabout"), radius=40, voxel=2.0, density="none")
+    heads = figures._arrow_heads(full)
+    assert len(heads) > 8
+    along = [r.waypoints[:, :2] for r in full.intersection.routes if r.user == "vehicle"]
+    for at, ahead in heads:
+        assert np.hypot(*(at - full.voxels.center[:2])) < 40
+        steps = [
+            (p[k + 1] - p[k]) / np.hypot(*(p[k + 1] - p[k]))
+            for p in along
+            for k in [int(np.hypot(*(p - at).T).argmin())]
+            if k + 1 < len(p) and np.hypot(*(p[k] - at)) < 0.01
+        ]
+        assert max(step @ ahead for step in steps) == pytest.approx(1.0)
+
+
+# ── Files ───────────────────────────────────────────────────────────────────
+
+MAGIC = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".PNG": b"\x89PNG"}
+
+
+@pytest.mark.parametrize("suffix", MAGIC)
+def test_a_figure_is_written_by_its_suffix_the_same_each_time(scene, pair, tmp_path, suffix):
+    written = []
+    for name in ("a", "b"):
+        path = tmp_path / f"{name}{suffix}"
+        save_figure(plan_view(scene, pair, scores_of(scene, pair)), path)
+        written.append(path.read_bytes())
+    assert written[0].startswith(MAGIC[suffix])
+    assert written[0] == written[1]
+    assert b"CreationDate" not in written[0]  # it tells seconds: too slow to differ above
+
+
+def test_the_readers_own_settings_change_nothing(scene, tmp_path):
+    save_figure(scene_view(scene), tmp_path / "plain.png")
+    with rc_context({"font.size": 30, "axes.facecolor": "black", "savefig.bbox": "tight"}):
+        save_figure(scene_view(scene), tmp_path / "odd.png")
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "odd.png").read_bytes()
+
+
+@pytest.mark.parametrize(("name", "given"), [("plan.xyz", "suffix '.xyz'"), ("plan", "no suffix")])
+def test_an_unknown_suffix_is_refused_with_those_allowed(scene, tmp_path, name, given):
+    with pytest.raises(InspeError, match=rf"{name}: {given}: .* \.png, \.svg, \.pdf"):
+        save_figure(scene_view(scene), tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_folder_is_refused(scene, tmp_path):
+    with pytest.raises(InspeError, match="no such folder"):
+        save_figure(scene_view(scene), tmp_path / "none" / "a.png")
+
+
+def test_nothing_is_left_of_a_figure_that_fails(scene, tmp_path, monkeypatch):
+    fig = scene_view(scene)
+    (tmp_path / "old.png").write_bytes(b"as it was")
+
+    def fail(file, **_):
+        file.write(b"half a picture")
+        raise RuntimeError("disk full")
+
+    monkeypatch.setattr(fig, "savefig", fail)
+    for name in ("old.png", "new.png"):
+        with pytest.raises(RuntimeError, match="disk full"):
+            save_figure(fig, tmp_path / name)
+    assert [p.name for p in tmp_path.iterdir()] == ["old.png"]
+    assert (tmp_path / "old.png").read_bytes() == b"as it was"
+
+
+def test_no_display_is_asked_for():
+    """pyplot keeps every figure alive and may open a window; the object API does neither."""
+    for node in ast.walk(ast.parse(Path(figures.__file__).read_text())):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names] + [getattr(node, "module", None) or ""]
+            assert not any("pyplot" in name for name in names)

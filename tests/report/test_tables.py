@@ -1,0 +1,226 @@
+"""Tables keep every number whole at any width; the record is the scores, to the last bit."""
+
+import io
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from worlds import CAMERA, LIDAR, place_sensors, world
+
+import inspe_jax
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Contribution, Scores, evaluate
+from inspe_jax.report.tables import (
+    built_ins_table,
+    devices_table,
+    junctions_table,
+    layout_table,
+    scene_table,
+    scores_record,
+    scores_table,
+)
+from inspe_jax.scene.procedural import BUILT_INS
+from inspe_jax.sensing.devices import Device, devices
+from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+
+METRICS = ("coverage", "occlusion", "information_gain", "surrogate")
+WIDTHS = (80, 160)
+
+SCORES = Scores(
+    coverage=0.8123456789012345,
+    occlusion=0.1 + 0.2,
+    information_gain=1 / 3,
+    surrogate=0.7004999,
+    information_gain_literal=2 / 3,
+    region_coverage={"driveway": 0.901, "crosswalk": 0.456},
+    level_coverage=(0.111, 0.222, 0.333),
+    contributions=(
+        Contribution("cam a", 0.0123 + 1e-9, 0.0456, 0.0789, 0.01 / 1.01),
+        Contribution("[red]top[/red]", -0.0001, 0.2222, 0.0, 0.1111),
+    ),
+    seen_share=np.zeros(3),
+    settings={"weights": (0.3, 0.5, 0.2), "occlusion_reference": "roi", "at": np.float32(0.5)},
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    made = world(radius=12, voxel=1.0, frames=3, count=5)
+    return replace(made, settings=(("radius", "12"), ("seed", "0")))
+
+
+@pytest.fixture(scope="module")
+def layout():
+    units = [Unit("pole [1]", (10.0, 0.0, 100.0)), Unit("mast", (-10.0, 0.0, 0.0))]
+    members = [Sensor("cam a", CAMERA, 1), Sensor("[red]top[/red]", LIDAR, 0)]
+    turn = np.radians([[0.0, -15.5, 270.0], [0.0, 0.0, -180.0]])
+    poses = np.column_stack([[[-10.0, 0.5, 6.0], [10.0, 0.0, 104.5]], turn])
+    return make_layout(members, units, poses, "a layout")
+
+
+def shown(table, width=160):
+    out = io.StringIO()
+    Console(file=out, width=width, color_system=None).print(table)
+    return out.getvalue()
+
+
+def row(text, *begins):
+    """The one line that begins with these words, as its words."""
+    found = [
+        ws for ws in (line.split() for line in text.splitlines()) if ws[: len(begins)] == [*begins]
+    ]
+    assert len(found) == 1, f"{begins}: {found}"
+    return found[0]
+
+
+# ── Scores ──────────────────────────────────────────────────────────────────
+
+
+def test_the_record_is_the_scores_exactly(scene, layout):
+    record = scores_record(SCORES, scene, layout)
+    assert json.loads(json.dumps(record)) == record
+    for name in (*METRICS, "information_gain_literal"):
+        assert record[name] == getattr(SCORES, name)
+    assert record["region_coverage"] == SCORES.region_coverage
+    assert record["level_coverage"] == list(SCORES.level_coverage)
+    assert [(c["sensor"], c["unit"], c["device"]) for c in record["contributions"]] == [
+        ("cam a", "mast", "test-camera"),
+        ("[red]top[/red]", "pole [1]", "test-lidar"),
+    ]
+    for part, given in zip(record["contributions"], SCORES.contributions, strict=True):
+        assert [part[name] for name in METRICS] == [getattr(given, name) for name in METRICS]
+
+
+def test_the_record_says_of_what_and_how(scene, layout):
+    record = scores_record(SCORES, scene, layout)
+    assert set(record) == {
+        *METRICS, "information_gain_literal", "region_coverage", "level_coverage",
+        "contributions", "settings", "scene", "layout", "versions",
+    }  # fmt: skip
+    assert record["settings"] == {
+        "weights": [0.3, 0.5, 0.2],
+        "occlusion_reference": "roi",
+        "at": 0.5,
+    }
+    assert record["scene"] == {
+        "name": "test crossing",
+        "source": "tests",
+        "settings": {"radius": "12", "seed": "0"},
+    }
+    assert record["layout"] == "a layout"
+    assert record["versions"]["inspe_jax"] == inspe_jax.__version__
+    assert set(record["versions"]) == {"inspe_jax", "jax", "numpy"}
+
+
+def test_real_scores_make_a_record_and_a_table(scene):
+    layout = place_sensors((CAMERA, [5, 5, 6, 0, -0.4, -2.0]), (LIDAR, [-5, 5, 5, 0, 0, 0.0]))
+    scores = evaluate(scene, layout)
+    record = json.loads(json.dumps(scores_record(scores, scene, layout)))
+    text = shown(scores_table(scores, layout))
+    for name in METRICS:
+        assert record[name] == getattr(scores, name)
+        assert f"{record[name]:.3f}" in text
+    assert [c["sensor"] for c in record["contributions"]] == ["s0", "s1"]
+
+
+@pytest.mark.parametrize("make", [lambda s, w, la: scores_table(s, la), scores_record])
+def test_scores_of_another_layout_are_refused(scene, make):
+    other = place_sensors((CAMERA, [5, 5, 6, 0, 0, 0]), (LIDAR, [-5, 5, 5, 0, 0, 0]))
+    with pytest.raises(InspeError, match=r"another layout: of sensors cam a, .* expected s0, s1"):
+        make(SCORES, scene, other)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_scores_for_people_are_whole(layout, width):
+    text = shown(scores_table(SCORES, layout), width)
+    assert row(text, "coverage", "C")[2:4] == ["0.3", "0.812"]
+    assert row(text, "occlusion", "O")[2:4] == ["0.5", "0.300"]
+    assert row(text, "information", "gain", "IG")[3:5] == ["0.2", "0.333"]
+    assert "0.700" in row(text, "surrogate", "P_sm")
+    assert "driveway     0.22     0.901" in text
+    assert "crosswalk    0.23     0.456" in text
+    for share in ("0.111", "0.222", "0.333"):
+        assert share in text
+    assert row(text, "1", "cam", "a")[-4:] == ["+0.0123", "+0.0456", "+0.0789", "+0.0099"]
+    assert "-0.0001  +0.2222  +0.0000  +0.1111" in text
+    assert "[red]top" in text  # names are not markup
+    assert "pole [1]" in text
+
+
+# ── Scene, layout, catalogue, map ───────────────────────────────────────────
+
+
+def test_a_scene_for_people(scene):
+    text = shown(scene_table(scene))
+    count = len(scene.voxels.columns)
+    assert f"{count:,} columns × 4 levels of 1 m = {4 * count:,} voxels" in text
+    assert f"3 frames, {scene.traffic.mean_count:.1f} road users" in text
+    assert "radius 12, seed 0" in text
+    for region, key in ((1, "junction"), (3, "sidewalk")):
+        columns = int((scene.voxels.region == region).sum())
+        assert row(text, key)[2:] == [f"{columns:,}", f"{columns / count:.1%}"]
+    assert "crosswalk" not in text
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_layout_for_people(layout, width):
+    text = shown(layout_table(layout), width)
+    # Height is above the unit's base, and yaw lies in (−180°, 180°].
+    assert row(text, "1", "mast")[-6:] == ["test-camera", "-10.0", "0.5", "6.0", "-90.0", "-15.5"]
+    assert row(text, "2")[-6:] == ["test-lidar", "10.0", "0.0", "4.5", "180.0", "0.0"]
+    assert "roll" not in text
+    poses = np.array(layout.poses)
+    poses[0, 3] = math.radians(-3)
+    tilted = shown(layout_table(layout.with_poses(poses)), width)
+    assert "roll" in tilted
+    assert row(tilted, "1", "mast")[-2:] == ["-15.5", "-3.0"]
+
+
+def test_devices_for_people():
+    mine = {
+        "cam": Device("cam", "camera", "A camera", "Maker [x]", CAMERA, 1234.0, "page 3", ""),
+        "lid": Device("lid", "lidar", "A LiDAR", "Someone", LIDAR, None, "page 4", ""),
+    }
+    # 100° across; 2·arctan(300/f) high with f = 400/tan 50°; ⌊0.1·800⌋ × ⌊0.1·600⌋ rays.
+    high = math.degrees(2 * math.atan(300 * math.tan(math.radians(50)) / 400))
+    for given in (mine, mine.values()):
+        lines = [" ".join(line.split()) for line in shown(devices_table(given)).splitlines()]
+        assert f"cam camera 800 × 600 100° × {high:.0f}° 30 4,800 1,234 Maker [x]" in lines
+        assert "lid lidar 32 360° × 27° (-25…+2°) 50 57,600 – Someone" in lines
+        assert "lid page 4" in lines
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_built_in_catalogue_is_whole(width):
+    text = shown(devices_table(devices()), width)
+    for name, device in devices().items():
+        assert len(device.spec.grid.directions()) > 0
+        assert text.count(f" {name} ") == 2  # in the table and among the sources
+        assert f"{len(device.spec.grid.directions()):,}" in text
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_junctions_for_people(width):
+    names = ("id", "center", "arms", "size", "crosswalks", "signals")
+    infos = [
+        SimpleNamespace(**dict(zip(names, values, strict=True)))
+        for values in (
+            (189, (-47.81, -20.4, 0.0), 4, 44.26, 2, 4),
+            (7, (1234.5, 0.0, 10.0), 3, 9.0, 0, 0),
+        )
+    ]
+    text = shown(junctions_table(infos, "Town.xodr"), width)
+    assert "Junctions of Town.xodr" in text
+    assert row(text, "189")[1:] == ["-47.8,", "-20.4,", "0.0", "4", "44.3", "2", "4"]
+    assert row(text, "7")[1:] == ["1234.5,", "0.0,", "10.0", "3", "9.0", "0", "0"]
+
+
+def test_built_ins_for_people():
+    text = shown(built_ins_table())
+    for name in BUILT_INS:
+        assert name in text
+    assert row(text, "t_junction")[1] == "3"

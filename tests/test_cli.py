@@ -155,7 +155,7 @@ def test_unknown_junction_lists_those_there_are(inspe, maps):
 
 def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
     monkeypatch.setitem(sys.modules, "carla", None)
-    (files / "ok.xodr").write_text("<OpenDRIVE><header/></OpenDRIVE>")
+    (files / "ok.xodr").write_text("<OpenDRIVE><road id='1' length='9'/></OpenDRIVE>")
     status, _, error = inspe("scene", "ok.xodr", "--list")
     assert status == 2
     assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())

@@ -97,11 +97,11 @@ def load_map(path: str | os.PathLike[str]) -> TownMap:
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
     stat = path.stat()
-    return _read(path.resolve(), stat.st_mtime_ns, stat.st_size)
+    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
 
 
 @functools.lru_cache(maxsize=8)
-def _read(path: Path, _modified: int, _size: int) -> TownMap:
+def _read(path: Path, _where: Path, _modified: int, _size: int) -> TownMap:
     """Read a file once for as long as it stays the same."""
     text = path.read_bytes().decode("utf-8-sig", "replace")
     root = _root(path, text)

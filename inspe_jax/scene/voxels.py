@@ -98,7 +98,8 @@ def build_voxels(
         if shape is None or shape.is_empty:
             continue
         shapely.prepare(shape)
-        region[shapely.contains_xy(shape, columns[:, 0], columns[:, 1])] = label
+        # A centre on a border belongs to both sides; precedence decides.
+        region[shapely.intersects_xy(shape, columns[:, 0], columns[:, 1])] = label
     inside = region >= 0
     if not inside.any():
         raise InspeError(

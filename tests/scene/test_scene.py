@@ -24,6 +24,14 @@ def test_columns_are_labelled_by_precedence_and_stand_on_the_ground():
     assert np.hypot(*grid.columns.T).max() <= 20
 
 
+def test_columns_on_a_border_are_not_lost():
+    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels: at ±7 and ±11."""
+    grid = build_voxels(crossing(), radius=30, voxel=2.0)
+    assert sorted(set(grid.columns[grid.columns[:, 0] == 21, 1])) == [
+        -11, -9, -7, -5, -3, -1, 1, 3, 5, 7, 9, 11
+    ]  # fmt: skip
+
+
 def test_voxels_run_from_the_ground_to_four_metres():
     grid = build_voxels(crossing(), radius=15, voxel=0.5)
     assert grid.level_count == 8

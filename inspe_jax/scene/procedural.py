@@ -1,28 +1,52 @@
 """Intersections built from parameters, no file needed: crossings, roundabouts and ramps.
 
-Flat ground, right-hand traffic, the middle of the junction at (0, 0, 0). Roads are
-straight and run 120 m out, so that a region of interest of up to 100 m is filled.
+Flat ground at z = 0, right-hand traffic, the middle of the junction at (0, 0, 0); roads
+run 120 m out, so that a region of interest of up to 100 m is filled. Everything follows
+from the kerbs: each is one line from road to road round a corner, and shoulder, sidewalk
+and footway are its offsets, so that they tile without gaps.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
-import shapely
 from jaxtyping import Float
-from shapely.geometry import LineString, MultiPolygon, Point, Polygon
-from shapely.geometry.base import BaseGeometry
-from shapely.ops import nearest_points, unary_union
+from shapely.geometry import MultiPolygon, Polygon, box
 
 from inspe_jax.errors import InspeError, nearest
-from inspe_jax.scene.intersection import Arm, Intersection, Route, mouth_crosswalks
+from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
+from inspe_jax.scene.procedural_curves import (
+    arc,
+    at_distance,
+    bend,
+    joined,
+    offset,
+    onto_ring,
+    resampled,
+    turned,
+)
+from inspe_jax.scene.procedural_roads import (
+    LENGTH,
+    ROUTE_LENGTH,
+    Road,
+    corners,
+    gap,
+    on_level_ground,
+    route,
+    station,
+    strip,
+    town,
+    turns,
+)
 from inspe_jax.scene.regions import Region
 
-LENGTH = 120.0
-"""How far roads run from the middle [m]."""
-ROUTE_LENGTH = 115.0
-"""How far routes run from the middle [m]."""
-_SEGMENTS = 16  # of a quarter circle
+NARROWEST = 40.0
+"""Least angle between neighbouring arms [deg]."""
+
+_NOSE = 0.6  # width at which the gore between motorway and ramp begins [m]
+_PARALLEL, _TAPER, _END = -30.0, 30.0, 70.0  # x where the extra lane begins, narrows, ends [m]
+_VERGE = 2.0  # strip beyond a motorway's shoulder where lamps stand [m]
+_LAMPS = (-80.0, -40.0, 0.0, 40.0, 80.0)  # x of the lamps [m]
+_EAST = np.array([1.0, 0.0])
 
 
 def crossing(
@@ -36,51 +60,36 @@ def crossing(
     shoulder: float = 1.0,
     sidewalk: float = 3.0,
 ) -> Intersection:
-    """Straight arms that meet at the origin, with crosswalks, shoulders and sidewalks.
+    """Straight roads that meet at the origin, with crosswalks, shoulders and sidewalks.
 
-    ``bearings_deg`` are the arms' directions, counter-clockwise from +x;
-    ``lanes_in`` and ``lanes_out`` lead to and from the junction, one number for
-    all arms or one for each; widths and the kerbs' ``corner_radius`` in metres.
-    Raises InspeError for fewer than three arms, arms closer than 30°, or an arm
-    without lanes.
+    ``bearings_deg`` are the directions in which they leave it, counter-clockwise from +x;
+    ``lanes_in`` and ``lanes_out`` lead to and from the junction: one number for all arms or one
+    for each. ``corner_radius`` is the kerbs'. Widths and radii in metres. The line between in-
+    and outbound lanes of every arm points at the origin; arms come out in order of bearing. The
+    junction ends where the kerbs begin to run straight, and crosswalks lie just outside it. At
+    each corner stands a signal pole, and one on either side where the kerb runs on.
+
+    Raises InspeError for fewer than three arms, arms less than 40° apart, an arm without lanes,
+    or widths out of range.
     """
-    bearings = np.radians(np.sort(np.asarray(bearings_deg, float) % 360))
-    count = len(bearings)
-    gaps = (np.roll(bearings, -1) - bearings) % (2 * np.pi)
-    if count < 3 or gaps.min() < np.radians(30):
-        raise InspeError(f"{name}: a crossing needs at least three arms, 30° or more apart")
-    inward = np.broadcast_to(lanes_in, count)
-    outward = np.broadcast_to(lanes_out, count)
-    if min(inward.min(), outward.min()) < 0 or (inward + outward).min() < 1:
-        raise InspeError(f"{name}: every arm needs a lane")
-    left, right = inward * lane_width, outward * lane_width  # kerbs, looking outward
-
-    roads = unary_union(
-        [_band(b, 0.0, LENGTH, -r, low) for b, r, low in zip(bearings, right, left, strict=True)]
+    _check("lane width", lane_width, 2.0, 6.0)
+    _check_kerbs(corner_radius, shoulder, sidewalk)
+    order = _in_order(name, bearings_deg)
+    inbound, outbound = (
+        _each(name, key, lanes, order)
+        for key, lanes in (("lanes_in", lanes_in), ("lanes_out", lanes_out))
     )
-    carriageway = _rounded(roads, corner_radius)
-    mouths = _mouths(bearings, gaps, left, right, corner_radius)
-    beyond = unary_union(
-        [
-            _band(b, m, LENGTH + 10, -r - 0.5, low + 0.5)
-            for b, m, low, r in zip(bearings, mouths, left, right, strict=True)
-        ]
-    )
-    junction = carriageway.difference(beyond)
-    arms = tuple(
-        Arm(tuple(_at(b, m, (low - r) / 2)), float(b), float(low + r))
-        for b, m, low, r in zip(bearings, mouths, left, right, strict=True)
-    )
-    turns = []
-    for i in range(count):
-        for j in range(count):
-            if i != j and inward[i] and outward[j]:
-                for k, n in _lane_pairs(bearings[i], bearings[j], inward[i], outward[j]):
-                    entry = _lane(bearings[i], mouths[i], (k + 0.5) * lane_width)
-                    exit_ = _lane(bearings[j], mouths[j], -(n + 0.5) * lane_width)
-                    path = _through(entry[::-1], exit_, corner_radius + lane_width / 2)
-                    turns.append(Route(path, lane_width, "vehicle", (i, j)))
-    return _furnish(name, carriageway, junction, arms, turns, shoulder, sidewalk)
+    roads = [
+        Road(float(np.radians(bearings_deg[i] % 360)), n_in, n_out, lane_width)
+        for i, n_in, n_out in zip(order, inbound, outbound, strict=True)
+    ]
+    for road in roads:
+        if not road.lanes_in + road.lanes_out:
+            where = f"{np.degrees(road.bearing):g}°"
+            raise InspeError(f"{name}: every arm needs a lane, and the one at {where} has none")
+    mouths, kerbs = corners(roads, corner_radius)
+    routes = list(turns(roads, mouths, corner_radius))
+    return town(name, roads, mouths, kerbs, routes, shoulder=shoulder, sidewalk=sidewalk)
 
 
 def roundabout(
@@ -88,41 +97,70 @@ def roundabout(
     *,
     bearings_deg: Sequence[float] = (0, 90, 180, 270),
     island: float = 12.0,
-    ring: float = 8.0,
-    lane_width: float = 3.75,
+    ring: float = 6.0,
+    lane_width: float = 3.5,
+    splitter: float = 2.0,
+    corner_radius: float = 12.0,
     shoulder: float = 1.0,
     sidewalk: float = 3.0,
 ) -> Intersection:
-    """One circulating lane, counter-clockwise, round a central ``island`` of that radius [m].
+    """A roundabout of one lane, counter-clockwise round an ``island`` of that radius [m].
 
-    ``ring`` is the width of the circulating carriageway; every arm has a lane
-    each way. The island can carry a mast.
+    ``ring`` is the width of the circulating carriageway. Each arm has a lane each way, either
+    side of a ``splitter`` island of that width, which goes on as a painted median; its crosswalk
+    is about a car's length from the ring. ``corner_radius`` is that of the kerbs between arm and
+    ring. Widths and radii in metres. The islands belong to no region but can carry a mast.
+    Raises InspeError as :func:`crossing`, or where an arm does not fit beside the next.
     """
-    bearings = np.radians(np.sort(np.asarray(bearings_deg, float) % 360))
+    _check("island", island, 4.0, 40.0)
+    _check("ring", ring, 4.0, 12.0)
+    _check("lane width", lane_width, 2.0, ring)
+    _check("splitter", splitter, 1.0, 6.0)
+    _check_kerbs(corner_radius, shoulder, sidewalk)
+    order = _in_order(name, bearings_deg)
+    roads = [
+        Road(float(np.radians(bearings_deg[i] % 360)), 1, 1, lane_width, splitter) for i in order
+    ]
     outer = island + ring
-    roads = [_band(b, 0.0, LENGTH, -lane_width, lane_width) for b in bearings]
-    paved = unary_union([_disc(outer), *roads])
-    middle = _disc(island)
-    carriageway = _rounded(paved, 10.0).difference(middle)
-    mouth = float(np.hypot(outer + 10.0, lane_width + 10.0) * 0.86)
-    beyond = unary_union([_band(b, mouth, LENGTH + 10, -6.0, 6.0) for b in bearings])
-    junction = carriageway.difference(beyond)
-    arms = tuple(Arm(tuple(_at(b, mouth, 0.0)), float(b), 2 * lane_width) for b in bearings)
-    circle, ease = island + ring / 2, np.radians(24)
+
+    def from_to(a: Road, b: Road, left: float, radius: float, bend: float) -> np.ndarray:
+        """In along one road, ``left`` of its axis, round the ring, and out along another."""
+        on = onto_ring(left, radius, bend)
+        until = float(np.arctan2(on[-1, 1], on[-1, 0]))
+        sweep = gap(a, b)
+        round_it = arc(np.zeros(2), radius, until, sweep - until)
+        off = turned(on * [1, -1], sweep)[::-1]
+        return turned(joined(on, round_it, off), a.bearing)
+
+    ease = onto_ring(roads[0].left, outer, corner_radius)
+    narrowest = 2 * np.degrees(np.arctan2(ease[-1, 1], ease[-1, 0]))
+    neighbours = list(zip(roads, roads[1:] + roads[:1], strict=True))
+    closest = np.degrees(min(gap(a, b) for a, b in neighbours))
+    if closest < narrowest:
+        raise InspeError(
+            f"{name}: arms {closest:.0f}° apart do not fit on a ring of {outer:g} m: "
+            f"at least {np.ceil(narrowest):.0f}°"
+        )
+    mouth = float(ease[0, 0])
+    kerbs = [from_to(a, b, a.left, outer, corner_radius) for a, b in neighbours]
+    # A lane keeps its distance from the kerb on the arm, and to the middle of the ring.
+    lane = roads[0].lane(0)
+    inner, bent = island + ring / 2, corner_radius + lane_width / 2
     routes = []
-    for i, a in enumerate(bearings):
-        for j, b in enumerate(bearings):
-            if i == j:
-                continue
-            sweep = (b - a) % (2 * np.pi)
-            angles = np.linspace(a + ease, a + sweep - ease, max(2, int(circle * sweep)))
-            arc = circle * np.column_stack([np.cos(angles), np.sin(angles)])
-            entry = _lane(a, mouth, lane_width / 2)[::-1]
-            exit_ = _lane(b, mouth, -lane_width / 2)
-            first = _through(entry, arc)
-            path = _through(first[:, :2], exit_)
-            routes.append(Route(path, lane_width, "vehicle", (i, j)))
-    return _furnish(name, carriageway, junction, arms, routes, shoulder, sidewalk, middle)
+    for i, a in enumerate(roads):
+        for j, b in enumerate(roads):
+            if i != j:
+                ends = a.at(station(lane), lane), b.at(station(lane), -lane)
+                path = joined(ends[0], from_to(a, b, lane, inner, bent), ends[1])
+                routes.append(route(path, lane_width, (i, j)))
+    drop = _teardrop(splitter / 2, outer, mouth)
+    islands = [Polygon(turned(drop, road.bearing)) for road in roads]
+    islands.append(Polygon(arc(np.zeros(2), island, 0, 2 * np.pi)[:-1]))
+    return town(
+        name, roads, [mouth] * len(roads), kerbs, routes, shoulder=shoulder, sidewalk=sidewalk,
+        islands=MultiPolygon(islands),
+        notes=("the central island and the splitter islands belong to no region",),
+    )  # fmt: skip
 
 
 def ramp(
@@ -130,292 +168,192 @@ def ramp(
     *,
     lanes: int = 3,
     lane_width: float = 3.6,
-    median: float = 4.0,
+    median: float = 3.0,
     angle_deg: float = 18.0,
-    shoulder: float = 2.5,
+    bend_radius: float = 120.0,
+    shoulder: float = 3.0,
+    inner_shoulder: float = 1.0,
 ) -> Intersection:
-    """A motorway along x with an on-ramp that merges into its eastbound side.
+    """A motorway along x, and an on-ramp that merges into its eastbound carriageway.
 
-    ``lanes`` each way, ``median`` metres apart; the ramp comes from the
-    south-west at ``angle_deg`` and runs beside the outer lane for 60 m. Shoulders
-    on both sides, no sidewalks and no people.
+    ``lanes`` each way, either side of a ``median``; the ramp, one lane, comes from the
+    south-west at ``angle_deg``, bends with ``bend_radius``, and runs beside the outer lane to
+    x = 30 m, where that tapers off until 70 m. The junction is the eastbound carriageway from
+    the nose of the gore to the end of the taper. Shoulders (``inner_shoulder`` at the median)
+    and no sidewalks, crosswalks or people; lamps stand on the verge, 2 m wide, beyond the
+    shoulder. Widths in metres. Raises InspeError for a value out of range.
     """
-    half = median / 2
-    kerb = half + lanes * lane_width
+    if lanes not in range(1, 7):
+        raise InspeError(f"{name}: lanes {lanes} is out of range: a whole number from 1 to 6")
+    _check("lane width", lane_width, 2.5, 5.0)
+    _check("median", median, 1.0, 20.0)
+    _check("ramp angle", angle_deg, 8.0, 45.0, unit="°")
+    _check("bend radius", bend_radius, 50.0, 50.0 / np.tan(np.radians(angle_deg) / 2))
+    _check("shoulder", shoulder, 1.0, 5.0)
+    _check("inner shoulder", inner_shoulder, 0.5, 5.0)
+    low = median / 2 + inner_shoulder
+    high = low + lanes * lane_width  # kerb of the through lanes
+    beside, outer_lane = -(high + lane_width / 2), -(high - lane_width / 2)
     angle = np.radians(angle_deg)
-    beside = -(kerb + lane_width / 2)  # middle of the acceleration lane
-    merge = np.array([-15.0, beside])
-    far = merge - LENGTH * np.array([np.cos(angle), np.sin(angle)])
-    bend = 30.0
-    start, end = merge - bend * np.array([np.cos(angle), np.sin(angle)]), merge + [bend, 0]
-    lead = _resample(np.concatenate([[far], _bezier(start, merge, merge, end), [[45.0, beside]]]))
-    taper = Polygon([(44, -kerb), (44, -kerb - lane_width), (75, -kerb)])
-    west, east = (
-        shapely.box(-LENGTH, low, LENGTH, high) for low, high in ((half, kerb), (-kerb, -half))
-    )
-    lane = LineString(lead).buffer(lane_width / 2, cap_style="flat", quad_segs=_SEGMENTS)
-    carriageway = unary_union([west, east, lane, taper])
-    merging = shapely.box(-40.0, -kerb - 2 * lane_width, 75.0, -half)
-    junction = carriageway.intersection(merging)
-    arms = (
-        Arm((75.0, 0.0), 0.0, 2 * kerb),
-        Arm((-40.0, 0.0), float(np.pi), 2 * kerb),
-        Arm((float(start[0]), float(start[1])), float(np.pi + angle), lane_width),
-    )
-    routes = []
-    for k in range(lanes):
-        y = half + (k + 0.5) * lane_width
-        reach = ROUTE_LENGTH
-        for line, through in (
-            ([[-reach, -y], [reach, -y]], (1, 0)),
-            ([[reach, y], [-reach, y]], (0, 1)),
-        ):
-            routes.append(Route(_flat(_resample(np.array(line))), lane_width, "vehicle", through))
-    outer = np.array([[ROUTE_LENGTH, -kerb + lane_width / 2]])
-    aim, meet = outer[0] - [ROUTE_LENGTH - 58, 0], outer[0] - [ROUTE_LENGTH - 70, 0]
-    joined = _bezier(lead[-1], lead[-1] + [12, 0], aim, meet)
-    path = _resample(np.concatenate([lead[:-1], joined, outer]))
-    path = path[np.hypot(*path.T) <= ROUTE_LENGTH]
-    routes.append(Route(_flat(path), lane_width, "vehicle", (2, 0)))
-    edge = carriageway.buffer(shoulder, quad_segs=_SEGMENTS, join_style="mitre")
-    strips = edge.difference(carriageway).intersection(shapely.box(-LENGTH, -200, LENGTH, 200))
+    up = np.array([np.cos(angle), np.sin(angle)])
+
+    # The ramp's middle: straight, an arc that ends beside the outer lane, and along it.
+    turn = np.array([_PARALLEL - bend_radius * np.tan(angle / 2), beside])
+    along = bend(turn - LENGTH * up, up, np.array([_TAPER, beside]), _EAST, bend_radius)[1:]
+    middle = joined(resampled(np.array([at_distance(turn, -up, LENGTH), along[0]])), along)
+    left, right = offset(middle, lane_width / 2), offset(middle, -lane_width / 2)
+    taper = bend(right[-1], _EAST, np.array([_END, -high]), _EAST)
+    edge = joined(right, taper, np.array([LENGTH, -high]))
+    k = int(np.flatnonzero(left[:, 1] <= -high - _NOSE)[-1])  # the gore's nose is beside left[k]
+    nose = float(left[k, 0])
+    west = np.array([[nose, -high], [nose, -low], [_END, -low]])
+    merging = joined(west, taper[::-1], right[: k - 1 : -1], left[k])
+
+    driveway = [
+        box(-LENGTH, low, LENGTH, high),
+        box(-LENGTH, -high, nose, -low),
+        box(_END, -high, LENGTH, -low),
+        Polygon(joined(left[: k + 1], right[k::-1])),
+    ]
+    shoulders = [
+        box(-LENGTH, median / 2, LENGTH, low),
+        box(-LENGTH, -low, LENGTH, -median / 2),
+        box(-LENGTH, high, LENGTH, high + shoulder),
+        strip(edge, 0.0, shoulder),
+        _gore(left[: k + 1], -high, shoulder, inner_shoulder),
+    ]
     regions = {
-        Region.DRIVEWAY: carriageway.difference(junction),
-        Region.JUNCTION: junction,
+        Region.DRIVEWAY: MultiPolygon(driveway),
+        Region.JUNCTION: Polygon(merging),
         Region.CROSSWALK: MultiPolygon(),
         Region.SIDEWALK: MultiPolygon(),
-        Region.SHOULDER: strips,
+        Region.SHOULDER: MultiPolygon(shoulders),
     }
-    outside = strips.buffer(-0.3)
-    wanted = [(x, y) for y in (kerb + shoulder, -kerb - shoulder) for x in (-80, -40, 0, 40, 80)]
-    poles = np.array([[*_stand(outside, xy), 0.0] for xy in wanted])
-    note = "a motorway: no sidewalks and no crosswalks"
-    return _assemble(name, regions, arms, routes, strips, poles, (note,))
+    mounting = [
+        box(-LENGTH, -median / 2, LENGTH, median / 2),
+        box(-LENGTH, high, LENGTH, high + shoulder + _VERGE),
+        strip(edge, 0.0, shoulder + _VERGE),
+    ]
+    back = shoulder + _VERGE / 2
+    southern = np.interp(_LAMPS, *offset(edge, -back).T)
+    lamps = [(x, y, 0.0) for x, y in zip(_LAMPS, southern, strict=True)]
+    lamps += [(x, high + back, 0.0) for x in _LAMPS]
 
-
-def _furnish(
-    name: str,
-    carriageway: BaseGeometry,
-    junction: BaseGeometry,
-    arms: tuple[Arm, ...],
-    routes: list[Route],
-    shoulder: float,
-    sidewalk: float,
-    island: BaseGeometry | None = None,
-) -> Intersection:
-    """Shoulders, sidewalks, crosswalks, people and poles round a carriageway."""
-    solid = carriageway if island is None else carriageway.union(island)
-    kerb = solid.buffer(shoulder, quad_segs=_SEGMENTS)
-    walk = kerb.buffer(sidewalk, quad_segs=_SEGMENTS).difference(kerb)
-    crosswalks = mouth_crosswalks(arms).intersection(carriageway)
-    square = shapely.box(-LENGTH, -LENGTH, LENGTH, LENGTH)
-    regions = {
-        Region.DRIVEWAY: carriageway.difference(junction),
-        Region.JUNCTION: junction,
-        Region.CROSSWALK: crosswalks,
-        Region.SIDEWALK: walk.intersection(square),
-        Region.SHOULDER: kerb.difference(solid).intersection(square),
-    }
-    side = shoulder + sidewalk / 2
-    people = []
-    for arm in arms:
-        half = arm.width / 2 + side
-        middle = np.array(arm.mouth) + 1.5 * _direction(arm.bearing)
-        across = _direction(arm.bearing + np.pi / 2) * half
-        lines = [np.array([middle - across, middle + across])]
-        far = np.array(arm.mouth) + (ROUTE_LENGTH - np.hypot(*arm.mouth)) * _direction(arm.bearing)
-        lines += [np.array([middle + s * across, far + s * across]) for s in (1, -1)]
-        for line in lines:
-            people += [Route(_flat(_resample(p)), 2.0, "pedestrian") for p in (line, line[::-1])]
-    standing = regions[Region.SIDEWALK].buffer(-0.5)
-    poles = np.array([[*_stand(standing, corner), 0.0] for corner in _corners(arms)])
-    mounting = unary_union([regions[Region.SIDEWALK], regions[Region.SHOULDER]])
-    if island is not None:
-        mounting = mounting.union(island.buffer(-1.0))
-    return _assemble(name, regions, arms, [*routes, *people], mounting, poles, ())
-
-
-def _assemble(
-    name: str,
-    regions: dict[Region, BaseGeometry],
-    arms: tuple[Arm, ...],
-    routes: Sequence[Route],
-    mounting: BaseGeometry,
-    poles: Float[np.ndarray, "P 3"],
-    notes: tuple[str, ...],
-) -> Intersection:
-    return Intersection(
-        name=name,
-        source="built-in",
-        center=np.zeros(3),
-        regions={region: _surface(shape) for region, shape in regions.items()},
-        arms=arms,
-        routes=tuple(routes),
-        mounting=_surface(mounting.difference(regions[Region.CROSSWALK])),
-        poles=poles,
-        ground_points=np.array([[x, y, 0.0] for x in (-LENGTH, LENGTH) for y in (-LENGTH, LENGTH)]),
-        notes=notes,
+    x, y = (left[k] + right[k]) / 2
+    to_left = left[k] - right[k]
+    arms = (
+        Arm((_END, 0.0), 0.0, 2 * high),
+        Arm((nose, 0.0), np.pi, 2 * high),
+        Arm((float(x), float(y)), float(np.arctan2(to_left[0], -to_left[1])), lane_width),
+    )
+    routes = []
+    for lane in low + lane_width * (np.arange(lanes) + 0.5):
+        for to, through in ((1, (1, 0)), (-1, (0, 1))):
+            ends = np.array([[-to * ROUTE_LENGTH, -to * lane], [to * ROUTE_LENGTH, -to * lane]])
+            routes.append(route(ends, lane_width, through))
+    merge = bend(np.array([0.0, beside]), _EAST, np.array([45.0, outer_lane]), _EAST)
+    first, last = at_distance(turn, -up, ROUTE_LENGTH), np.array([ROUTE_LENGTH, outer_lane])
+    routes.append(route(joined(first, along[:-1], merge, last), lane_width, (2, 0)))
+    note = "a motorway: no crosswalks and no sidewalks"
+    return on_level_ground(
+        name, regions, arms, routes, MultiPolygon(mounting), np.array(lamps), (note,)
     )
 
 
-# ── Shapes ──────────────────────────────────────────────────────────────────
+def _gore(
+    left: Float[np.ndarray, "N 2"], kerb: float, shoulder: float, inner_shoulder: float
+) -> Polygon:
+    """The shoulders between a motorway's ``kerb`` (y) and the left edge of a ramp, up to its nose.
 
-
-def _surface(shape: BaseGeometry) -> BaseGeometry:
-    """The polygons of a shape, without the lines where two only touched."""
-    parts = [g for g in shapely.get_parts(shape) if g.geom_type == "Polygon" and g.area > 1e-6]
-    return MultiPolygon(parts)
-
-
-def _direction(bearing: float) -> Float[np.ndarray, "2"]:
-    return np.array([np.cos(bearing), np.sin(bearing)])
-
-
-def _at(bearing: float, along: float, left: float) -> Float[np.ndarray, "2"]:
-    """A point so far along an arm and to the left of its axis, looking outward."""
-    return along * _direction(bearing) + left * _direction(bearing + np.pi / 2)
-
-
-def _band(bearing: float, start: float, end: float, right: float, left: float) -> Polygon:
-    """A strip of an arm, from ``right`` to ``left`` of its axis."""
-    corners = ((start, right), (end, right), (end, left), (start, left))
-    return Polygon([_at(bearing, *corner) for corner in corners])
-
-
-def _disc(radius: float) -> Polygon:
-    return Point(0, 0).buffer(radius, quad_segs=4 * _SEGMENTS)
-
-
-def _rounded(shape: BaseGeometry, radius: float) -> BaseGeometry:
-    """Inner corners filled to an arc of ``radius``: grown by it, then shrunk."""
-    grown = shape.buffer(radius, quad_segs=_SEGMENTS, join_style="mitre")
-    return grown.buffer(-radius, quad_segs=_SEGMENTS)
-
-
-def _mouths(
-    bearings: np.ndarray, gaps: np.ndarray, left: np.ndarray, right: np.ndarray, radius: float
-) -> Float[np.ndarray, " A"]:
-    """How far along each arm its kerbs run straight: where the corners' arcs begin [m].
-
-    Kerbs of two arms at an angle g, at distances l and r from their axes, meet
-    (r + l cos g)/sin g along the first; an arc of ``radius`` begins
-    radius/tan(g/2) further out. Arms that face each other have no corner.
+    They are one where they meet, and two where the verge parts them.
     """
-    count = len(bearings)
-    mouths = np.full(count, 1.0)
-    for i in range(count):
-        j, g = (i + 1) % count, gaps[i]
-        if g > np.radians(175):
-            continue
-        arc = radius / np.tan(g / 2)
-        mouths[i] = max(mouths[i], (right[j] + left[i] * np.cos(g)) / np.sin(g) + arc)
-        mouths[j] = max(mouths[j], (left[i] + right[j] * np.cos(g)) / np.sin(g) + arc)
-    return mouths
+    beyond = offset(left, inner_shoulder)
+    beyond = beyond[beyond[:, 1] <= kerb - shoulder - _NOSE]
+    parts, outer = float(beyond[-1, 0]), kerb - shoulder
+    motorway = np.array([[parts, outer], [-LENGTH, outer], [-LENGTH, kerb], [left[-1, 0], kerb]])
+    return Polygon(joined(left[::-1], beyond, motorway))
 
 
-def _corners(arms: tuple[Arm, ...]) -> list[np.ndarray]:
-    """A point at each corner between neighbouring arms: midway between their kerb points."""
-    found = []
-    for arm, following in zip(arms, arms[1:] + arms[:1], strict=True):
-        a = np.array(arm.mouth) + arm.width / 2 * _direction(arm.bearing + np.pi / 2)
-        b = np.array(following.mouth) - following.width / 2 * _direction(
-            following.bearing + np.pi / 2
+def _teardrop(half: float, ring: float, mouth: float) -> Float[np.ndarray, "N 2"]:
+    """A splitter island on an arm along +x: round at the ring, tapering beyond the crosswalk."""
+    blunt = arc(np.array([ring + 1.0 + half, 0.0]), half, np.pi / 2, 3 * np.pi / 2)
+    shoulders = np.array([[mouth + CROSSWALK_WIDTH + 1.0, side * half] for side in (-1, 1)])
+    tip = half / 4
+    tail = arc(np.array([mouth + CROSSWALK_WIDTH + 15.0, 0.0]), tip, -np.pi / 2, np.pi / 2)
+    return joined(blunt, shoulders[0], tail, shoulders[1])
+
+
+# ── What may be asked for ───────────────────────────────────────────────────
+
+
+def _check(what: str, value: float, low: float, high: float, unit: str = " m") -> None:
+    if not low <= value <= high:
+        raise InspeError(
+            f"{what} {value:g}{unit} is out of range: between {low:g} and {high:g}{unit}"
         )
-        found.append((a + b) / 2)
-    return found
 
 
-def _stand(ground: BaseGeometry, wanted: Any) -> tuple[float, float]:
-    """The nearest point of ``ground`` to a wanted one."""
-    foot = nearest_points(ground, Point(*wanted))[0]
-    return foot.x, foot.y
+def _check_kerbs(corner_radius: float, shoulder: float, sidewalk: float) -> None:
+    _check("shoulder", shoulder, 0.0, 5.0)
+    _check("sidewalk", sidewalk, 0.5, 10.0)
+    # The sidewalk's outer edge goes round the same corner, on what radius is left.
+    _check("corner radius", corner_radius, shoulder + sidewalk + 0.5, 30.0)
 
 
-# ── Routes ──────────────────────────────────────────────────────────────────
+def _in_order(name: str, bearings_deg: Sequence[float]) -> list[int]:
+    """Indices of the arms by bearing; an error unless there are three or more, well apart."""
+    bearings = np.asarray(bearings_deg, float) % 360
+    order = [int(i) for i in np.argsort(bearings)]
+    gaps = np.diff(bearings[order], append=bearings[order[:1]] + 360)
+    if len(order) < 3 or not gaps.min() >= NARROWEST:
+        given = ", ".join(f"{b:g}" for b in bearings_deg)
+        raise InspeError(
+            f"{name}: arms at {given}°: at least three arms, {NARROWEST:g}° or more apart"
+        )
+    return order
 
 
-def _lane_pairs(a: float, b: float, lanes_in: int, lanes_out: int) -> list[tuple[int, int]]:
-    """(entry, exit) lanes of one movement, counted from the road's axis.
-
-    Right turns keep to the outermost lanes, left turns to the innermost;
-    straight on every lane keeps its place, as far as the exit has lanes.
-    """
-    turn = (b - a) % (2 * np.pi)  # leaving at b, having come in along a + π
-    if turn < np.radians(140):
-        return [(lanes_in - 1, lanes_out - 1)]
-    if turn > np.radians(220):
-        return [(0, 0)]
-    return [(k, k) for k in range(min(lanes_in, lanes_out))]
-
-
-def _lane(bearing: float, mouth: float, left: float) -> Float[np.ndarray, "N 2"]:
-    """The middle of a lane from the mouth outward, 1 m apart."""
-    return _resample(np.array([_at(bearing, mouth, left), _at(bearing, ROUTE_LENGTH, left)]))
-
-
-def _through(
-    entry: Float[np.ndarray, "N 2"], exit_: Float[np.ndarray, "M 2"], corner: float = np.inf
-) -> Float[np.ndarray, "K 3"]:
-    """Entry lane, a curve tangent to both, exit lane: waypoints about 1 m apart.
-
-    Where the two lanes' lines meet ahead, the curve is the arc that begins and ends
-    equally far from that point, as far out as both lanes allow; on a right turn its
-    radius is at most ``corner`` [m], so that it stays off the kerb.
-    """
-    a, b = entry[-1], exit_[0]
-    u, v = _unit(a - entry[-2]), _unit(exit_[1] - b)
-    cross = u[0] * v[1] - u[1] * v[0]
-    if abs(cross) > 0.05:
-        before = ((b - a)[0] * v[1] - (b - a)[1] * v[0]) / cross  # from a to the meeting point
-        after = ((b - a)[0] * u[1] - (b - a)[1] * u[0]) / cross  # from the meeting point to b
-        widest = corner * np.tan(np.arccos(np.clip(u @ v, -1, 1)) / 2) if cross < 0 else np.inf
-        reach = min(before, -after, widest)
-        if reach > 0:
-            a, b = a + (before - reach) * u, b + (after + reach) * v
-    chord = np.hypot(*(b - a))
-    turn = max(float(np.arccos(np.clip(u @ v, -1, 1))), 1e-3)
-    handle = chord * (2 / 3) * np.tan(turn / 4) / np.sin(turn / 2)  # nearest cubic to the arc
-    curve = _bezier(a, a + handle * u, b - handle * v, b)
-    return _flat(_resample(np.concatenate([entry, curve, exit_])))
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.hypot(*vector)
-
-
-def _bezier(*points: np.ndarray) -> Float[np.ndarray, "40 2"]:
-    """A cubic curve from the first to the last of four points."""
-    t = np.linspace(0, 1, 40)[:, None]
-    a, b, c, d = points
-    return (1 - t) ** 3 * a + 3 * (1 - t) ** 2 * t * b + 3 * (1 - t) * t**2 * c + t**3 * d
-
-
-def _resample(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M 2"]:
-    """The same line with points 1 m apart, or a little less."""
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    points = points[np.concatenate([[True], steps > 1e-9])]
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    at = np.linspace(0, arc[-1], int(np.ceil(arc[-1])) + 1)
-    return np.column_stack([np.interp(at, arc, points[:, k]) for k in range(2)])
-
-
-def _flat(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 3"]:
-    return np.column_stack([points, np.zeros(len(points))])
+def _each(name: str, key: str, lanes: int | Sequence[int], order: list[int]) -> list[int]:
+    """Lanes one way of every arm, in the order of the arms."""
+    listed = list(lanes) if isinstance(lanes, Sequence) else [lanes] * len(order)
+    if len(listed) != len(order):
+        raise InspeError(
+            f"{name}: {key} has {len(listed)} entries for {len(order)} arms: give one number, or "
+            "one for each arm"
+        )
+    for count in listed:
+        if count not in range(7):
+            raise InspeError(f"{name}: {key} {count} is out of range: a whole number from 0 to 6")
+    return [int(listed[i]) for i in order]
 
 
 BUILT_INS: dict[str, Callable[[], Intersection]] = {
     "four_way": lambda: crossing("four_way", (0, 90, 180, 270)),
-    "five_way": lambda: crossing("five_way", (0, 65, 140, 205, 285)),
-    "t_junction": lambda: crossing("t_junction", (0, 180, 270)),
-    "triangle": lambda: crossing("triangle", (90, 210, 330), lanes_in=1, lanes_out=1),
+    "five_way": lambda: crossing(
+        "five_way",
+        (0, 65, 125, 180, 270),
+        lanes_in=(2, 1, 1, 2, 1),
+        lanes_out=(2, 1, 1, 2, 1),
+        corner_radius=6.0,
+    ),
+    "t_junction": lambda: crossing(
+        "t_junction", (0, 180, 270), lanes_in=(2, 2, 1), lanes_out=(2, 2, 1)
+    ),
+    "triangle": lambda: crossing(
+        "triangle", (90, 210, 330), lanes_in=1, lanes_out=1, corner_radius=15.0
+    ),
     "roundabout": roundabout,
     "highway_ramp": ramp,
 }
-"""The built-in intersections by name. ``triangle`` is three roads that meet at 120°."""
+"""The built-in intersections by name.
+
+``five_way`` is a main street along x, a side street and two that join aslant; ``triangle`` is
+three roads that meet at 120°, whose junction is a triangle with hollow sides.
+"""
 
 
 def built_in(name: str) -> Intersection:
-    """A built-in intersection. Raises InspeError with the names there are."""
+    """A built-in intersection by name. Raises InspeError with the names there are."""
     if name not in BUILT_INS:
         raise InspeError(
             f"no built-in intersection '{name}': one of {', '.join(BUILT_INS)}"

@@ -1,0 +1,127 @@
+"""Plane curves that the built-in intersections are drawn with: arcs, bends and offsets.
+
+A line is an array (N, 2) of world metres in the direction of travel; left is the side of its
+left hand.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+_ARC_STEP = np.radians(3.0)  # of a drawn arc: within 3 mm of it at a radius of 8 m …
+_CHORD = 1.0  # … and no longer than this [m]
+_STRAIGHT = np.radians(5.0)  # what turns less is drawn as one sweep
+_HANDLE = 0.4  # of such a sweep, as a share of its chord
+
+
+def joined(*parts: Float[np.ndarray, "..."]) -> Float[np.ndarray, "N 2"]:
+    """Lines and points one after the other, without points that repeat the one before."""
+    line = np.concatenate([np.reshape(part, (-1, 2)) for part in parts])
+    apart = np.hypot(*np.diff(line, axis=0).T) > 1e-6
+    return line[np.concatenate([[True], apart])]
+
+
+def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N 2"]:
+    """A line turned about the origin by ``angle`` [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return line @ np.array([[c, s], [-s, c]])
+
+
+def arc(
+    center: Float[np.ndarray, "2"], radius: float, start: float, end: float
+) -> Float[np.ndarray, "N 2"]:
+    """A circular arc from the direction ``start`` to ``end`` about its centre [m, rad]."""
+    sweep = abs(end - start)
+    steps = int(np.ceil(round(sweep / min(_ARC_STEP, _CHORD / radius), 6)))
+    angle = np.linspace(start, end, steps + 1)
+    return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def bend(
+    start: Float[np.ndarray, "2"],
+    out: Float[np.ndarray, "2"],
+    end: Float[np.ndarray, "2"],
+    into: Float[np.ndarray, "2"],
+    radius: float = np.inf,
+) -> Float[np.ndarray, "N 2"]:
+    """From ``start`` along ``out`` to ``end`` along ``into`` (unit vectors), tangent to both.
+
+    Straight, an arc of ``radius`` [m] or the largest there is room for, and straight again;
+    a cubic curve where the turn is slight or the two straights do not meet in between.
+    """
+    curve = fillet(start, out, end, into, radius)
+    if not len(curve):
+        handle = _HANDLE * np.hypot(*(end - start))
+        t = np.linspace(0, 1, 33)[:, None]
+        a, b = start + handle * out, end - handle * into
+        curve = (
+            (1 - t) ** 3 * start + 3 * (1 - t) ** 2 * t * a + 3 * (1 - t) * t**2 * b + t**3 * end
+        )
+    return joined(start, curve, end)
+
+
+def fillet(
+    start: Float[np.ndarray, "2"],
+    out: Float[np.ndarray, "2"],
+    end: Float[np.ndarray, "2"],
+    into: Float[np.ndarray, "2"],
+    radius: float,
+) -> Float[np.ndarray, "N 2"]:
+    """The arc alone of :func:`bend`; no points where there is none."""
+    way, sine = end - start, _cross(out, into)
+    turn = float(np.arctan2(sine, out @ into))
+    if abs(turn) < _STRAIGHT:
+        return np.zeros((0, 2))
+    before, after = _cross(way, into) / sine, _cross(out, way) / sine  # to where they meet
+    if min(before, after) <= 0:
+        return np.zeros((0, 2))
+    half = abs(np.tan(turn / 2))
+    radius = min(radius, min(before, after) / half)
+    first = start + (before - radius * half) * out
+    inward = np.sign(turn) * np.array([-out[1], out[0]])
+    begin = float(np.arctan2(-inward[1], -inward[0]))
+    return arc(first + radius * inward, radius, begin, begin + turn)
+
+
+def onto_ring(left: float, ring: float, radius: float) -> Float[np.ndarray, "N 2"]:
+    """The arc that leads from an inbound line onto a ring about the origin, both to its left.
+
+    The line runs against +x, ``left`` [m] of that axis; the ring is ``ring`` metres in radius,
+    the arc ``radius``, and the driver turns right. Mirrored in the axis and reversed it is the
+    way off the ring.
+    """
+    beside = left + radius
+    center = np.array([np.sqrt((ring + radius) ** 2 - beside**2), beside])
+    to_ring = float(np.arctan2(center[1], center[0]))
+    return arc(center, radius, -np.pi / 2, to_ring - np.pi)
+
+
+def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 2"]:
+    """The line ``left`` metres to its left: every edge exactly so far from its own, mitred."""
+    step = np.diff(line, axis=0)
+    normal = np.column_stack([-step[:, 1], step[:, 0]]) / np.hypot(*step.T)[:, None]  # (N − 1, 2)
+    before, after = np.vstack([normal[:1], normal]), np.vstack([normal, normal[-1:]])
+    return line + left * (before + after) / (1 + (before * after).sum(1))[:, None]
+
+
+def length(line: Float[np.ndarray, "N 2"]) -> float:
+    """Length of a line [m]."""
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+
+
+def resampled(line: Float[np.ndarray, "N 2"], spacing: float = 1.0) -> Float[np.ndarray, "M 2"]:
+    """The same line with evenly spaced points, about ``spacing`` metres apart."""
+    arc_length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    even = np.linspace(0, arc_length[-1], max(2, round(arc_length[-1] / spacing) + 1))
+    return np.column_stack([np.interp(even, arc_length, axis) for axis in line.T])
+
+
+def at_distance(
+    start: Float[np.ndarray, "2"], direction: Float[np.ndarray, "2"], distance: float
+) -> Float[np.ndarray, "2"]:
+    """Where the ray from ``start``, nearer than that, is ``distance`` from the origin [m]."""
+    along = float(start @ direction)
+    return start + (np.sqrt(along**2 + distance**2 - start @ start) - along) * direction
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])

@@ -23,7 +23,7 @@ from inspe_jax.scene.traffic import TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.devices import Device, device, devices
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
 from inspe_jax.sensing.visibility import in_view, line_of_sight
 
 __version__ = "0.1.0"
@@ -38,6 +38,7 @@ __all__ = [
     "Intersection",
     "Layout",
     "LidarSpec",
+    "Pose",
     "Region",
     "Scene",
     "Scores",

@@ -51,8 +51,12 @@ def main() -> None:
     except InspeError as e:
         err.print(f"[bold red]Error:[/] {_plain(str(e))}", soft_wrap=True)
         sys.exit(2)
+    except OSError as e:
+        where = f"{e.filename}: " if e.filename else ""
+        err.print(f"[bold red]Error:[/] {_plain(where + (e.strerror or str(e)))}", soft_wrap=True)
+        sys.exit(2)
     except KeyboardInterrupt:
-        err.print("Interrupted; nothing was written.")
+        err.print("Interrupted.")
         sys.exit(130)
 
 
@@ -125,7 +129,8 @@ def scene(
     - `inspe scene MAP.xodr --junction 189 --radius 50 --voxel 0.5 --density medium --out j189.npz`
     - `inspe scene j189.npz --plot j189.png`
     """
-    from inspe_jax.report.figures import save_figure, scene_view
+    from inspe_jax.files import check_output
+    from inspe_jax.report.figures import FORMATS, save_figure, scene_view
     from inspe_jax.report.tables import scene_table
     from inspe_jax.scene.procedural import built_in
     from inspe_jax.scene.scene import build_scene, load_scene, save_scene
@@ -133,6 +138,8 @@ def scene(
     if list_:
         _list_places(source)
         return
+    check_output(save, (".npz",))
+    check_output(plot, FORMATS)
     options: dict[str, Any] = {
         name: value
         for name, value in dict(
@@ -142,11 +149,12 @@ def scene(
     }
     path = Path(source)
     if path.suffix == ".npz":
-        given = [*options, *(["junction"] if junction is not None else [])]
-        if given or center:
+        places = dict(junction=junction, center=center)
+        given = [*options, *(name for name, value in places.items() if value is not None)]
+        if given:
             raise InspeError(
                 f"{source}: a saved scene keeps its settings; leave out "
-                + ", ".join(f"--{name}" for name in given or ["center"])
+                + ", ".join(f"--{name}" for name in given)
             )
         built = load_scene(source)
     else:
@@ -192,6 +200,7 @@ def layout(
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
     """
+    from inspe_jax.files import check_output
     from inspe_jax.placement.strategies import strategy as place
     from inspe_jax.report.tables import layout_table
     from inspe_jax.scene.scene import load_scene
@@ -200,6 +209,7 @@ def layout(
     devices: dict[str, Any] = {
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
     }
+    check_output(save, (".yaml", ".yml"))
     placed = place(load_scene(source), strategy, **devices)
     out.print(layout_table(placed))
     if save:
@@ -236,10 +246,13 @@ def score(
     - `inspe score j189.npz layout.yaml --json -`
     """
     from inspe_jax.evaluation import evaluate
-    from inspe_jax.files import write_text
-    from inspe_jax.report.figures import plan_view, save_figure
+    from inspe_jax.files import check_output, write_text
+    from inspe_jax.report.figures import FORMATS, plan_view, save_figure
     from inspe_jax.report.tables import scores_record, scores_table
 
+    check_output(plot, FORMATS)
+    if record != "-":
+        check_output(record)
     with _busy(f"reading {source}"):
         world, placed = _scene_and_layout(source, sensors)
     with _busy("scoring"):
@@ -276,8 +289,9 @@ def _warn_of_full_roads(built: "Scene") -> None:
     """Say so where the roads could not hold the traffic that was asked for."""
     from inspe_jax.scene.traffic import DENSITIES
 
-    density = dict(built.settings).get("density", "0")
-    asked, held = DENSITIES.get(density) or int(density), built.traffic.mean_count
+    density = dict(built.settings).get("density", "none")
+    asked = DENSITIES[density] if density in DENSITIES else int(density)
+    held = built.traffic.mean_count
     if held < 0.9 * asked:
         err.print(
             f"[yellow]Note:[/] the roads hold {held:.0f} objects on average, not the {asked} asked "
@@ -287,6 +301,7 @@ def _warn_of_full_roads(built: "Scene") -> None:
 
 def _list_places(source: str) -> None:
     from inspe_jax.report.tables import built_ins_table, junctions_table
+    from inspe_jax.scene.procedural import built_in
 
     if Path(source).suffix == ".xodr":
         from inspe_jax.scene.opendrive import list_junctions
@@ -294,8 +309,9 @@ def _list_places(source: str) -> None:
         with _busy(f"reading {source}"):
             found = list_junctions(source)
         out.print(junctions_table(found, Path(source).name))
-    else:
-        out.print(built_ins_table())
+        return
+    built_in(source)
+    out.print(built_ins_table())
 
 
 def _scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":

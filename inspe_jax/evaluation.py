@@ -15,6 +15,7 @@ from inspe_jax.geometry import Prism, solid_top
 from inspe_jax.numerics import leave_one_out, step
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.voxels import check_memory
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import (
     Ground,
@@ -46,8 +47,10 @@ class Scores:
 
     ``region_coverage`` and ``level_coverage`` are unweighted shares of the voxels
     of one region and of one level (lowest first); ``contributions`` has one row a
-    sensor, in the layout's order; ``seen_share`` (L,) is the share of frames and
-    levels in which each column is seen; ``settings`` are the options used.
+    sensor, in the layout's order, and can be negative only for occlusion with the
+    reference ``covered``, whose voxels change with the sensors; ``seen_share`` (L,) is the
+    share of frames and levels in which each column is seen; ``settings`` are the
+    options used.
     """
 
     coverage: float
@@ -75,7 +78,9 @@ def evaluate(
     ``weights`` of C, O, IG in P_sm; ``occlusion_reference`` as in
     :func:`~inspe_jax.metrics.occlusion_terms`; ``visibility`` for information
     gain, one of :data:`VISIBILITIES`. Raises InspeError where a sensor is in the
-    ground, an option is unknown, or there is no traffic (no entropy to resolve).
+    ground or out of reach of the scene, an option is unknown, the arrays would not
+    fit in memory, or there is no traffic and so no entropy to resolve; unless
+    information gain has weight 0, and then it is 0.
     """
     if occlusion_reference not in metrics.OCCLUSION_REFERENCES:
         raise InspeError(
@@ -84,7 +89,9 @@ def evaluate(
         )
     if visibility not in VISIBILITIES:
         raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
+    metrics.check_weights(weights)
     check_layout(scene, layout)
+    check_memory(scene.voxels.count, len(layout))
     ground, poses = about_center(scene), poses_about_center(scene, layout)
     f = step(view_margin(scene, layout))  # (S, V)
     seen = watch(
@@ -94,11 +101,11 @@ def evaluate(
         reference=occlusion_reference,
         share_sight=visibility == "line_of_sight",
     )
-    if not float(metrics.entropy(seen.occupancy).sum()) > 0:
+    if weights[2] > 0 and not float(metrics.entropy(seen.occupancy).sum()) > 0:
         raise InspeError(
             f"{scene.name}: information gain needs traffic: no voxel of the scene is occupied in "
             "some frames and free in others, so there is no entropy to resolve; build the scene "
-            "with a density of low, medium or high and at least 2 frames"
+            "with a density of low, medium or high and at least 2 frames, or give it no weight"
         )
     weight = jnp.asarray(scene.voxels.weight, float)
     q = f * (seen.sight_share * jnp.asarray(layout.reliability, float)[:, None])

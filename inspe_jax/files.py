@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -61,14 +61,27 @@ def _inner_model(annotation: Any) -> Any:
     return None
 
 
-@contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """A binary file to write; it takes its name when complete, and vanishes on any error."""
+def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] = ()) -> None:
+    """Raise InspeError where a file could not be written, before any work is done for it.
+
+    None passes. ``suffixes`` are those allowed; none given means any.
+    """
+    if path is None:
+        return
     path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InspeError(f"{path}: the name must end in {' or '.join(suffixes)}")
     if not path.parent.is_dir():
         raise InspeError(f"{path}: no such folder: {path.parent}")
     if path.is_dir():
         raise InspeError(f"{path}: is a folder")
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """A binary file to write; it takes its name when complete, and vanishes on any error."""
+    check_output(path)
+    path = Path(path)
     handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as f:

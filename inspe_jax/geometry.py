@@ -101,15 +101,18 @@ def shade(sensor: Float[Array, "3"], prism: Prism) -> Shade:
     x, y = cos * dx + sin * dy, cos * dy - sin * dx
     a, b = prism.half[..., 0], prism.half[..., 1]
     on = prism.valid.astype(x.dtype)
+    front, back = nonzero(a - x), nonzero(-a - x)
+    left, right = nonzero(b - y), nonzero(-b - y)
     return Shade(
         cos,
         sin,
-        on / nonzero(a - x),
-        on / nonzero(-a - x),
-        on / nonzero(b - y),
-        on / nonzero(-b - y),
-        prism.valid & (jnp.abs(x) < a),
-        prism.valid & (jnp.abs(y) < b),
+        on / front,
+        on / back,
+        on / left,
+        on / right,
+        # By the same numbers, so that a sensor in the plane of a side is on one side of it.
+        prism.valid & (front > 0) & (back < 0),
+        prism.valid & (left > 0) & (right < 0),
         prism.top - sensor[2],
     )
 

@@ -1,7 +1,7 @@
 """The surrogate metrics of InSPE (arXiv 2504.08240), in the paper's order.
 
-Sensors are fused before a metric sees them, by ``any_of`` over the sensors or by
-``leave_one_out``; every function keeps such a leading axis.
+Sensors are fused before a metric sees them, all of them and with each left out in turn
+(:func:`~inspe_jax.numerics.leave_one_out`); every function keeps that leading axis.
 """
 
 import jax.numpy as jnp
@@ -83,7 +83,9 @@ def information_gain(
     IG would fall as sensors see more: :func:`information_gain_literal`.
     """
     h = entropy(occupancy)
-    return 1.0 - dot(1.0 - resolved, h) / dot(jnp.ones_like(resolved), h)
+    total = dot(jnp.ones_like(resolved), h)
+    some = total > 0  # without entropy nothing is resolved: 0, not NaN
+    return jnp.where(some, 1.0 - dot(1.0 - resolved, h) / jnp.where(some, total, 1.0), 0.0)
 
 
 def information_gain_literal(
@@ -91,7 +93,8 @@ def information_gain_literal(
 ) -> Float[Array, "..."]:
     """IG to the letter of the paper: 1 − Σ_visible H_i / Σ H_i; for comparison only."""
     h = entropy(occupancy)
-    return 1.0 - dot(resolved, h) / dot(jnp.ones_like(resolved), h)
+    total = dot(jnp.ones_like(resolved), h)
+    return 1.0 - dot(resolved, h) / jnp.where(total > 0, total, 1.0)
 
 
 def surrogate(
@@ -101,6 +104,11 @@ def surrogate(
     weights: tuple[float, float, float] = WEIGHTS,
 ) -> Float[Array, "..."]:
     """P_sm = 0.3 C + 0.5 O + 0.2 IG. Raises InspeError unless the weights sum to 1."""
+    check_weights(weights)
+    return weights[0] * coverage + weights[1] * occlusion + weights[2] * information_gain
+
+
+def check_weights(weights: tuple[float, float, float]) -> None:
+    """Raise InspeError unless these are three weights, none negative, that sum to 1."""
     if len(weights) != 3 or not abs(sum(weights) - 1.0) < 1e-6 or min(weights) < 0:
         raise InspeError(f"weights {weights}: three numbers, none negative, that sum to 1")
-    return weights[0] * coverage + weights[1] * occlusion + weights[2] * information_gain

@@ -1,9 +1,8 @@
 """Reading signed margins: the only place that knows hard from soft.
 
 Geometry returns margins in metres, positive where the statement holds.
-:func:`step` reads one; :func:`all_of` and :func:`any_of` combine readings. Each
-margin is read first and combined afterwards: with three margins well inside,
-thresholding their product would give a weak maybe.
+:func:`step` reads one; readings are combined afterwards, as chances: with three
+margins well inside, thresholding their product would give a weak maybe.
 """
 
 import jax
@@ -22,18 +21,11 @@ def step(margin: Float[Array, "*n"], softness: float = 0.0) -> Float[Array, "*n"
     return jax.nn.sigmoid(margin / softness)
 
 
-def any_of(p: Float[Array, "*n"], axis: int) -> Float[Array, "*m"]:
-    """Chance that at least one of independent readings holds: 1 − ∏(1 − p).
-
-    Exactly 0 or 1 when every p is; unlike a clipped sum it keeps a gradient.
-    """
-    return 1.0 - jnp.prod(1.0 - p, axis=axis)
-
-
 def leave_one_out(p: Float[Array, "S ..."]) -> Float[Array, "1+S ..."]:
-    """:func:`any_of` over all s in row 0, and over all but s in row 1 + s.
+    """Chance that some reading holds: of all s in row 0, of all but s in row 1 + s.
 
-    ∏(1 − p) over the others is the whole product divided by 1 − p_s; factors that
+    That is 1 − ∏(1 − p), exactly 0 or 1 when every p is; unlike a clipped sum it
+    keeps a gradient. ∏(1 − p) over the others is the whole product divided by 1 − p_s; factors that
     are exactly 0, where a sensor sees for certain, are counted and not divided.
     """
     miss = 1.0 - p

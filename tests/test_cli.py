@@ -3,6 +3,7 @@
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from inspe_jax.cli import main
@@ -27,6 +28,9 @@ def files(tmp_path_factory):
     save_scene(empty, folder / "empty.npz")
     (folder / "layout.yaml").write_text(LAYOUT)
     (folder / "none.yaml").write_text("")
+    (folder / "zero.npz").write_bytes(b"")
+    with (folder / "array.npz").open("wb") as f:
+        np.save(f, np.zeros(3))
     (folder / "nan.yaml").write_text(LAYOUT.replace("height: 6.0", "height: .nan"))
     (folder / "buried.yaml").write_text(
         LAYOUT.replace("base: [8.0, 8.0]", "base: [8.0, 8.0, -7.0]")
@@ -94,6 +98,23 @@ def test_scene_from_a_built_in_is_saved_and_listed(inspe, files):
     assert "roundabout" in inspe("scene", "--list")[1]
 
 
+def test_a_scene_without_traffic_is_built(inspe, files):
+    arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
+    assert inspe("scene", "four_way", *arguments)[0] == 0
+    assert (files / "quiet.npz").is_file()
+    weights = ("--weights", 0.5, 0.5, 0)
+    status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
+    assert status == 0
+    assert json.loads(text)["information_gain"] == 0
+
+
+def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
+    arguments = ("--radius", 15, "--density", 60, "--frames", 2)
+    assert "objects on average, not the 60 asked" in " ".join(
+        inspe("scene", "triangle", *arguments)[2].split()
+    )
+
+
 def test_devices_and_version(inspe):
     assert "paper-lidar-64" in inspe("devices")[1]
     assert inspe("--version")[1].startswith("inspe_jax 0.")
@@ -121,6 +142,13 @@ BAD = [
     (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
     (("score", "s.npz", "layout.yaml", "--weights", 1, 1, 1), "sum to 1"),
     (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
+    (("score", "s.npz", "layout.yaml", "--json", "a.json", "--plot", "b.xyz"), "must end in .png"),
+    (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
+    (("scene", "four_way", "--out", "s2.txt"), "must end in .npz"),
+    (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
+    (("score", "zero.npz"), "not a scene saved by this package"),
+    (("score", "array.npz"), "not a scene saved by this package"),
+    (("scene", "nosuch", "--list"), "no built-in intersection 'nosuch'"),
     (("scene", "for_way"), "did you mean four_way"),
     (("scene", "four_way", "--junction", 3), "--junction and --center are for .xodr maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),

@@ -107,9 +107,12 @@ def test_a_turned_prism_by_turning_the_world():
 
 
 @pytest.mark.parametrize("x", [-2.0, 2.0])
-def test_a_sensor_in_the_plane_of_a_side_gives_no_nan(x):
-    for column in ((x, 5.0), (x, 0.0), (x + 1, 0.0)):
-        assert np.isfinite(ceiling((x, -5.0, 5.0), column, x=0.0))
+def test_a_sensor_in_the_plane_of_a_side_sees_as_from_either_side_of_it(x):
+    """Sensor 5 m beside the prism, exactly in the plane of its front or back."""
+    for column in ((x + 1, 5.0), (x - 1, 5.0), (x + 9, -9.0), (x - 9, -9.0), (0.0, 8.0)):
+        exact, left, right = (ceiling((x + d, -5.0, 5.0), column, x=0.0) for d in (0, -1e-4, 1e-4))
+        assert min(abs(exact - left), abs(exact - right)) < 1e-2
+    assert np.isfinite(ceiling((x, -5.0, 5.0), (x, 5.0), x=0.0))
 
 
 def test_solid_top_is_the_highest_prism_that_stands_there():

@@ -75,6 +75,12 @@ def test_information_gain_is_the_mutual_information_of_an_erasure_channel():
     assert ours == pytest.approx(mutual / total, rel=1e-5)
 
 
+def test_no_entropy_is_no_gain_and_no_nan():
+    for p in (jnp.zeros(3), jnp.ones(3)):
+        assert float(metrics.information_gain(jnp.ones(3), p)) == 0
+        assert float(metrics.information_gain_literal(jnp.ones(3), p)) == 1
+
+
 def test_surrogate_and_its_weights():
     assert metrics.surrogate(1.0, 0.5, 0.25) == pytest.approx(0.3 + 0.25 + 0.05)
     assert metrics.surrogate(1.0, 0.5, 0.25, (1, 0, 0)) == 1.0

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from inspe_jax.numerics import any_of, dot, leave_one_out, nonzero, step
+from inspe_jax.numerics import dot, leave_one_out, nonzero, step
 
 
 def test_a_margin_is_read_hard_at_zero_and_soft_around_it():
@@ -18,18 +18,18 @@ def test_softness_to_zero_is_the_hard_reading():
     np.testing.assert_allclose(step(margin, 1e-4), step(margin), atol=1e-6)
 
 
-def test_any_of_is_exact_on_certainties_and_multiplies_chances():
+def test_readings_are_exact_on_certainties_and_multiply_as_chances():
     p = jnp.array([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]])
-    assert any_of(p, axis=0).tolist() == [0.0, 1.0, 0.75]
+    assert leave_one_out(p).tolist() == [[0.0, 1.0, 0.75], [0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]
 
 
 @pytest.mark.parametrize("certain", [0, 1, 2])
 def test_leave_one_out_equals_leaving_out(certain):
-    """Against any_of over the array with the row deleted, with 0, 1 or 2 rows certain."""
+    """Against the product over the array with the row deleted, with 0, 1 or 2 rows certain."""
     p = np.random.default_rng(3).uniform(0, 0.9, (5, 7)).astype(np.float32)
     p[:certain] = 1.0
-    expected = [any_of(jnp.array(p), 0)]
-    expected += [any_of(jnp.array(np.delete(p, s, 0)), 0) for s in range(5)]
+    expected = [1 - np.prod(1 - p, 0)]
+    expected += [1 - np.prod(1 - np.delete(p, s, 0), 0) for s in range(5)]
     np.testing.assert_allclose(leave_one_out(jnp.array(p)), np.stack(expected), atol=1e-6)
 
 

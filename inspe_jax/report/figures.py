@@ -25,7 +25,7 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores
-from inspe_jax.files import whole_file
+from inspe_jax.files import check_output, whole_file
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic import CLASSES
@@ -142,12 +142,10 @@ def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
 
     Raises InspeError for any other suffix or where the folder is missing.
     """
-    suffix = Path(path).suffix
-    if suffix.lower() not in FORMATS:
-        given = f"suffix '{suffix}'" if suffix else "no suffix"
-        raise InspeError(f"{path}: {given}: a figure is saved as {', '.join(FORMATS)}")
+    check_output(path, FORMATS)
+    suffix = Path(path).suffix.lower()
     with _house_style(), whole_file(path) as f:
-        fig.savefig(f, format=suffix.lower()[1:], dpi=300, metadata=FORMATS[suffix.lower()])
+        fig.savefig(f, format=suffix[1:], dpi=300, metadata=FORMATS[suffix])
 
 
 def seen_raster(

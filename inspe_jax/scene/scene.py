@@ -1,8 +1,10 @@
 """Scene = intersection + voxels + traffic: build it, save it, load it."""
 
 import json
+import operator
 import os
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +18,23 @@ from inspe_jax.files import whole_file
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.traffic import DENSITIES, TrafficFrames, no_traffic, waypoint_traffic
+from inspe_jax.scene.traffic import DENSITIES, TrafficFrames, waypoint_traffic
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 1"
+# What reading a file that is something else can raise; a scene raises none of them.
+_NOT_A_SCENE = (
+    AttributeError,
+    EOFError,
+    IndexError,
+    KeyError,
+    OSError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+    shapely.errors.ShapelyError,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -60,21 +75,15 @@ def build_scene(
     (frames done, frames). Raises InspeError on a value out of range.
     """
     count = _density(density)
-    if frames < 1:
-        raise InspeError(f"frames {frames} is out of range: at least 1")
     voxels = build_voxels(intersection, radius=radius, voxel=voxel)
-    traffic = (
-        waypoint_traffic(
-            intersection,
-            radius=radius,
-            count=count,
-            frames=frames,
-            mix=mix,
-            seed=seed,
-            progress=progress,
-        )
-        if count
-        else no_traffic()
+    traffic = waypoint_traffic(
+        intersection,
+        radius=radius,
+        count=count,
+        frames=frames,
+        mix=mix,
+        seed=seed,
+        progress=progress,
     )
     settings = dict(
         radius=f"{radius:g}",
@@ -111,7 +120,7 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
     try:
         with path.open("rb") as f, np.load(f, allow_pickle=False) as data:
             return _unpack({k: data[k] for k in data.files})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, shapely.errors.ShapelyError) as e:
+    except _NOT_A_SCENE as e:
         raise InspeError(f"{path}: not a scene saved by this package ({e})") from e
 
 
@@ -127,8 +136,8 @@ def _density(density: str | int) -> int:
     if isinstance(density, str) and density in DENSITIES:
         return DENSITIES[density]
     try:
-        count = int(density)
-    except ValueError:
+        count = int(density) if isinstance(density, str) else operator.index(density)
+    except (TypeError, ValueError):
         count = -1
     if not 0 <= count <= 500:
         raise InspeError(

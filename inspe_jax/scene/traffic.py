@@ -79,17 +79,6 @@ class TrafficFrames:
         return float(self.valid.sum(1).mean()) if self.frame_count else 0.0
 
 
-def no_traffic() -> TrafficFrames:
-    """One frame of an empty road."""
-    return TrafficFrames(
-        center=np.zeros((1, 0, 3)),
-        yaw=np.zeros((1, 0)),
-        size=np.ones((1, 0, 3)),
-        valid=np.zeros((1, 0), bool),
-        kind=np.zeros((1, 0), np.int8),
-    )
-
-
 def waypoint_traffic(
     intersection: Intersection,
     *,

@@ -19,8 +19,8 @@ RADIUS_LIMITS = (10.0, 200.0)
 """Allowed radius of the region of interest, D_inf [m]."""
 VOXEL_LIMITS = (0.05, 2.0)
 """Allowed edge of a voxel [m]."""
-BYTES_PER_VOXEL = 200
-"""Rough peak memory of building and scoring, per voxel: what the size check assumes."""
+BYTES_PER_VOXEL = 50
+"""Peak memory of scoring, per voxel and sensor (and once more for all): what is checked."""
 
 
 @jax.tree_util.register_dataclass
@@ -77,15 +77,16 @@ def build_voxels(
 ) -> VoxelGrid:
     """Voxelise an intersection: every column within ``radius`` [m] that lies in some region.
 
-    ``voxel`` is the edge of a cube [m]; the column is labelled by its centre.
+    ``voxel`` is the edge of a cube [m]; the column is labelled by its centre. The
+    levels come as near to 4 m as whole voxels can.
     Raises InspeError where a value is out of range, the grid would not fit in
     memory, or no region lies within the radius.
     """
     _check_range("radius", radius, RADIUS_LIMITS)
     _check_range("voxel", voxel, VOXEL_LIMITS)
-    level_count = max(1, round(ROI_HEIGHT / voxel))
+    level_count = max(1, int(ROI_HEIGHT / voxel + 0.5))
     half = int(np.ceil(radius / voxel))
-    _check_memory(np.pi * (radius / voxel) ** 2 * level_count, radius, voxel)
+    check_memory(np.pi * (radius / voxel) ** 2 * level_count, 4)
 
     lattice = (np.arange(-half, half) + 0.5) * voxel
     offset = np.stack(np.meshgrid(lattice, lattice, indexing="ij"), -1).reshape(-1, 2)
@@ -125,16 +126,16 @@ def _check_range(name: str, value: float, limits: tuple[float, float]) -> None:
         )
 
 
-def _check_memory(voxels: float, radius: float, voxel: float) -> None:
-    """Refuse a grid that this machine's memory cannot hold."""
+def check_memory(voxels: float, sensors: int) -> None:
+    """Raise InspeError where scoring so many voxels does not fit in this machine's memory."""
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not on Windows
         memory = 16 * 2**30
-    needed = voxels * BYTES_PER_VOXEL
-    if needed > memory / 2:
+    needed = voxels * (sensors + 1) * BYTES_PER_VOXEL
+    if needed > 0.8 * memory:
         raise InspeError(
-            f"the grid is too large for memory: radius {radius:g} m at voxel {voxel:g} m is up to "
-            f"{voxels / 1e6:,.0f} million voxels, about {needed / 2**30:,.0f} GiB, and this "
-            f"machine has {memory / 2**30:,.0f} GiB; use a larger voxel or a smaller radius"
+            f"the grid is too large for memory: {voxels / 1e6:,.0f} million voxels and {sensors} "
+            f"sensors take about {needed / 2**30:,.0f} GiB, and this machine has "
+            f"{memory / 2**30:,.0f} GiB; use a larger voxel or a smaller radius"
         )

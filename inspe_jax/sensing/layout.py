@@ -29,12 +29,14 @@ from inspe_jax.errors import InspeError
 from inspe_jax.files import check_model, write_text
 from inspe_jax.geometry import rotation
 from inspe_jax.sensing.devices import device
-from inspe_jax.sensing.sensors import RayGrid, Spec
+from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
 UNIT_PLAN = 2.0
 """Sensors of one unit lie within this distance of each other in plan [m]."""
 UNIT_HEIGHT = 4.0
 """… and within this difference of height [m]."""
+ROUNDING = 1e-6
+"""What a file's decimals may add to a distance [m]."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,10 @@ class Layout:
         turn = rotation(pose[3:], np)
         return pose[:3], grid.directions() @ turn.T, grid.reach
 
+    def pose(self, s: int) -> Pose:
+        """The pose of sensor ``s``, by name."""
+        return Pose(*np.asarray(self.poses[s], float).tolist())
+
     def groups(self) -> list[tuple[RayGrid, np.ndarray]]:
         """Sensors with the same grid of rays, as (grid, indices): each compiles once."""
         found: dict[RayGrid, list[int]] = {}
@@ -110,6 +116,9 @@ def make_layout(
 ) -> Layout:
     """A checked layout; see :class:`Layout`. Messages name ``where``, or the layout.
 
+    Sensors are put in the order of their units, as a file lists them; ``poses``
+    (S, 6) may be rows of :class:`Pose`.
+
     Raises InspeError where it is empty, a pose is not finite, or two sensors of
     one unit are more than 2 m apart in plan or 4 m in height.
     """
@@ -117,9 +126,19 @@ def make_layout(
     if not sensors:
         raise InspeError(f"{where}: the layout is empty: it needs at least one sensor")
     poses = np.asarray(poses, float)
-    if not np.isfinite(poses).all():
-        bad = sensors[int(np.argwhere(~np.isfinite(poses))[0, 0])].name
-        raise InspeError(f"{where}: sensor '{bad}': its pose has a value that is not finite")
+    if poses.shape != (len(sensors), 6):
+        raise InspeError(f"{where}: poses have shape {poses.shape}, expected ({len(sensors)}, 6)")
+    for sensor, pose in zip(sensors, poses, strict=True):
+        if not np.isfinite(pose).all():
+            raise InspeError(f"{where}: sensor '{sensor.name}': its pose has a value not finite")
+        if not 0 <= sensor.unit < len(units):
+            raise InspeError(f"{where}: sensor '{sensor.name}': there is no unit {sensor.unit}")
+    for kind, names in (("sensor", [s.name for s in sensors]), ("unit", [u.name for u in units])):
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InspeError(f"{where}: two {kind}s are named '{twice}'")
+    order = sorted(range(len(sensors)), key=lambda s: sensors[s].unit)
+    sensors, poses = [sensors[s] for s in order], poses[order]
     for u, unit in enumerate(units):
         members = [s for s, sensor in enumerate(sensors) if sensor.unit == u]
         for i, a in enumerate(members):
@@ -131,7 +150,7 @@ def make_layout(
 def _check_pair(where: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray) -> None:
     plan, height = float(np.hypot(apart[0], apart[1])), float(abs(apart[2]))
     for distance, limit, how in ((plan, UNIT_PLAN, "in plan"), (height, UNIT_HEIGHT, "in height")):
-        if distance > limit + 1e-6:
+        if distance > limit + ROUNDING:
             raise InspeError(
                 f"{where}: unit '{unit.name}': sensors '{a.name}' and '{b.name}' are "
                 f"{distance:.2f} m apart {how}; at most {limit:g} m"
@@ -142,22 +161,27 @@ def _check_pair(where: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray)
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    # Strict: a quoted number is a mistake to report, not to convert.
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+_Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 class _SensorEntry(_Strict):
     device: str
-    height: float
-    yaw_deg: float
+    height: _Metres
+    yaw_deg: _Degrees
     pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
-    roll_deg: float = 0.0
-    offset: tuple[float, float] = (0.0, 0.0)
+    roll_deg: _Degrees = 0.0
+    offset: Annotated[list[_Metres], Field(min_length=2, max_length=2)] = [0.0, 0.0]
     name: str | None = None
 
 
 class _UnitEntry(_Strict):
     name: str | None = None
-    base: tuple[float, float] | tuple[float, float, float]
+    base: Annotated[list[_Metres], Field(min_length=2, max_length=3)]
     sensors: Annotated[list[_SensorEntry], Field(min_length=1)]
 
 
@@ -166,13 +190,25 @@ class _LayoutFile(_Strict):
     units: Annotated[list[_UnitEntry], Field(min_length=1)]
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML, in which the same key twice is an error and not the last one's win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping; raises YAMLError on a key given twice."""
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.YAMLError(f"the key '{twice}' is given twice, {node.start_mark}".strip())
+        return super().construct_mapping(node, deep)
+
+
 def load_layout(path: str | os.PathLike[str]) -> Layout:
     """Read a layout file. Raises InspeError that names the file, the key and what is allowed."""
     path = Path(path)
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as e:
         raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
     if not content:
@@ -180,7 +216,7 @@ def load_layout(path: str | os.PathLike[str]) -> Layout:
     entry = check_model(_LayoutFile, content, str(path))
     sensors: list[Sensor] = []
     units: list[Unit] = []
-    poses: list[list[float]] = []
+    poses: list[Pose] = []
     for u, unit in enumerate(entry.units):
         x, y, z = (*unit.base, 0.0)[:3]
         units.append(Unit(unit.name or f"unit {u + 1}", (x, y, z)))
@@ -191,13 +227,18 @@ def load_layout(path: str | os.PathLike[str]) -> Layout:
             except InspeError as e:
                 raise InspeError(f"{where}: {e}") from None
             sensors.append(Sensor(item.name or f"{units[u].name} {k + 1}", spec, u))
+            (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
-            poses.append([x + item.offset[0], y + item.offset[1], z + item.height, *angles])
+            poses.append(Pose(x + dx, y + dy, z + height, *angles.tolist()))
     return make_layout(sensors, units, np.array(poses), entry.name or path.stem, str(path))
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
-    """Write a layout file that :func:`load_layout` reads back to the same poses."""
+    """Write a layout file that :func:`load_layout` reads back to the same poses, to 1e-9.
+
+    Raises InspeError where the file could not be read back: a device that is not
+    in the catalogue, a pitch beyond the vertical.
+    """
     poses = np.asarray(layout.poses, float)
     units: list[dict[str, Any]] = []
     for u, unit in enumerate(layout.units):
@@ -205,8 +246,9 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
         for pose, sensor in zip(poses, layout.sensors, strict=True):
             if sensor.unit != u:
                 continue
-            dx, dy, dz = (pose[:3] - np.array(unit.base)).round(4).tolist()
-            roll, pitch, yaw = np.degrees(pose[3:]).round(4).tolist()
+            device(sensor.spec.name)
+            dx, dy, dz = (pose[:3] - np.array(unit.base)).round(9).tolist()
+            roll, pitch, yaw = np.degrees(pose[3:]).round(9).tolist()
             entries.append(
                 dict(
                     name=sensor.name,
@@ -219,5 +261,7 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
                 )
             )
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
-    text = yaml.safe_dump({"name": layout.name, "units": units}, sort_keys=False)
+    content = {"name": layout.name, "units": units}
+    check_model(_LayoutFile, content, f"{layout.name}, to be saved as {path}")
+    text = yaml.safe_dump(content, sort_keys=False)
     write_text(path, "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text)

@@ -8,6 +8,7 @@ Neither shares code with :mod:`inspe_jax.sensing.visibility`.
 """
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +17,9 @@ from inspe_jax.errors import InspeError
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.layout import Layout
+
+TIE = 1e-9
+"""What counts as the same place [m]."""
 
 
 def in_view(scene: Scene, layout: Layout, walk: str = "bresenham") -> Bool[np.ndarray, "S V"]:
@@ -40,11 +44,27 @@ def exact(
     reach: float,
     seen: Bool[np.ndarray, " V"],
 ) -> None:
-    """Mark in ``seen`` every voxel that a ray passes through.
+    """Mark in ``seen`` every voxel that a ray passes through; voxels are closed.
 
     The walk is in plan, from column to column; the ray's heights at entry and
-    exit give the levels, as every column has its own ground.
+    exit give the levels, as every column has its own ground. From a sensor on a
+    border between columns the rays are walked on both sides of it, as one along
+    the border touches both.
     """
+    from_border = (origin[:2] - grid.center[:2]) / grid.size
+    on_border = np.abs(from_border - np.round(from_border)) * grid.size < TIE
+    sides = [(-TIE, TIE) if on else (0.0,) for on in on_border]
+    for dx, dy in product(*sides):
+        _walk(grid, origin + [dx, dy, 0.0], directions, reach, seen)
+
+
+def _walk(
+    grid: VoxelGrid,
+    origin: Float[np.ndarray, "3"],
+    directions: Float[np.ndarray, "R 3"],
+    reach: float,
+    seen: Bool[np.ndarray, " V"],
+) -> None:
     h = grid.size
     start = (origin[:2] - grid.center[:2]) / h
     slope = directions[:, :2] / h
@@ -60,7 +80,8 @@ def exact(
     while len(alive):
         leaving = np.minimum(border.min(1), reach)
         z_in, z_out = (origin[2] + t * directions[alive, 2] for t in (entry, leaving))
-        _mark(grid, column_at, half, cell, np.minimum(z_in, z_out), np.maximum(z_in, z_out), seen)
+        low, high = np.minimum(z_in, z_out) - TIE, np.maximum(z_in, z_out) + TIE
+        _mark(grid, column_at, half, cell, low, high, seen)
         axis = border.argmin(1)
         rows = np.arange(len(alive))
         cell[rows, axis] += forward[rows, axis]

@@ -9,7 +9,7 @@ All in the body frame: x forward, y left, z up.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,21 @@ Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
 """x, y, z of many points, apart: the kernels work on one coordinate at a time."""
 
 _LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
+
+
+class Pose(NamedTuple):
+    """Where a sensor is and how it is turned, in world metres and radians.
+
+    Yaw is counter-clockwise from +x, pitch positive nose-up, roll about the
+    forward axis: a row of ``Layout.poses``.
+    """
+
+    x: float
+    y: float
+    z: float
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
 
 
 @dataclass(frozen=True)

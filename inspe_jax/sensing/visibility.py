@@ -5,6 +5,7 @@ frame does not matter), and does a vehicle cut the line of sight to its centre
 (the rays do not matter).
 """
 
+import operator
 from functools import partial
 from typing import NamedTuple
 
@@ -19,6 +20,9 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Point, RayGrid
 
+TOUCH = 2e-5
+"""A ray this near to a voxel touches it [m]: the rounding of single precision at 100 m."""
+
 
 @partial(jax.jit, static_argnames=("grid", "half"))
 def in_view_margin(
@@ -29,7 +33,8 @@ def in_view_margin(
     Coverage's f(V_i) = 1 if some ray passes through the voxel, the other way
     round: for each voxel the six rays are found that can pass through it if any
     does (:func:`_candidates`), and the best margin is kept. ``half`` is half a
-    voxel's edge [m].
+    voxel's edge [m]. Voxels are closed: a ray along a face they share passes
+    through both, which :data:`TOUCH` makes sure of in single precision.
     """
     return jax.lax.map(lambda pose: _best_margin(grid, pose, centers, half), poses)
 
@@ -44,7 +49,7 @@ def _best_margin(
     for row, column in _candidates(grid, turn, offset, half):
         d = grid.direction(row, column)
         world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
-        best = jnp.maximum(best, ray_cube_margin(world, grid.reach, offset, half))
+        best = jnp.maximum(best, ray_cube_margin(world, grid.reach, offset, half + TOUCH))
     return best
 
 
@@ -79,8 +84,10 @@ def _candidates(
     aim = _within_reach(grid, q, corner)
     if not grid.wraps:
         for edge, outward in zip(grid.column_limits, (1.0, -1.0), strict=True):
-            # Left of the first column's plane is inside, right of the last one's.
-            beyond = jnp.minimum(grid.beyond_column(aim, edge) * outward, 0.0)
+            # Left of the first column's plane is inside, right of the last one's; but a field
+            # of view of more than half a turn reaches behind those planes.
+            outside = (grid.column(aim) - edge) * outward < 0
+            beyond = jnp.where(outside, jnp.minimum(grid.beyond_column(aim, edge) * outward, 0), 0)
             inner = corner(grid.column_normal(aim), jnp.full_like(beyond, outward))
             gain = grid.beyond_column(inner, edge) * outward - beyond
             aim = _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
@@ -209,6 +216,7 @@ def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, 
     of sight. Raises InspeError where there is no such frame.
     """
     check_layout(scene, layout)
+    frame = operator.index(frame)
     last = scene.traffic.frame_count - 1
     if not 0 <= frame <= last:
         raise InspeError(f"frame {frame}: the scene has frames 0 to {last}")
@@ -223,17 +231,26 @@ _ceilings = jax.jit(shadow_ceilings)
 
 
 def check_layout(scene: Scene, layout: Layout) -> None:
-    """Raise InspeError where a sensor of the layout is in the scene's ground.
+    """Raise InspeError where a pose is not finite, or a sensor is in the ground or out of reach.
 
     Traced poses have no value to check yet and pass.
     """
     if isinstance(layout.poses, jax.core.Tracer):
         return
-    poses = np.asarray(layout.poses, float)
-    ground = scene.intersection.ground(poses[:, :2])
-    for pose, z, sensor in zip(poses, ground, layout.sensors, strict=True):
-        if not pose[2] > z:
+    grid, poses = scene.voxels, np.asarray(layout.poses, float)
+    for pose, sensor in zip(poses, layout.sensors, strict=True):
+        where = f"{layout.name}: sensor '{sensor.name}' at ({pose[0]:.2f}, {pose[1]:.2f})"
+        if not np.isfinite(pose).all():
+            raise InspeError(f"{where}: its pose has a value that is not finite")
+        away, reach = np.hypot(*(pose[:2] - grid.center[:2])), sensor.spec.grid.reach
+        if away > grid.radius + reach:
             raise InspeError(
-                f"{layout.name}: sensor '{sensor.name}' at ({pose[0]:.2f}, {pose[1]:.2f}) is in "
-                f"the ground: its height is {pose[2]:.2f} m and the ground's {z:.2f} m"
+                f"{where} is {away:.0f} m from the centre of {scene.name}, out of reach of its "
+                f"{grid.radius:g} m with {reach:g} m; is this layout for another scene?"
+            )
+        ground = float(scene.intersection.ground(pose[None, :2])[0])
+        if not pose[2] > ground:
+            raise InspeError(
+                f"{where} is in the ground: its height is {pose[2]:.2f} m and the ground's "
+                f"{ground:.2f} m"
             )

@@ -286,8 +286,8 @@ def test_corner_cameras_look_along_the_arms(where):
     bearings = np.array([arm.bearing for arm in scene.intersection.arms])
     along = np.cos(yaws[:, None] - bearings)
     if where == "roundabout":
-        np.testing.assert_allclose(along[4:].min(1), -1.0, atol=1e-9)
-        assert (along[:4].diagonal() > np.cos(np.radians(50.0))).all()
+        np.testing.assert_allclose(along[1::2].min(1), -1.0, atol=1e-9)
+        assert (along[::2].diagonal() > np.cos(np.radians(50.0))).all()
         return
     np.testing.assert_allclose(np.abs(along).max(1), 1.0, atol=1e-9)
     np.testing.assert_allclose(along.max(0), 1.0, atol=1e-9)
@@ -318,12 +318,12 @@ def test_cameras_look_down_at_ground_that_counts(where, name):
 
 
 def test_roadside_cameras_see_their_crosswalk():
-    """Each of the first four looks over its crosswalk at the junction; the others look outward."""
+    """Each unit's first looks over its crosswalk at the junction; its second looks outward."""
     scene = scene_named("four")
     poses = np.asarray(strategy(scene, "Cam-d2").poses)
     inward = [(p[:2] - CENTER[:2]) @ [np.cos(p[5]), np.sin(p[5])] < 0 for p in poses]
-    assert inward == [True] * 4 + [False] * 4
-    for pose, arm in zip(poses[:4], scene.intersection.arms, strict=True):
+    assert inward == [True, False] * 4
+    for pose, arm in zip(poses[::2], scene.intersection.arms, strict=True):
         gaze = LineString([pose[:2], axis_on_the_ground(scene, pose)])
         strip = mouth_crosswalks((arm,))
         assert gaze.intersects(strip)
@@ -381,7 +381,9 @@ def test_pairs_share_units(name, shared):
     scene = scene_named("four")
     pair = strategy(scene, f"Cam-{name}/L-{name}")
     alone = [strategy(scene, f"Cam-{name}"), strategy(scene, f"L-{name}")]
-    np.testing.assert_allclose(pair.poses, np.concatenate([a.poses for a in alone]))
+    ordered = lambda poses: poses[np.lexsort(poses.round(6).T)]  # noqa: E731
+    both = np.concatenate([a.poses for a in alone])
+    np.testing.assert_allclose(ordered(np.asarray(pair.poses)), ordered(both))
     assert len(pair.units) == len(alone[0].units)
     mixed = {s.unit for s in pair.sensors if s.spec.kind == "lidar"} & {
         s.unit for s in pair.sensors if s.spec.kind == "camera"

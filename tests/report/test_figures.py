@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
-from worlds import CAMERA, LIDAR, place_sensors, random_layout, with_boxes, world
+from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, with_boxes, world
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Contribution, Scores
@@ -32,7 +32,6 @@ from inspe_jax.report.figures import (
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.scene.traffic import no_traffic
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 
@@ -394,9 +393,9 @@ def test_the_readers_own_settings_change_nothing(scene, tmp_path):
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "odd.png").read_bytes()
 
 
-@pytest.mark.parametrize(("name", "given"), [("plan.xyz", "suffix '.xyz'"), ("plan", "no suffix")])
-def test_an_unknown_suffix_is_refused_with_those_allowed(scene, tmp_path, name, given):
-    with pytest.raises(InspeError, match=rf"{name}: {given}: .* \.png, \.svg, \.pdf"):
+@pytest.mark.parametrize("name", ["plan.xyz", "plan"])
+def test_an_unknown_suffix_is_refused_with_those_allowed(scene, tmp_path, name):
+    with pytest.raises(InspeError, match=rf"{name}: .* must end in \.png or \.svg or \.pdf"):
         save_figure(scene_view(scene), tmp_path / name)
     assert not list(tmp_path.iterdir())
 

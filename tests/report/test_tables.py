@@ -55,8 +55,8 @@ def scene():
 
 @pytest.fixture(scope="module")
 def layout():
-    units = [Unit("pole [1]", (10.0, 0.0, 100.0)), Unit("mast", (-10.0, 0.0, 0.0))]
-    members = [Sensor("cam a", CAMERA, 1), Sensor("[red]top[/red]", LIDAR, 0)]
+    units = [Unit("mast", (-10.0, 0.0, 0.0)), Unit("pole [1]", (10.0, 0.0, 100.0))]
+    members = [Sensor("cam a", CAMERA, 0), Sensor("[red]top[/red]", LIDAR, 1)]
     turn = np.radians([[0.0, -15.5, 270.0], [0.0, 0.0, -180.0]])
     poses = np.column_stack([[[-10.0, 0.5, 6.0], [10.0, 0.0, 104.5]], turn])
     return make_layout(members, units, poses, "a layout")

@@ -18,7 +18,6 @@ from inspe_jax.scene.traffic import (
     ROAD_USERS,
     TrafficFrames,
     _quota,
-    no_traffic,
     waypoint_traffic,
 )
 from inspe_jax.scene.waypoint_model import WaypointModel, _overlap, _safe_speed, _truncated_normal
@@ -162,7 +161,7 @@ def test_shapes_types_and_padding() -> None:
 def test_no_objects() -> None:
     traffic = waypoint_traffic(crossing(), radius=50, count=0, frames=3)
     assert traffic.center.shape == (3, 0, 3)
-    assert traffic.mean_count == no_traffic().mean_count == 0
+    assert traffic.mean_count == 0
 
 
 def test_sizes_by_class() -> None:

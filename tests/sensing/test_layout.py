@@ -51,7 +51,7 @@ def test_a_file_gives_world_poses(tmp_path):
         (("device: paper-camera-midday", "device: paper-camera-middy"), "paper-camera-midday"),
         (("height: 6.0", "height: .nan"), r"height: .*finite"),
         (("height: 6.0", "height: high"), r"sensors\[0\].height: .*'high'"),
-        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base\[1\]: missing value"),
+        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: .*at least 2"),
         (("pitch_deg: -15", "pitch_deg: -115"), r"pitch_deg: .*-90.*-115"),
         (
             ("offset: [0.5, -0.25]", "offset: [0.0, 2.1]"),
@@ -61,6 +61,12 @@ def test_a_file_gives_world_poses(tmp_path):
             ("height: 6.0", "height: 9.5"),
             r"sensors 'pole 1' and 'pole 2' are 4.50 m apart in height; at most 4 m",
         ),
+        (("height: 6.0", "height: '6'"), r"sensors\[0\].height: .*'6'"),
+        (("height: 6.0", "height: true"), r"sensors\[0\].height: .*True"),
+        (("yaw_deg: 90", "yaw_deg: 1.0e+30"), r"yaw_deg: .*360"),
+        (("base: [12.0,", "base: [1.0e+200,"), r"units\[0\].base\[0\]: "),
+        (("height: 6.0", "height: 6.0\n        height: 7.0"), "the key 'height' is given twice"),
+        (("height: 5.0,", "height: 5.0, name: pole 1,"), "two sensors are named 'pole 1'"),
         ((GOOD, ""), "the layout is empty"),
         ((GOOD, "units: []"), "units: .*at least 1"),
         ((GOOD, "units:\n  - base: [0, 0]\n    sensors: []"), r"units\[0\].sensors: .*at least 1"),
@@ -89,7 +95,7 @@ pose = st.tuples(
 @settings(max_examples=40, deadline=None)
 @given(poses=st.lists(pose, min_size=1, max_size=4))
 def test_saved_layouts_load_to_the_same_poses(tmp_path_factory, poses):
-    """To the 0.1 mm and 0.0001° that the file keeps."""
+    """To the nanometre and 1e-9° that the file keeps."""
     spec = device("paper-lidar-32").spec
     sensors = [Sensor(f"s{i}", spec, i) for i in range(len(poses))]
     units = [Unit(f"u{i}", (p[0], p[1], 0.25)) for i, p in enumerate(poses)]
@@ -97,8 +103,49 @@ def test_saved_layouts_load_to_the_same_poses(tmp_path_factory, poses):
     path = tmp_path_factory.mktemp("layout") / "layout.yaml"
     save_layout(layout, path)
     again = load_layout(path)
-    np.testing.assert_allclose(again.poses, layout.poses, atol=1e-4)
+    np.testing.assert_allclose(again.poses, layout.poses, atol=1e-8)
     assert again.sensors == layout.sensors
+
+
+def test_a_unit_at_its_limit_and_sensors_out_of_order_reload_the_same(tmp_path):
+    """Two sensors exactly 2 m apart at an odd angle; the units of the input interleave."""
+    spec = device("paper-lidar-32").spec
+    way = 2.0 * np.array([np.cos(0.7), np.sin(0.7)])
+    poses = np.array([[1 / 3, 0.1, 5, 0, 0, 1], [9, 9, 5, 0, 0, 2], [1 / 3, 0.1, 5, 0, 0, 3]])
+    poses[2, :2] += way
+    sensors = [Sensor(name, spec, unit) for name, unit in (("a", 0), ("b", 1), ("c", 0))]
+    units = [Unit("u", (1 / 3, 0.1, 0.0)), Unit("v", (9.0, 9.0, 0.0))]
+    layout = make_layout(sensors, units, poses)
+    assert [s.name for s in layout.sensors] == ["a", "c", "b"]
+    save_layout(layout, tmp_path / "l.yaml")
+    again = load_layout(tmp_path / "l.yaml")
+    assert [s.name for s in again.sensors] == ["a", "c", "b"]
+    np.testing.assert_allclose(again.poses, layout.poses, atol=1e-8)
+    assert layout.pose(2).yaw == 2
+
+
+def test_what_could_not_be_read_back_is_not_written(tmp_path):
+    unknown = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0, 0, 0]))
+    with pytest.raises(InspeError, match="no device 'test-lidar'"):
+        save_layout(unknown, tmp_path / "l.yaml")
+    spec = device("paper-lidar-32").spec
+    steep = place_sensors((spec, [1.0, 2.0, 5.0, 0, 2.0, 0]))
+    with pytest.raises(InspeError, match="pitch_deg"):
+        save_layout(steep, tmp_path / "l.yaml")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("units", "poses", "message"),
+    [
+        ([7], np.ones((1, 6)), "no unit 7"),
+        ([0], np.ones((1, 5)), r"shape \(1, 5\), expected \(1, 6\)"),
+    ],
+)
+def test_layouts_that_do_not_fit_together(units, poses, message):
+    sensors = [Sensor(f"s{i}", LIDAR, u) for i, u in enumerate(units)]
+    with pytest.raises(InspeError, match=message):
+        make_layout(sensors, [Unit("u", (0.0, 0.0, 0.0))], poses)
 
 
 def test_rays_are_the_specification_turned_and_moved():

@@ -16,6 +16,7 @@ from worlds import (
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.devices import devices
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.sensing.visibility import in_view, in_view_margin, line_of_sight
 
 DEVICES = devices()
@@ -29,7 +30,8 @@ def test_in_view_agrees_with_every_ray_walked(name):
     where two corners lie equally far towards the ray's row.
     """
     scene = world(radius=25.0, count=0, slope=0.04)
-    layout = random_layout(scene, [DEVICES[name].spec] * 2, seed=len(name), heights=(2.0, 8.0))
+    seed = sorted(DEVICES).index(name)
+    layout = random_layout(scene, [DEVICES[name].spec] * 2, seed=seed, heights=(2.0, 8.0))
     ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
     assert (ours == walked).mean(axis=1).min() >= 0.999
     w = scene.voxels.weight
@@ -38,10 +40,40 @@ def test_in_view_agrees_with_every_ray_walked(name):
     assert not (ours & ~walked).sum() > 1e-4 * ours.size  # nothing is seen without a ray
 
 
+@pytest.mark.parametrize("turn", [(0.8, 0.0), (-0.5, -1.2), (0.2, 0.4)])
+@pytest.mark.parametrize("fov", [80.0, 200.0, 340.0])
+def test_in_view_of_a_tilted_lidar_with_part_of_a_turn(fov, turn):
+    """Also where the field of view reaches behind the planes of its edge columns."""
+    spec = LidarSpec("part", LIDAR.elevations, int(4 * fov), np.radians(fov), 40.0)
+    scene = world(radius=20.0, count=0)
+    layout = place_sensors((spec, [1.3, 2.1, 5.2, *turn, 0.7]))
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean() >= 0.999
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        [9.3, 9.3, 3.0, 0, 0, 0.1],  # a level channel along a face of the voxels
+        [2.0, 1.5, 4.3, 0, 0, 0],  # azimuths along faces
+        [0.0, 0.0, 5.0, 0, 0, np.pi / 2],
+    ],
+)
+def test_a_ray_along_a_face_touches_the_voxels_on_both_sides(pose):
+    """Ties are many where poses are round numbers; both sides read them as touching."""
+    level = LidarSpec(
+        "level", tuple(np.radians(np.arange(-16.0, 16.0)).tolist()), 1800, 2 * np.pi, 40.0
+    )
+    scene = world(radius=20.0, count=0)
+    layout = place_sensors((level, pose))
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean() >= 0.999
+    w = scene.voxels.weight / scene.voxels.weight.sum()
+    assert w @ ours[0] == pytest.approx(w @ walked[0], abs=1e-3)
+
+
 def test_one_ray_lights_the_voxels_it_passes_through():
     """A camera of one pixel 1.25 m up looks along +x at y = 0.25: level 2, one row, to 10 m."""
-    from inspe_jax.sensing.sensors import CameraSpec
-
     pencil = CameraSpec("pencil", 1, 1, 1.0, (0.5, 0.5), 1.0, 10.0)
     scene = world(radius=20.0, count=0)
     layout = place_sensors((pencil, [-3.1, 0.25, 1.25, 0.0, 0.0, 0.0]))
@@ -115,6 +147,20 @@ def test_line_of_sight_behind_a_car_by_hand():
     assert not clear[at[(14.25, 0.25, 0.75)]]  # 5 − 3.5·14.25/12 = 0.84
     assert clear[at[(15.25, 0.25, 0.75)]]  # 0.55
     assert clear[at[(14.25, 2.25, 0.25)]]  # beside the shadow
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ([5.0, 0, 5, 0, 0, np.nan], "not finite"),
+        ([np.inf, 0, 5, 0, 0, 0], "not finite"),
+        ([8000.0, 0, 5, 0, 0, 0], "8000 m from the centre of test crossing, out of reach"),
+    ],
+)
+def test_poses_that_cannot_be_meant(pose, message):
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InspeError, match=message):
+        in_view(world(count=0), layout.with_poses(np.array([pose])))
 
 
 def test_unknown_frame_and_sensor_in_the_ground():

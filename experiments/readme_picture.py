@@ -9,7 +9,8 @@ from typing import Any
 from common import arguments, write_results
 
 import inspe_jax
-from inspe_jax.report.figures import plan_view, save_figure
+from inspe_jax.report.figures import plan_view
+from inspe_jax.report.sheet import save_figure
 
 
 def main() -> None:

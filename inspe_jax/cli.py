@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from inspe_jax.errors import InspeError
+from inspe_jax.errors import InspeError, nearest
 
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
@@ -55,9 +55,6 @@ def main() -> None:
         where = f"{e.filename}: " if e.filename else ""
         err.print(f"[bold red]Error:[/] {_plain(where + (e.strerror or str(e)))}", soft_wrap=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        err.print("Interrupted.")
-        sys.exit(130)
 
 
 def _version(wanted: bool) -> None:
@@ -130,7 +127,8 @@ def scene(
     - `inspe scene j189.npz --plot j189.png`
     """
     from inspe_jax.files import check_output
-    from inspe_jax.report.figures import FORMATS, save_figure, scene_view
+    from inspe_jax.report.figures import scene_view
+    from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scene_table
     from inspe_jax.scene.procedural import built_in
     from inspe_jax.scene.scene import build_scene, load_scene, save_scene
@@ -158,9 +156,14 @@ def scene(
             )
         built = load_scene(source)
     else:
-        if path.suffix == ".xodr":
+        if path.suffix.lower() == ".xodr":
             from inspe_jax.scene.opendrive import read_opendrive
 
+            if (junction is None) == (center is None):
+                raise InspeError(
+                    f"{source}: say which place: --junction ID, or --center X Y; "
+                    "--list shows the junctions"
+                )
             with _busy(f"reading {path.name}"):
                 place = read_opendrive(
                     path, junction=junction, center=center, radius=options.get("radius", 50.0)
@@ -168,7 +171,7 @@ def scene(
         else:
             if junction is not None or center is not None:
                 raise InspeError(f"{source}: --junction and --center are for .xodr maps")
-            place = built_in(source)
+            place = built_in(_known(source))
         with _progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
     out.print(scene_table(built))
@@ -247,7 +250,8 @@ def score(
     """
     from inspe_jax.evaluation import evaluate
     from inspe_jax.files import check_output, write_text
-    from inspe_jax.report.figures import FORMATS, plan_view, save_figure
+    from inspe_jax.report.figures import plan_view
+    from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scores_record, scores_table
 
     check_output(plot, FORMATS)
@@ -278,7 +282,10 @@ def score(
 
 @app.command()
 def devices() -> None:
-    """List the catalogue of cameras and LiDARs that a layout can name."""
+    """List the catalogue of cameras and LiDARs that a layout can name, with their sources.
+
+    Example: `inspe devices`; a layout then says `device: hesai-xt32`.
+    """
     from inspe_jax.report.tables import devices_table
     from inspe_jax.sensing.devices import devices as catalogue
 
@@ -301,17 +308,28 @@ def _warn_of_full_roads(built: "Scene") -> None:
 
 def _list_places(source: str) -> None:
     from inspe_jax.report.tables import built_ins_table, junctions_table
-    from inspe_jax.scene.procedural import built_in
 
-    if Path(source).suffix == ".xodr":
+    if Path(source).suffix.lower() == ".xodr":
         from inspe_jax.scene.opendrive import list_junctions
 
         with _busy(f"reading {source}"):
             found = list_junctions(source)
         out.print(junctions_table(found, Path(source).name))
         return
-    built_in(source)
+    _known(source)
     out.print(built_ins_table())
+
+
+def _known(source: str) -> str:
+    """The name of a built-in; raises InspeError with all that a scene can come from."""
+    from inspe_jax.scene.procedural import BUILT_INS
+
+    if source not in BUILT_INS:
+        raise InspeError(
+            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}), an OpenDRIVE .xodr map or "
+            f"a saved .npz{nearest(source, tuple(BUILT_INS))}"
+        )
+    return source
 
 
 def _scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
@@ -322,10 +340,11 @@ def _scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
 
     world = load_scene(source)
     if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
-        return world, load_layout(sensors)
+        return world, load_layout(sensors, world)
     if sensors.lower() not in (name.lower() for name in STRATEGIES):
         raise InspeError(
             f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"
+            + nearest(sensors, tuple(STRATEGIES))
         )
     return world, strategy(world, sensors)
 

@@ -29,12 +29,21 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
             for part in fault["loc"]
             if isinstance(part, int) or part.isidentifier()
         ).lstrip(".")
+        limits = fault.get("ctx", {})
         if fault["type"] == "extra_forbidden":
             known = sorted(_fields(model, fault["loc"][:-1]))
             message = f"unknown key{nearest(str(fault['loc'][-1]), known)}"
             message += f"; allowed: {', '.join(known)}"
         elif fault["type"] == "missing":
             message = f"missing {'value' if isinstance(fault['loc'][-1], int) else 'key'}"
+        elif fault["type"] in ("model_type", "dict_type"):
+            message = f"must hold keys with values: {', '.join(sorted(model.model_fields))}"
+        elif fault["type"] == "too_short":
+            message = f"needs at least {limits['min_length']}, has {limits['actual_length']}"
+        elif fault["type"] == "too_long":
+            message = f"has more than {limits['max_length']}"
+        elif fault["type"] == "list_type":
+            message = f"must be a list, got {fault['input']!r}"
         else:
             given = f", got {fault['input']!r}" if not isinstance(fault["input"], dict) else ""
             message = fault["msg"][:1].lower() + fault["msg"][1:] + given
@@ -82,7 +91,10 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """A binary file to write; it takes its name when complete, and vanishes on any error."""
     check_output(path)
     path = Path(path)
-    handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    try:
+        handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as e:
+        raise InspeError(f"{path}: cannot be written: {e.strerror}") from e
     try:
         with os.fdopen(handle, "wb") as f:
             yield f

@@ -28,6 +28,7 @@ def files(tmp_path_factory):
     save_scene(empty, folder / "empty.npz")
     (folder / "layout.yaml").write_text(LAYOUT)
     (folder / "none.yaml").write_text("")
+    (folder / "list.yaml").write_text("- a\n- b\n")
     (folder / "zero.npz").write_bytes(b"")
     with (folder / "array.npz").open("wb") as f:
         np.save(f, np.zeros(3))
@@ -148,13 +149,16 @@ BAD = [
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
     (("score", "zero.npz"), "not a scene saved by this package"),
     (("score", "array.npz"), "not a scene saved by this package"),
-    (("scene", "nosuch", "--list"), "no built-in intersection 'nosuch'"),
+    (("scene", "nosuch", "--list"), "no scene 'nosuch': a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
     (("scene", "four_way", "--junction", 3), "--junction and --center are for .xodr maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
     (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps its settings"),
+    (("scene", "page.xodr"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "four_way", "--frames", 10**9), "at most 10000"),
+    (("score", "s.npz", "list.yaml"), "must hold keys with values: name, units"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
     (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),

@@ -1,20 +1,15 @@
-"""Plan views of a scene and of a scored layout, at 180 mm width, and how they are saved.
+"""Plan views of a scene and of a scored layout.
 
-Everything is laid out in inches by hand, so that nothing moves with the content: the map on the
-left, a panel of keys on its right, a heading above and notes below. Colours are of Okabe and
+Colours are of Okabe and
 Ito's palette and of cividis, which readers with any colour vision can tell apart.
 """
 
-import os
-import textwrap
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Float
-from matplotlib import patheffects, style
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
@@ -25,20 +20,21 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores
-from inspe_jax.files import check_output, whole_file
+from inspe_jax.report.sheet import (
+    CIRCLE,
+    HALO,
+    MAP,
+    fit,
+    frame_map,
+    house_style,
+    sheet,
+)
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
-
-FORMATS: dict[str, dict[str, None]] = {
-    ".png": {},
-    ".svg": {"Date": None},
-    ".pdf": {"CreationDate": None},
-}
-"""Suffixes that :func:`save_figure` knows, each with what would make two files differ: the date."""
 
 REGION_COLORS: dict[Region, str] = dict(
     zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)
@@ -57,21 +53,11 @@ _HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
 _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
 _LANE: dict[str, Any] = dict(color="#303030", lw=0.4)
 _WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
-_CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
 _USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
 _KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 _MARKERS = {"camera": "o", "lidar": "s"}
-_STYLE: dict[str, Any] = {
-    "font.size": 7.0, "legend.fontsize": 7.0, "axes.labelsize": 7.0, "axes.linewidth": 0.5,
-    "xtick.labelsize": 6.5, "xtick.major.width": 0.5, "xtick.major.size": 2.5,
-    "ytick.labelsize": 6.5, "ytick.major.width": 0.5, "ytick.major.size": 2.5,
-    "hatch.linewidth": 0.4, "pdf.fonttype": 42, "svg.hashsalt": "inspe_jax",
-}  # fmt: skip
-_WIDTH, _MAP, _LEFT, _PANEL, _ASIDE = 180 / 25.4, 4.75, 0.52, 5.40, 1.65  # [inch]
-_HEAD, _FOOT, _NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
-_HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
 
 def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
@@ -84,16 +70,16 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     facts = (
         f"radius {grid.radius:g} m, voxel {grid.size:g} m: {len(grid.columns):,} columns × "
         f"{grid.level_count} levels = {grid.count:,} voxels\n"
-        f"{len(place.arms)} arms, {len(place.poles)} poles; {_users(scene, frame)}"
+        f"{len(place.arms)} arms, {len(_near_poles(scene))} poles; {_users(scene, frame)}"
     )
-    with _house_style():
-        fig, ax, panel = _sheet(scene.name, facts, notes, 0.0)
-        _frame_map(ax, scene, grid.radius)
+    with house_style():
+        fig, ax, panel = sheet(scene.name, facts, notes, 0.0)
+        frame_map(ax, scene, grid.radius)
         _draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
         ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
         _draw_routes(ax, scene)
         _draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
-        near = place.poles[_away(scene, place.poles) <= grid.radius]
+        near = _near_poles(scene)
         ax.plot(*near.T[:2], **_POLE, zorder=6)
         panel.legend(handles=_scene_keys(scene), loc="upper left", **_KEYS)
     return fig
@@ -117,10 +103,10 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
     )
     keys = _plan_keys(scene, layout)
     rows = 7 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
-    with _house_style():
+    with house_style():
         title = f"{layout.name} at {scene.name}"
-        fig, ax, panel = _sheet(title, facts, [], rows * _ROW / 72, math=True)
-        _frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
+        fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
+        frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
         image = ax.imshow(
             raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
             interpolation="nearest", zorder=0.5,
@@ -135,17 +121,6 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
         _list_sensors(panel, layout, poses)
         panel.legend(handles=keys, loc="lower left", **_KEYS)
     return fig
-
-
-def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as ``.png``, ``.svg`` or ``.pdf``; whole or not at all, the same each time.
-
-    Raises InspeError for any other suffix or where the folder is missing.
-    """
-    check_output(path, FORMATS)
-    suffix = Path(path).suffix.lower()
-    with _house_style(), whole_file(path) as f:
-        fig.savefig(f, format=suffix[1:], dpi=300, metadata=FORMATS[suffix])
 
 
 def seen_raster(
@@ -215,52 +190,6 @@ def spread_badges(
     return place
 
 
-def _house_style() -> Any:
-    """Matplotlib's own defaults and ours, whatever the reader's settings are."""
-    return style.context(["default", _STYLE])
-
-
-def _sheet(
-    title: str, facts: str, notes: Sequence[str], panel_height: float, math: bool = False
-) -> tuple[Figure, Axes, Axes]:
-    """An empty sheet: figure, map and panel; as high as the notes and the panel need."""
-    lines = [line for note in notes for line in textwrap.wrap(note, 126, subsequent_indent="  ")]
-    below = _FOOT + (len(lines) * _NOTE_LINE + 0.12 if lines else 0.0)
-    body = max(_MAP, panel_height)
-    height = _HEAD + body + below
-    fig = Figure(figsize=(_WIDTH, height), facecolor="white")
-    left, bottom = _LEFT / _WIDTH, (height - _HEAD - _MAP) / height
-    ax = fig.add_axes((left, bottom, _MAP / _WIDTH, _MAP / height))
-    panel = fig.add_axes((_PANEL / _WIDTH, below / height, _ASIDE / _WIDTH, body / height))
-    panel.set(xlim=(0, _ASIDE * 72), ylim=(-body * 72, 0))  # in points
-    panel.axis("off")
-    heading: dict[str, Any] = dict(size=10, weight="bold", va="top", parse_math=False)
-    fig.text(left, 1 - 0.10 / height, _fit(title, 68), **heading)
-    fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=math, linespacing=1.35)
-    fig.text(
-        left, (below - _FOOT) / height, "\n".join(lines),
-        size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
-    )  # fmt: skip
-    return fig, ax, panel
-
-
-def _frame_map(ax: Axes, scene: Scene, reach: float) -> None:
-    """Limits in world metres, the circle of the region of interest, scale bar, north arrow."""
-    x, y = scene.voxels.center[:2].tolist()
-    limit = 1.06 * reach
-    ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
-    ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
-    ax.add_patch(Circle((x, y), scene.voxels.radius, fill=False, **_CIRCLE, zorder=5))
-    bar = max((m for m in (1, 2, 5, 10, 20, 50, 100) if m <= 0.4 * limit), default=1)
-    at: dict[str, Any] = dict(transform=ax.transAxes, zorder=9, path_effects=_HALO)
-    start, end = 0.98 - bar / (2 * limit), 0.98
-    ax.plot([start, end], [0.02, 0.02], "k-", lw=2.2, solid_capstyle="butt", **at)
-    ax.text((start + end) / 2, 0.03, f"{bar} m", ha="center", va="bottom", **at)
-    ax.plot([0.965, 0.965], [0.90, 0.965], "k-", lw=1.0, **at)
-    ax.plot(0.965, 0.965, "k^", ms=4, **at)
-    ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)
-
-
 def _scene_keys(scene: Scene) -> list[Any]:
     """Keys of a scene view, for those things only that are there."""
     place = scene.intersection
@@ -270,14 +199,14 @@ def _scene_keys(scene: Scene) -> list[Any]:
     offered: list[tuple[bool, Any]] = [
         *((r in here, Patch(**_LINE, fc=c, label=r.key)) for r, c in REGION_COLORS.items()),
         (not place.mounting.is_empty, Patch(**{**_HATCH, "fc": "white"}, label="mounting area")),
-        (len(place.poles) > 0, Line2D([], [], **_POLE, label="standing pole")),
+        (len(_near_poles(scene)) > 0, Line2D([], [], **_POLE, label="standing pole")),
         ("vehicle" in users, Line2D([], [], **_LANE, marker=">", ms=2.5, label="lane")),
         ("pedestrian" in users, Line2D([], [], **_WALK, label="walking route")),
         *(
             (k in kinds, Patch(fc=c, ec="black", lw=0.3, label=name))
             for k, (name, c) in enumerate(classes)
         ),
-        (True, Line2D([], [], **_CIRCLE, label="region of interest")),
+        (True, Line2D([], [], **CIRCLE, label="region of interest")),
     ]
     return [key for there, key in offered if there]
 
@@ -293,7 +222,7 @@ def _plan_keys(scene: Scene, layout: Layout) -> list[Any]:
     if scene.traffic.valid.any():
         keys.append(Patch(**_USER, label="road user"))
     keys.append(Patch(fc="#d9c76b", ec=_OUTLINE["ec"], lw=0.8, label="region outlined"))
-    return [*keys, Line2D([], [], **_CIRCLE, label="region of interest")]
+    return [*keys, Line2D([], [], **CIRCLE, label="region of interest")]
 
 
 def _users(scene: Scene, frame: int) -> str:
@@ -309,6 +238,12 @@ def _users(scene: Scene, frame: int) -> str:
 def _away(scene: Scene, points: np.ndarray) -> np.ndarray:
     """Plan distance of points (N, 2+) from the centre [m]."""
     return np.hypot(*(points[:, :2] - scene.voxels.center[:2]).T)
+
+
+def _near_poles(scene: Scene) -> np.ndarray:
+    """Poles within the region of interest."""
+    poles = scene.intersection.poles
+    return poles[_away(scene, poles) <= scene.voxels.radius]
 
 
 def _disc(scene: Scene) -> BaseGeometry:
@@ -389,7 +324,7 @@ def _draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]])
 def _wedge_look(spec: Spec, halo: bool = True) -> dict[str, Any]:
     line = "-" if isinstance(spec, CameraSpec) else (0, (4, 2))
     look: dict[str, Any] = dict(color=SENSOR_COLORS[spec.kind], lw=0.8, ls=line)
-    return dict(look, path_effects=_HALO) if halo else look
+    return dict(look, path_effects=HALO) if halo else look
 
 
 def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -> None:
@@ -402,14 +337,14 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
 
 
 def _draw_badges(ax: Axes, layout: Layout, poses: np.ndarray) -> None:
-    """A dot where each sensor is, and its number joined to it: a camera's behind it."""
+    """A dot where each sensor is, and its number joined to it: a camera's in front of it."""
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
-    behind = -np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
+    ahead = np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
     camera = np.array([[sensor.spec.kind == "camera"] for sensor in layout.sensors])
-    gap = (_BADGE + 1.5) * (right - left) / (_MAP * 72)
-    places = spread_badges(poses[:, :2], np.where(camera, behind, out), gap)
+    gap = (_BADGE + 1.5) * (right - left) / (MAP * 72)
+    places = spread_badges(poses[:, :2], np.where(camera, ahead, out), gap)
     for k, (sensor, foot, place) in enumerate(zip(layout.sensors, poses, places, strict=True)):
         kind, color = sensor.spec.kind, SENSOR_COLORS[sensor.spec.kind]
         ax.plot([foot[0], place[0]], [foot[1], place[1]], color=color, lw=0.7, zorder=6)
@@ -435,13 +370,9 @@ def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray) -> None:
         members = [k for k, sensor in enumerate(layout.sensors) if sensor.unit == u]
         if members:
             y -= _ROW
-            panel.text(0, y, _fit(unit.name, 28), **look, weight="bold")
+            panel.text(0, y, fit(unit.name, 28), **look, weight="bold")
         for k in members:
             y -= _ROW
             spec, height = layout.sensors[k].spec, poses[k, 2] - unit.base[2]
             _badge(panel, (6, y), k + 1, spec.kind)
-            panel.text(13, y, f"{_fit(spec.name, 22)}, {height:.1f} m", **look)
-
-
-def _fit(name: str, length: int) -> str:
-    return name if len(name) <= length else name[: length - 1] + "…"
+            panel.text(13, y, f"{fit(spec.name, 22)}, {height:.1f} m", **look)

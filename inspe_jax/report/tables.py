@@ -47,18 +47,18 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
         look = "bold" if name == "surrogate" else ""
         total.add_row(_words(name), symbol, weight, f"{getattr(scores, name):.3f}", style=look)
 
-    regions = _table("Coverage by region", "region", "weight", "coverage")
+    regions = _table("Share covered by region", "region", "weight", "share")
     for key, share in scores.region_coverage.items():
         regions.add_row(key, f"{WEIGHTS[Region[key.upper()]]:g}", f"{share:.3f}")
 
-    levels = _table("Coverage by level", "level, from below", "coverage")
+    levels = _table("Unweighted, by level", "level, from below", "share")
     for k, share in enumerate(scores.level_coverage):
         levels.add_row(str(k + 1), f"{share:.3f}")
 
-    each = _table("What each sensor adds", "#", "sensor", "unit", "device", *METRICS.values())
-    for k, (part, unit, device) in enumerate(members):
+    each = _table("What each sensor adds", "#", "sensor", "device", *METRICS.values())
+    for k, (part, _, device) in enumerate(members):
         drops = [f"{getattr(part, name):+.4f}" for name in METRICS]
-        each.add_row(str(k + 1), Text(part.sensor), Text(unit), Text(device), *drops)
+        each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
     beside = Columns([total, regions, levels], padding=(0, 4))
@@ -128,7 +128,7 @@ def scene_table(scene: Scene) -> RenderableType:
 
 
 def layout_table(layout: Layout) -> RenderableType:
-    """A layout for people: each sensor with its unit, device and pose [m, degrees].
+    """A layout for people: each sensor with its device and pose [m, degrees].
 
     Height is above the unit's base; roll has a column only where some sensor rolls.
     """
@@ -143,12 +143,11 @@ def layout_table(layout: Layout) -> RenderableType:
         "pitch\n[°]": pitch,
         **({"roll\n[°]": roll} if np.any(np.abs(roll) >= 0.05) else {}),
     }
-    table = _table(f"Layout {layout.name}", "#", "unit", "sensor", "device", *numbers)
+    table = _table(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
     for k, (sensor, row) in enumerate(
         zip(layout.sensors, zip(*numbers.values(), strict=True), strict=True)
     ):
-        unit = layout.units[sensor.unit].name
-        names = [Text(name) for name in (unit, sensor.name, sensor.spec.name)]
+        names = [Text(name) for name in (sensor.name, sensor.spec.name)]
         table.add_row(str(k + 1), *names, *(f"{value:z.1f}" for value in row))
     return table
 
@@ -159,22 +158,23 @@ def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> Renderabl
         "device",
         "kind",
         "pixels,\nchannels",
-        "field of view",
+        "field\nof view",
         "reach\n[m]",
         "rays",
         "price\n[US$]",
     )
-    table = _table("Devices", *headers, "maker")
-    sources = _table("Where their figures are from", "device", "source")
+    table = _table("Devices", *headers)
+    sources = [Text("Where their figures are from", style="bold")]
     for device in devices.values() if isinstance(devices, Mapping) else devices:
         resolution, view = _resolution(device.spec)
         grid = device.spec.grid
         price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
         rays = f"{len(grid.rows) * grid.column_count:,}"
         numbers = (resolution, view, f"{grid.reach:g}", rays, price)
-        table.add_row(device.name, device.kind, *numbers, Text(device.maker))
-        sources.add_row(device.name, Text(device.source))
-    return Group(table, "", sources)
+        table.add_row(device.name, device.kind, *numbers)
+        words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
+        sources.append(Text(words, style="dim"))
+    return Group(table, "", *sources)
 
 
 def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:
@@ -253,7 +253,7 @@ def _resolution(spec: Spec) -> tuple[str, str]:
     around = f"{np.degrees(spec.azimuth_fov):.0f}°"
     return (
         f"{len(spec.elevations)}",
-        f"{around} × {high - low:.0f}° ({low:+.0f}…{high:+.0f}°)",
+        f"{around} × {high - low:.0f}°",
     )
 
 

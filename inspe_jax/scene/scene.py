@@ -117,11 +117,12 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
         )
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
-    try:
-        with path.open("rb") as f, np.load(f, allow_pickle=False) as data:
-            return _unpack({k: data[k] for k in data.files})
-    except _NOT_A_SCENE as e:
-        raise InspeError(f"{path}: not a scene saved by this package ({e})") from e
+    with path.open("rb") as f:
+        try:
+            with np.load(f, allow_pickle=False) as data:
+                return _unpack({k: data[k] for k in data.files})
+        except _NOT_A_SCENE as e:
+            raise InspeError(f"{path}: not a scene saved by this package") from e
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

@@ -15,6 +15,9 @@ from inspe_jax.scene.waypoint_paths import USERS, Paths, lay_paths
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
 
+MOST_FRAMES = 10_000
+"""More frames than this are taken for a slip."""
+
 CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
 
@@ -110,6 +113,8 @@ def waypoint_traffic(
     for name, value, least in (("count", count, 0), ("frames", frames, 1), ("seed", seed, 0)):
         if value < least:
             raise InspeError(f"traffic {name} {value} is out of range: at least {least}")
+    if frames > MOST_FRAMES:
+        raise InspeError(f"traffic frames {frames} is out of range: at most {MOST_FRAMES}")
     for name, size in (("radius", radius), ("step", step)):
         if not (np.isfinite(size) and size > 0):
             raise InspeError(f"traffic {name} {size} is out of range: above 0")
@@ -134,8 +139,12 @@ def waypoint_traffic(
 
 
 def _quota(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    """Classes of ``count`` users by largest remainder, among those that have a path."""
+    """Classes of ``count`` users by largest remainder, among those that have a path.
+
+    Cyclists ride where people walk too: not on motorways.
+    """
     has_path = [bool((paths.user == USERS.index(u.path)).any()) for u in ROAD_USERS]
+    has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
     share = np.where(has_path, mix.shares, 0.0)
     if not share.any():
         return np.zeros(0, np.int8)

@@ -4,7 +4,7 @@ The file, in metres and degrees of the world frame::
 
     units:
       - name: north-east pole
-        base: [12.0, 11.5, 0.0]      # x, y and the ground's height there (0 if left out)
+        base: [12.0, 11.5]           # x, y; a third number is the height of the base
         sensors:
           - device: paper-camera-midday
             height: 6.0              # above the base
@@ -28,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from inspe_jax.errors import InspeError
 from inspe_jax.files import check_model, write_text
 from inspe_jax.geometry import rotation
+from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
@@ -202,8 +203,12 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def load_layout(path: str | os.PathLike[str]) -> Layout:
-    """Read a layout file. Raises InspeError that names the file, the key and what is allowed."""
+def load_layout(path: str | os.PathLike[str], scene: Scene | None = None) -> Layout:
+    """Read a layout file.
+
+    A base of two numbers stands on the ground of ``scene``, or at height 0 without
+    one. Raises InspeError that names the file, the key and what is allowed.
+    """
     path = Path(path)
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
@@ -218,7 +223,9 @@ def load_layout(path: str | os.PathLike[str]) -> Layout:
     units: list[Unit] = []
     poses: list[Pose] = []
     for u, unit in enumerate(entry.units):
-        x, y, z = (*unit.base, 0.0)[:3]
+        x, y = unit.base[:2]
+        on_ground = scene.intersection.ground(np.array([[x, y]]))[0] if scene else 0.0
+        z = unit.base[2] if len(unit.base) == 3 else float(on_ground)
         units.append(Unit(unit.name or f"unit {u + 1}", (x, y, z)))
         for k, item in enumerate(unit.sensors):
             where = f"{path}: units[{u}].sensors[{k}].device"
@@ -263,5 +270,5 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
     content = {"name": layout.name, "units": units}
     check_model(_LayoutFile, content, f"{layout.name}, to be saved as {path}")
-    text = yaml.safe_dump(content, sort_keys=False)
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     write_text(path, "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text)

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import NEVER, Prism, ray_cube_margin, rotation, shade, shadow_ceiling
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Point, RayGrid
 
@@ -243,12 +244,13 @@ def check_layout(scene: Scene, layout: Layout) -> None:
         if not np.isfinite(pose).all():
             raise InspeError(f"{where}: its pose has a value that is not finite")
         away, reach = np.hypot(*(pose[:2] - grid.center[:2])), sensor.spec.grid.reach
-        if away > grid.radius + reach:
-            raise InspeError(
-                f"{where} is {away:.0f} m from the centre of {scene.name}, out of reach of its "
-                f"{grid.radius:g} m with {reach:g} m; is this layout for another scene?"
-            )
         ground = float(scene.intersection.ground(pose[None, :2])[0])
+        gap = np.hypot(max(away - grid.radius, 0.0), max(pose[2] - ground - ROI_HEIGHT, 0.0))
+        if gap > reach:
+            raise InspeError(
+                f"{where}, {pose[2] - ground:.0f} m up, is {gap:.0f} m from the region of interest "
+                f"of {scene.name} and reaches {reach:g} m; is this layout for another scene?"
+            )
         if not pose[2] > ground:
             raise InspeError(
                 f"{where} is in the ground: its height is {pose[2]:.2f} m and the ground's "

@@ -23,12 +23,12 @@ from inspe_jax.report.figures import (
     CLASS_COLORS,
     REGION_COLORS,
     plan_view,
-    save_figure,
     scene_view,
     seen_raster,
     spread_badges,
     view_outline,
 )
+from inspe_jax.report.sheet import save_figure
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene

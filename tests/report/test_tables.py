@@ -141,14 +141,14 @@ def test_scores_for_people_are_whole(layout, width):
     assert row(text, "occlusion", "O")[2:4] == ["0.5", "0.300"]
     assert row(text, "information", "gain", "IG")[3:5] == ["0.2", "0.333"]
     assert "0.700" in row(text, "surrogate", "P_sm")
-    assert "driveway     0.22     0.901" in text
-    assert "crosswalk    0.23     0.456" in text
+    words = " ".join(text.split())
+    assert "driveway 0.22 0.901" in words
+    assert "crosswalk 0.23 0.456" in words
     for share in ("0.111", "0.222", "0.333"):
         assert share in text
     assert row(text, "1", "cam", "a")[-4:] == ["+0.0123", "+0.0456", "+0.0789", "+0.0099"]
     assert "-0.0001  +0.2222  +0.0000  +0.1111" in text
     assert "[red]top" in text  # names are not markup
-    assert "pole [1]" in text
 
 
 # ── Scene, layout, catalogue, map ───────────────────────────────────────────
@@ -170,14 +170,21 @@ def test_a_scene_for_people(scene):
 def test_a_layout_for_people(layout, width):
     text = shown(layout_table(layout), width)
     # Height is above the unit's base, and yaw lies in (−180°, 180°].
-    assert row(text, "1", "mast")[-6:] == ["test-camera", "-10.0", "0.5", "6.0", "-90.0", "-15.5"]
+    assert row(text, "1", "cam", "a")[-6:] == [
+        "test-camera",
+        "-10.0",
+        "0.5",
+        "6.0",
+        "-90.0",
+        "-15.5",
+    ]
     assert row(text, "2")[-6:] == ["test-lidar", "10.0", "0.0", "4.5", "180.0", "0.0"]
     assert "roll" not in text
     poses = np.array(layout.poses)
     poses[0, 3] = math.radians(-3)
     tilted = shown(layout_table(layout.with_poses(poses)), width)
     assert "roll" in tilted
-    assert row(tilted, "1", "mast")[-2:] == ["-15.5", "-3.0"]
+    assert row(tilted, "1", "cam", "a")[-2:] == ["-15.5", "-3.0"]
 
 
 def test_devices_for_people():
@@ -189,9 +196,9 @@ def test_devices_for_people():
     high = math.degrees(2 * math.atan(300 * math.tan(math.radians(50)) / 400))
     for given in (mine, mine.values()):
         lines = [" ".join(line.split()) for line in shown(devices_table(given)).splitlines()]
-        assert f"cam camera 800 × 600 100° × {high:.0f}° 30 4,800 1,234 Maker [x]" in lines
-        assert "lid lidar 32 360° × 27° (-25…+2°) 50 57,600 – Someone" in lines
-        assert "lid page 4" in lines
+        assert f"cam camera 800 × 600 100° × {high:.0f}° 30 4,800 1,234" in lines
+        assert "lid lidar 32 360° × 27° 50 57,600 –" in lines
+        assert "lid: page 4." in lines
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -199,7 +206,8 @@ def test_the_built_in_catalogue_is_whole(width):
     text = shown(devices_table(devices()), width)
     for name, device in devices().items():
         assert len(device.spec.grid.directions()) > 0
-        assert text.count(f" {name} ") == 2  # in the table and among the sources
+        assert f" {name} " in text  # in the table
+        assert f"\n{name}: " in text  # among the sources
         assert f"{len(device.spec.grid.directions()):,}" in text
 
 

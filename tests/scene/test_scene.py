@@ -85,7 +85,7 @@ def test_a_saved_scene_loads_the_same(tmp_path):
         (dict(voxel=0), "voxel 0 m is out of range: between 0.05 and 2 m"),
         (
             dict(radius=200, voxel=0.05),
-            r"too large for memory: .* million voxels, about [\d,]+ GiB",
+            r"too large for memory: .* million voxels .* about [\d,]+ GiB",
         ),
         (dict(density="heavy"), "density 'heavy': none, low, medium, high"),
         (dict(density=-3), "density '-3'"),

@@ -182,7 +182,8 @@ def test_shares() -> None:
     # 0.68 · 20 = 13.6, 2, 2, 2.4: the one left over goes to the largest remainder.
     assert np.bincount(_quota(paths, MIXES["mixed"], 20)).tolist() == [14, 2, 2, 2]
     roads = lay_paths(crossing(walks=False), 50)
-    assert np.bincount(_quota(roads, MIXES["mixed"], 88)).tolist() == [68, 10, 10]
+    # Nobody cycles where nobody walks: 68 : 10 of 88 is 76.7 : 11.3.
+    assert np.bincount(_quota(roads, MIXES["mixed"], 88)).tolist() == [77, 11]
 
 
 def test_tables_agree() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import LIDAR, place_sensors
+from worlds import LIDAR, place_sensors, world
 
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import rotation
@@ -51,7 +51,7 @@ def test_a_file_gives_world_poses(tmp_path):
         (("device: paper-camera-midday", "device: paper-camera-middy"), "paper-camera-midday"),
         (("height: 6.0", "height: .nan"), r"height: .*finite"),
         (("height: 6.0", "height: high"), r"sensors\[0\].height: .*'high'"),
-        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: .*at least 2"),
+        (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: needs at least 2, has 1"),
         (("pitch_deg: -15", "pitch_deg: -115"), r"pitch_deg: .*-90.*-115"),
         (
             ("offset: [0.5, -0.25]", "offset: [0.0, 2.1]"),
@@ -68,9 +68,12 @@ def test_a_file_gives_world_poses(tmp_path):
         (("height: 6.0", "height: 6.0\n        height: 7.0"), "the key 'height' is given twice"),
         (("height: 5.0,", "height: 5.0, name: pole 1,"), "two sensors are named 'pole 1'"),
         ((GOOD, ""), "the layout is empty"),
-        ((GOOD, "units: []"), "units: .*at least 1"),
-        ((GOOD, "units:\n  - base: [0, 0]\n    sensors: []"), r"units\[0\].sensors: .*at least 1"),
-        ((GOOD, "just words"), "the file"),
+        ((GOOD, "units: []"), "units: needs at least 1, has 0"),
+        (
+            (GOOD, "units:\n  - base: [0, 0]\n    sensors: []"),
+            r"units\[0\].sensors: needs at least 1, has 0",
+        ),
+        ((GOOD, "just words"), "the file: must hold keys with values: name, units"),
         ((GOOD, "units: [}"), "not YAML"),
     ],
 )
@@ -80,6 +83,15 @@ def test_each_bad_file_gets_one_clear_message(tmp_path, change, message):
         load_layout(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_a_base_without_height_stands_on_the_scenes_ground(tmp_path):
+    scene = world(slope=0.1, count=0)
+    path = write(tmp_path, GOOD.replace("base: [12.0, -3.0, 0.5]", "base: [10.0, -5.0]"))
+    assert load_layout(path, scene).poses[:, 2] == pytest.approx([7.0, 6.0], abs=1e-6)
+    assert load_layout(path).poses[:, 2] == pytest.approx([6.0, 5.0])
+    given = load_layout(write(tmp_path, GOOD), scene)
+    assert given.poses[:, 2] == pytest.approx([6.5, 5.5])
 
 
 def test_no_such_file(tmp_path):

@@ -154,7 +154,10 @@ def test_line_of_sight_behind_a_car_by_hand():
     [
         ([5.0, 0, 5, 0, 0, np.nan], "not finite"),
         ([np.inf, 0, 5, 0, 0, 0], "not finite"),
-        ([8000.0, 0, 5, 0, 0, 0], "8000 m from the centre of test crossing, out of reach"),
+        (
+            [8000.0, 0, 5, 0, 0, 0],
+            "7980 m from the region of interest of test crossing",
+        ),
     ],
 )
 def test_poses_that_cannot_be_meant(pose, message):

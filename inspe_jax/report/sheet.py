@@ -1,0 +1,99 @@
+"""The sheet that every figure is drawn on, and how it is saved.
+
+180 mm wide and laid out in inches by hand, so that nothing moves with the content: the map on the
+left, a panel of keys on its right, a heading above and notes below.
+"""
+
+import os
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib import patheffects, style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from inspe_jax.files import check_output, whole_file
+from inspe_jax.scene.scene import Scene
+
+FORMATS: dict[str, dict[str, None]] = {
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+"""Suffixes that :func:`save_figure` knows, each with what would make two files differ: the date."""
+
+STYLE: dict[str, Any] = {
+    "font.size": 7.0, "legend.fontsize": 7.0, "axes.labelsize": 7.0, "axes.linewidth": 0.5,
+    "xtick.labelsize": 6.5, "xtick.major.width": 0.5, "xtick.major.size": 2.5,
+    "ytick.labelsize": 6.5, "ytick.major.width": 0.5, "ytick.major.size": 2.5,
+    "hatch.linewidth": 0.4, "pdf.fonttype": 42, "svg.hashsalt": "inspe_jax",
+}  # fmt: skip
+WIDTH, MAP, LEFT, PANEL, ASIDE = 180 / 25.4, 4.75, 0.52, 5.40, 1.65  # [inch]
+HEAD, FOOT, NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
+CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
+HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
+
+
+def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as ``.png``, ``.svg`` or ``.pdf``; whole or not at all, the same each time.
+
+    Raises InspeError for any other suffix or where the folder is missing.
+    """
+    check_output(path, FORMATS)
+    suffix = Path(path).suffix.lower()
+    with house_style(), whole_file(path) as f:
+        fig.savefig(f, format=suffix[1:], dpi=300, metadata=FORMATS[suffix])
+
+
+def house_style() -> Any:
+    """Matplotlib's own defaults and ours, whatever the reader's settings are."""
+    return style.context(["default", STYLE])
+
+
+def sheet(
+    title: str, facts: str, notes: Sequence[str], panel_height: float, math: bool = False
+) -> tuple[Figure, Axes, Axes]:
+    """An empty sheet: figure, map and panel; as high as the notes and the panel need."""
+    lines = [line for note in notes for line in textwrap.wrap(note, 126, subsequent_indent="  ")]
+    below = FOOT + (len(lines) * NOTE_LINE + 0.12 if lines else 0.0)
+    body = max(MAP, panel_height)
+    height = HEAD + body + below
+    fig = Figure(figsize=(WIDTH, height), facecolor="white")
+    left, bottom = LEFT / WIDTH, (height - HEAD - MAP) / height
+    ax = fig.add_axes((left, bottom, MAP / WIDTH, MAP / height))
+    panel = fig.add_axes((PANEL / WIDTH, below / height, ASIDE / WIDTH, body / height))
+    panel.set(xlim=(0, ASIDE * 72), ylim=(-body * 72, 0))  # in points
+    panel.axis("off")
+    heading: dict[str, Any] = dict(size=10, weight="bold", va="top", parse_math=False)
+    fig.text(left, 1 - 0.10 / height, fit(title, 68), **heading)
+    fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=math, linespacing=1.35)
+    fig.text(
+        left, (below - FOOT) / height, "\n".join(lines),
+        size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
+    )  # fmt: skip
+    return fig, ax, panel
+
+
+def frame_map(ax: Axes, scene: Scene, reach: float) -> None:
+    """Limits in world metres, the circle of the region of interest, scale bar, north arrow."""
+    x, y = scene.voxels.center[:2].tolist()
+    limit = 1.06 * reach
+    ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
+    ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
+    ax.add_patch(Circle((x, y), scene.voxels.radius, fill=False, **CIRCLE, zorder=5))
+    bar = max((m for m in (1, 2, 5, 10, 20, 50, 100) if m <= 0.4 * limit), default=1)
+    at: dict[str, Any] = dict(transform=ax.transAxes, zorder=9, path_effects=HALO)
+    start, end = 0.98 - bar / (2 * limit), 0.98
+    ax.plot([start, end], [0.02, 0.02], "k-", lw=2.2, solid_capstyle="butt", **at)
+    ax.text((start + end) / 2, 0.03, f"{bar} m", ha="center", va="bottom", **at)
+    ax.plot([0.965, 0.965], [0.90, 0.965], "k-", lw=1.0, **at)
+    ax.plot(0.965, 0.965, "k^", ms=4, **at)
+    ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)
+
+
+def fit(name: str, length: int) -> str:
+    """A name cut to ``length`` characters, the last an ellipsis."""
+    return name if len(name) <= length else name[: length - 1] + "…"

@@ -149,6 +149,10 @@ class Seen(NamedTuple):
     sight_share: Float[Array, "S V"]
 
 
+BLOCK = 1024
+"""Columns watched at a time: what they need stays in a core's cache through all frames."""
+
+
 @partial(jax.jit, static_argnames=("reference", "share_sight"))
 def watch(
     ground: Ground,
@@ -158,28 +162,48 @@ def watch(
     reference: str,
     share_sight: bool,
 ) -> Seen:
-    """Go through the frames once, one frame's arrays in memory at a time.
+    """Go through the frames once for each block of columns.
 
     Gives O, the occupancy p̂, and the share of frames in which each voxel is
     seen; with ``share_sight`` also that in which each sensor has each voxel in
     line of sight, else 1.
     """
-    covered = leave_one_out(f)
+    (length, levels), frames = ground.heights.shape, len(ground.prisms.top)
 
-    def frame(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
-        spare_own = reference == "targets"
-        ceilings = shadow_ceilings(sensors, prisms, ground.columns, spare_own=spare_own)
-        clear = step(ground.heights[None] - ceilings[:, :, None]).reshape(f.shape)
-        solid = step(solid_top(ground.columns, prisms)[:, None] - ground.heights).ravel()
-        visible = leave_one_out(f * clear)
-        terms = metrics.occlusion_terms(visible, covered, solid, reference)
-        gathered = (solid, visible[0], clear if share_sight else 1.0)
-        return jax.tree.map(jnp.add, sums, gathered), terms
+    def block(part: tuple[Array, ...]) -> tuple[tuple, tuple]:
+        there, columns, heights, f = part  # (C, 1), (C, 2), (C, Z), (C, S, Z)
+        f = f.swapaxes(0, 1)  # (S, C, Z)
+        flat = (len(sensors), -1)
+        covered = leave_one_out(f.reshape(flat))
 
-    zeros = jnp.zeros_like(covered[0])
-    start = (zeros, zeros, jnp.zeros_like(f) if share_sight else jnp.zeros(()))
-    sums, terms = jax.lax.scan(frame, start, ground.prisms)
-    occupancy, seen_share, sight_share = (total / len(ground.prisms.top) for total in sums)
-    return Seen(
-        metrics.occlusion(*terms), occupancy, seen_share, jnp.broadcast_to(sight_share, f.shape)
-    )
+        def frame(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
+            spare_own = reference == "targets"
+            ceilings = shadow_ceilings(sensors, prisms, columns, spare_own=spare_own)
+            clear = step(heights[None] - ceilings[:, :, None])
+            solid = there * step(solid_top(columns, prisms)[:, None] - heights)
+            visible = leave_one_out((f * clear).reshape(flat))
+            free, inside = (there - solid).ravel(), solid.ravel()
+            terms = metrics.occlusion_terms(visible, covered, free, inside, reference)
+            gathered = (inside, visible[0], clear.reshape(flat) if share_sight else 1.0)
+            return jax.tree.map(jnp.add, sums, gathered), terms
+
+        zeros = jnp.zeros_like(covered[0])
+        start = (zeros, zeros, jnp.zeros(f.shape).reshape(flat) if share_sight else jnp.zeros(()))
+        return jax.lax.scan(frame, start, ground.prisms)
+
+    def blocks(x: Array) -> Array:
+        """(L, …) as (N, C, …), padded with zeros."""
+        count = -(-length // BLOCK)
+        x = jnp.pad(x, [(0, count * BLOCK - length)] + [(0, 0)] * (x.ndim - 1))
+        return x.reshape(count, BLOCK, *x.shape[1:])
+
+    by_column = f.reshape(-1, length, levels).swapaxes(0, 1)
+    parts = (jnp.ones((length, 1)), ground.columns, ground.heights, by_column)
+    sums, terms = jax.lax.map(block, tuple(map(blocks, parts)))
+    seen, original = (term.sum(0) for term in terms)  # (T, 1 + S), over the blocks
+    occupancy, seen_share = (s.reshape(-1)[: length * levels] / frames for s in sums[:2])
+    sight_share = jnp.ones_like(f)
+    if share_sight:
+        total = sums[2].swapaxes(0, 1).reshape(len(sensors), -1)  # (S, N·C·Z)
+        sight_share = total[:, : length * levels] / frames
+    return Seen(metrics.occlusion(seen, original), occupancy, seen_share, sight_share)

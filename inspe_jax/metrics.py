@@ -28,19 +28,19 @@ def coverage(covered: Float[Array, "... V"], weight: Float[Array, " V"]) -> Floa
 def occlusion_terms(
     visible: Float[Array, "... V"],
     covered: Float[Array, "... V"],
+    free: Float[Array, " V"],
     solid: Float[Array, " V"],
     reference: str,
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """(|V_orig| − |V_occ|, |V_orig|) of one frame.
 
-    ``visible``: in view of some sensor and in its line of sight; ``solid``: inside
-    a vehicle. The paper leaves V_orig open. ``roi``: every voxel of the region of
+    ``visible``: in view of some sensor and in its line of sight; ``free``: outside
+    every vehicle; ``solid``: inside one. The paper leaves V_orig open. ``roi``: every voxel of the region of
     interest, occluded unless some sensor sees it; the only reading that puts O
     below C throughout, as Table 2 has it. ``covered``: those that some sensor has
     in view. ``targets``: the vehicles' own voxels, which their own vehicle does
     not hide. Under the first two the solid voxels belong to neither set.
     """
-    free = 1.0 - solid
     if reference == "roi":
         return visible @ free, jnp.ones_like(covered) @ free
     if reference == "covered":

@@ -26,7 +26,8 @@ def test_coverage_is_the_weighted_share():
 )
 def test_occlusion_references_by_hand(reference, seen, original):
     visible, covered = jnp.array([1.0, 0, 0, 1]), jnp.array([1.0, 1, 0, 1])
-    terms = metrics.occlusion_terms(visible, covered, jnp.array([0.0, 0, 0, 1]), reference)
+    solid = jnp.array([0.0, 0, 0, 1])
+    terms = metrics.occlusion_terms(visible, covered, 1 - solid, solid, reference)
     assert tuple(map(float, terms)) == (seen, original)
 
 
@@ -37,7 +38,7 @@ def test_occlusion_is_a_mean_over_frames_that_have_a_target():
 
 def test_unknown_occlusion_reference():
     with pytest.raises(InspeError, match="'all': one of roi, covered, targets"):
-        metrics.occlusion_terms(jnp.ones(2), jnp.ones(2), jnp.ones(2), "all")
+        metrics.occlusion_terms(jnp.ones(2), jnp.ones(2), jnp.ones(2), jnp.ones(2), "all")
 
 
 def test_entropy_against_numpy():

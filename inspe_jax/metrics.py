@@ -35,11 +35,12 @@ def occlusion_terms(
     """(|V_orig| − |V_occ|, |V_orig|) of one frame.
 
     ``visible``: in view of some sensor and in its line of sight; ``free``: outside
-    every vehicle; ``solid``: inside one. The paper leaves V_orig open. ``roi``: every voxel of the region of
-    interest, occluded unless some sensor sees it; the only reading that puts O
-    below C throughout, as Table 2 has it. ``covered``: those that some sensor has
-    in view. ``targets``: the vehicles' own voxels, which their own vehicle does
-    not hide. Under the first two the solid voxels belong to neither set.
+    every vehicle; ``solid``: inside one. The paper leaves V_orig open. ``roi``:
+    every voxel of the region of interest, occluded unless some sensor sees it; the
+    only reading that puts O below C throughout, as Table 2 has it. ``covered``:
+    those that some sensor has in view. ``targets``: the vehicles' own voxels, which
+    their own vehicle does not hide. Under the first two the solid voxels belong to
+    neither set.
     """
     if reference == "roi":
         return visible @ free, jnp.ones_like(covered) @ free

@@ -43,7 +43,7 @@ def random_layout(scene: Scene, specs: list[Spec], rng: np.random.Generator) -> 
     xy = scene.voxels.center[:2] + rng.uniform(-15, 15, (len(specs), 2))
     z = scene.intersection.ground(xy) + rng.uniform(1, 8, len(specs))
     angles = rng.uniform([-0.1, -0.6, -np.pi], [0.1, 0.1, np.pi], (len(specs), 3))
-    sensors = [Sensor(spec.name, spec, i) for i, spec in enumerate(specs)]
+    sensors = [Sensor(f"{spec.name} {i}", spec, i) for i, spec in enumerate(specs)]
     units = [Unit(f"unit {i}", (x, y, h)) for i, ((x, y), h) in enumerate(zip(xy, z, strict=True))]
     return inspe_jax.make_layout(sensors, units, np.column_stack([xy, z, angles]))
 
@@ -56,7 +56,7 @@ def main() -> None:
     weight = scene.voxels.weight / scene.voxels.weight.sum()
     catalogue = inspe_jax.devices()
     names = ["paper-lidar-32", "paper-camera-midday"] if options.quick else list(catalogue)
-    poses = 1 if options.quick else 3
+    poses = 2 if options.quick else 3
 
     rows: list[dict[str, Any]] = []
     for name in track(names, "walking rays", console=console, transient=True):
@@ -85,7 +85,7 @@ def main() -> None:
     sight = 1.0 - float(np.mean(differ))
 
     table = Table(
-        "device", "agrees", "Bresenham agrees", "C", "C exact", "C Bresenham",
+        "device", "agrees", "Bresenham\nagrees", "C", "C\nexact", "C\nBresenham",
         title=f"In view on {scene.name}, worst of {poses} random poses; C is their mean",
     )  # fmt: skip
     table.columns[0].min_width = max(map(len, names))

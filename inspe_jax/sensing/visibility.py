@@ -61,8 +61,8 @@ def _candidates(
 
     The rays nearest to the voxel's centre are not enough: where rows lie
     further apart than columns, a row may clip one corner of the cube, many
-    columns away from the centre. So walk from the centre to the corner that lies
-    furthest towards the row; the point p where that chord meets the row is in
+    columns away from the centre. So walk from the centre to the point of the cube that
+    lies furthest towards the row; the point p where that chord meets the row is in
     the cube. A row crosses a cube in one interval, so if it holds any ray, it
     holds the one just before or just after p. Rows: the nearest one and its two
     neighbours; if a cube reaches further rows than these, it is large against
@@ -82,6 +82,24 @@ def _candidates(
             x, y, z = x + side * turn[k, 0], y + side * turn[k, 1], z + side * turn[k, 2]
         return x, y, z
 
+    def extreme(normal: Point, outward: float) -> Point:
+        """The corner, or the middle of an edge, whose row is highest (outward = 1) or lowest.
+
+        The corner furthest along the normal at the aim, and from there along the
+        normal at that corner: near the sensor the two differ, and the best may lie
+        between them.
+        """
+        sign = jnp.full_like(q[0], outward)
+        one = corner(normal, sign)
+        two = corner(grid.row_normal(one), sign)
+        middle = _between(one, two, jnp.full_like(q[0], 0.5))
+        best, value = one, grid.row(one) * outward
+        for point in (two, middle):
+            other = grid.row(point) * outward
+            best = tuple(jnp.where(other > value, a, b) for a, b in zip(point, best, strict=True))  # type: ignore[assignment]
+            value = jnp.maximum(value, other)
+        return best
+
     aim = _within_reach(grid, q, corner)
     if not grid.wraps:
         for edge, outward in zip(grid.column_limits, (1.0, -1.0), strict=True):
@@ -96,7 +114,7 @@ def _candidates(
     here = grid.row(aim)
     nearest = grid.nearest_row(here)
     normal = grid.row_normal(aim)
-    above, below = corner(normal, jnp.ones_like(here)), corner(normal, -jnp.ones_like(here))
+    above, below = extreme(normal, 1.0), extreme(normal, -1.0)
     found = []
     for neighbour in (-1, 0, 1):
         row = grid.row_at(jnp.clip(nearest + neighbour, 0, len(grid.rows) - 1))

@@ -112,12 +112,13 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     axes = figure.subplots()
     at = np.arange(len(rows))
     looks = (
-        ("coverage_exact", "exact walk", "o", "#0072B2"),
-        ("coverage", "inspe_jax", "x", "#000000"),
-        ("coverage_bresenham", "Bresenham (paper)", "s", "#E69F00"),
+        ("coverage_bresenham", "Bresenham (paper)", "s", "#E69F00", 5),
+        ("coverage_exact", "exact walk", "o", "#0072B2", 8),
+        ("coverage", "inspe_jax", "x", "#000000", 5),
     )
-    for key, label, marker, color in looks:
-        axes.plot([r[key] for r in rows], at, marker, label=label, color=color, ls="none", ms=5)
+    for key, label, marker, color, size in looks:
+        look: dict[str, Any] = dict(color=color, mfc="none", ls="none", ms=size)
+        axes.plot([r[key] for r in rows], at, marker, label=label, **look)
     axes.set_yticks(at, [r["device"] for r in rows])
     axes.set(xlabel="coverage C of one sensor, mean over random poses", xlim=(0, 1))
     axes.invert_yaxis()

@@ -1,6 +1,6 @@
 """The command line: thin, every command a few calls into the package.
 
-Heavy imports stay inside the commands, so that ``inspe --help`` answers at once.
+Imports stay inside the commands: the map reader and matplotlib load only where they are used.
 """
 
 import json
@@ -131,12 +131,12 @@ def scene(
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scene_table
     from inspe_jax.scene.procedural import built_in
-    from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+    from inspe_jax.scene.scene import SCENE_SUFFIXES, build_scene, load_scene, save_scene
 
     if list_:
         _list_places(source)
         return
-    check_output(save, (".npz",))
+    check_output(save, SCENE_SUFFIXES)
     check_output(plot, FORMATS)
     options: dict[str, Any] = {
         name: value
@@ -294,10 +294,9 @@ def devices() -> None:
 
 def _warn_of_full_roads(built: "Scene") -> None:
     """Say so where the roads could not hold the traffic that was asked for."""
-    from inspe_jax.scene.traffic import DENSITIES
+    from inspe_jax.scene.scene import density_count
 
-    density = dict(built.settings).get("density", "none")
-    asked = DENSITIES[density] if density in DENSITIES else int(density)
+    asked = density_count(dict(built.settings).get("density", "none"))
     held = built.traffic.mean_count
     if held < 0.9 * asked:
         err.print(

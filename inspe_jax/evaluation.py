@@ -83,10 +83,7 @@ def evaluate(
     information gain has weight 0, and then it is 0.
     """
     if occlusion_reference not in metrics.OCCLUSION_REFERENCES:
-        raise InspeError(
-            f"occlusion_reference '{occlusion_reference}': one of "
-            f"{', '.join(metrics.OCCLUSION_REFERENCES)}"
-        )
+        raise metrics.unknown_reference(occlusion_reference)
     if visibility not in VISIBILITIES:
         raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
     metrics.check_weights(weights)

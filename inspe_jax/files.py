@@ -22,12 +22,10 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as e:
-        # A union lists one fault a branch: the deepest is the one that was meant.
-        fault = max(e.errors(), key=lambda f: (f["type"] == "extra_forbidden", len(f["loc"])))
+        # A misspelt key is also a missing one: the first that is unknown says what was meant.
+        fault = max(e.errors(), key=lambda f: f["type"] == "extra_forbidden")
         key = "".join(
-            f"[{part}]" if isinstance(part, int) else f".{part}"
-            for part in fault["loc"]
-            if isinstance(part, int) or part.isidentifier()
+            f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
         ).lstrip(".")
         limits = fault.get("ctx", {})
         if fault["type"] == "extra_forbidden":
@@ -35,7 +33,7 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
             message = f"unknown key{nearest(str(fault['loc'][-1]), known)}"
             message += f"; allowed: {', '.join(known)}"
         elif fault["type"] == "missing":
-            message = f"missing {'value' if isinstance(fault['loc'][-1], int) else 'key'}"
+            message = "missing key"
         elif fault["type"] in ("model_type", "dict_type"):
             message = f"must hold keys with values: {', '.join(sorted(model.model_fields))}"
         elif fault["type"] == "too_short":
@@ -68,6 +66,12 @@ def _inner_model(annotation: Any) -> Any:
         if found is not None:
             return found
     return None
+
+
+def check_input(path: Path) -> None:
+    """Raise InspeError where there is no such file to read."""
+    if not path.is_file():
+        raise InspeError(f"{path}: no such file")
 
 
 def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] = ()) -> None:

@@ -17,6 +17,9 @@ NEVER = -1e9
 FAR = 1e9
 """Stands for an unbounded slab: large, yet finite, so that 0 × FAR is 0."""
 
+Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
+"""x, y, z of many points or directions, apart: the kernels take one coordinate at a time."""
+
 
 class Prism(NamedTuple):
     """Vertical prisms on solid ground: an oriented rectangle each, and a top [m, rad]."""
@@ -46,9 +49,9 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
 
 
 def ray_cube_margin(
-    direction: tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]],
+    direction: Point,
     reach: float,
-    offset: tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]],
+    offset: Point,
     half: float,
 ) -> Float[Array, "*n"]:
     """How deep a ray passes through a cube [m]; negative by how far it misses.

@@ -48,7 +48,14 @@ def occlusion_terms(
         return visible @ free, covered @ free
     if reference == "targets":
         return visible @ solid, jnp.ones_like(covered) @ solid
-    raise InspeError(f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}")
+    raise unknown_reference(reference)
+
+
+def unknown_reference(reference: str) -> InspeError:
+    """The error of a reference that is none of :data:`OCCLUSION_REFERENCES`."""
+    return InspeError(
+        f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}"
+    )
 
 
 def occlusion(seen: Float[Array, "T ..."], original: Float[Array, "T ..."]) -> Float[Array, "..."]:

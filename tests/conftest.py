@@ -4,12 +4,11 @@ from pathlib import Path
 
 import jax
 import pytest
+from worlds import MAPS
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_nans", True)
-
-MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """Small scenes with known answers, and a segment–triangle oracle, for the tests."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from inspe_jax.scene.traffic import TrafficFrames
 from inspe_jax.scene.voxels import build_voxels
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
+
+MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
+"""Town maps beside the checkout; tests that need them skip where they are absent."""
 
 LIDAR = LidarSpec(
     "test-lidar", tuple(np.radians(np.linspace(-25, 2, 32)).tolist()), 1800, 2 * np.pi, 50.0

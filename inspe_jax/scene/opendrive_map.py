@@ -23,6 +23,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.errors import InspeError
+from inspe_jax.files import check_input
 
 TRAVEL = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bus", "taxi", "HOV"}
 TRAVEL |= {"mwyEntry", "mwyExit"}
@@ -94,8 +95,7 @@ def position(location: Any) -> np.ndarray:
 def load_map(path: str | os.PathLike[str]) -> TownMap:
     """The map of a file, kept for as long as the file stays the same. Raises InspeError."""
     path = Path(path)
-    if not path.is_file():
-        raise InspeError(f"{path}: no such file")
+    check_input(path)
     stat = path.stat()
     return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
 

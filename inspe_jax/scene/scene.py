@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 
 from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import whole_file
+from inspe_jax.files import check_input, check_output, whole_file
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
@@ -22,6 +22,7 @@ from inspe_jax.scene.traffic import DENSITIES, TrafficFrames, waypoint_traffic
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 1"
+SCENE_SUFFIXES = (".npz",)
 # What reading a file that is something else can raise; a scene raises none of them.
 _NOT_A_SCENE = (
     AttributeError,
@@ -74,7 +75,7 @@ def build_scene(
     :func:`~inspe_jax.scene.traffic.waypoint_traffic`; ``progress`` is called with
     (frames done, frames). Raises InspeError on a value out of range.
     """
-    count = _density(density)
+    count = density_count(density)
     voxels = build_voxels(intersection, radius=radius, voxel=voxel)
     traffic = waypoint_traffic(
         intersection,
@@ -115,8 +116,7 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
             f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"
             + nearest(str(source), tuple(BUILT_INS))
         )
-    if not path.is_file():
-        raise InspeError(f"{path}: no such file")
+    check_input(path)
     with path.open("rb") as f:
         try:
             with np.load(f, allow_pickle=False) as data:
@@ -127,13 +127,16 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write a scene to a compressed ``.npz``; the file appears whole or not at all."""
-    if Path(path).suffix != ".npz":
-        raise InspeError(f"{path}: a scene is saved as .npz")
+    check_output(path, SCENE_SUFFIXES)
     with whole_file(path) as f:
         np.savez_compressed(f, **_pack(scene))  # type: ignore[arg-type]  # names are ours
 
 
-def _density(density: str | int) -> int:
+def density_count(density: str | int) -> int:
+    """Mean number of objects that a density means, by name or number.
+
+    Raises InspeError for anything else.
+    """
     if isinstance(density, str) and density in DENSITIES:
         return DENSITIES[density]
     try:

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import check_model
+from inspe_jax.files import check_input, check_model
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 
@@ -60,8 +60,7 @@ def load_devices(path: str | os.PathLike[str]) -> dict[str, Device]:
     Raises InspeError that names the file, the device, the key and what is allowed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InspeError(f"{path}: no such file")
+    check_input(path)
     return _parse(path.read_bytes(), str(path))
 
 

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from inspe_jax.errors import InspeError
-from inspe_jax.files import check_model, write_text
+from inspe_jax.files import check_input, check_model, write_text
 from inspe_jax.geometry import rotation
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
@@ -210,8 +210,7 @@ def load_layout(path: str | os.PathLike[str], scene: Scene | None = None) -> Lay
     one. Raises InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InspeError(f"{path}: no such file")
+    check_input(path)
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as e:

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
-"""x, y, z of many points, apart: the kernels work on one coordinate at a time."""
+from inspe_jax.geometry import Point
 
 _LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
 

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from inspe_jax.errors import InspeError
-from inspe_jax.geometry import NEVER, Prism, ray_cube_margin, rotation, shade, shadow_ceiling
+from inspe_jax.geometry import NEVER, Point, Prism, ray_cube_margin, rotation, shade, shadow_ceiling
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import Point, RayGrid
+from inspe_jax.sensing.sensors import RayGrid
 
 TOUCH = 2e-5
 """A ray this near to a voxel touches it [m]: the rounding of single precision at 100 m."""

@@ -9,6 +9,7 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 from shapely import affinity
+from worlds import MAPS
 
 from inspe_jax.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, mouth_crosswalks
@@ -18,7 +19,6 @@ from inspe_jax.scene.regions import Region
 
 carla = pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
 
-MAPS = Path(__file__).resolve().parents[2] / ".." / "shared" / "maps"
 needs_maps = pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
 
 

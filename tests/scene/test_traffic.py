@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from shapely import STRtree
 from shapely.affinity import rotate, translate
 from shapely.geometry import MultiPolygon, box
+from worlds import MAPS
 
 from inspe_jax.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
@@ -23,7 +23,6 @@ from inspe_jax.scene.traffic import (
 from inspe_jax.scene.waypoint_model import WaypointModel, _overlap, _safe_speed, _truncated_normal
 from inspe_jax.scene.waypoint_paths import SPACING, lay_paths
 
-MAPS = Path(__file__).resolve().parents[2] / ".." / "shared" / "maps"
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 LANE = 3.5
 FAR = 80.0

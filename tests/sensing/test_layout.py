@@ -46,6 +46,10 @@ def test_a_file_gives_world_poses(tmp_path):
     ("change", "message"),
     [
         (("height: 6.0", "heigth: 6.0"), r"sensors\[0\].heigth: unknown key; did you mean height"),
+        (
+            ("yaw_deg: 90", "yaw-deg: 90"),
+            r"sensors\[0\].yaw-deg: unknown key; did you mean yaw_deg",
+        ),
         (("units:", "unit:"), r"unit: unknown key; did you mean units\?"),
         (("        height: 6.0\n", ""), r"units\[0\].sensors\[0\].height: missing key"),
         (("device: paper-camera-midday", "device: paper-camera-middy"), "paper-camera-midday"),

@@ -1,7 +1,8 @@
 """Poses, rotations, and the two margins everything rests on; knows no sensor.
 
 Ray against box: separations on the separating axes, in metres. Line of sight
-against vertical prisms: the height below which a prism hides a column.
+against vertical prisms: the height below which a prism hides a column, and, to be
+read softly, how deep the sight line cuts into the prism sideways and from above.
 """
 
 from typing import Any, NamedTuple
@@ -137,16 +138,36 @@ def shadow_ceiling(
     seen beneath a prism. ``spare_own``: a prism does not hide the columns it
     stands on.
     """
-    ex, ey = shade.cos * dx + shade.sin * dy, shade.cos * dy - shade.sin * dx
-    x_exit, x_entry = _crossings(ex * shade.x_near, ex * shade.x_far, shade.x_inside)
-    y_exit, y_entry = _crossings(ey * shade.y_near, ey * shade.y_far, shade.y_inside)
-    leaves = jnp.maximum(x_exit, y_exit)  # 1/t₁, less than 1 where the line ends inside
-    exit_, entry = jnp.maximum(leaves, 1.0), jnp.minimum(x_entry, y_entry)
+    leaves, entry = _plan_crossings(shade, dx, dy)
+    exit_ = jnp.maximum(leaves, 1.0)
     meets = exit_ < entry
     if spare_own:
         meets &= leaves >= 1.0
     ceiling = sensor_z + shade.rise * jnp.where(shade.rise < 0, exit_, entry)
     return jnp.where(meets, ceiling, NEVER)
+
+
+def shadow_height(
+    shade: Shade, dx: Float[Array, " L"], dy: Float[Array, " L"], sensor_z: Float[Array, ""]
+) -> tuple[Float[Array, " L"], Bool[Array, " L"]]:
+    """The ceiling of :func:`shadow_ceiling` whether or not the line meets the prism, and whether
+    the column lies in the prism.
+
+    A guess where it misses, to tell which prisms matter. A prism higher than the sensor hides all.
+    """
+    leaves, entry = _plan_crossings(shade, dx, dy)
+    ceiling = sensor_z + shade.rise * jnp.maximum(leaves, 1.0)
+    return jnp.where(shade.rise < 0, ceiling, -NEVER), (leaves < 1.0) & (entry > 1.0)
+
+
+def _plan_crossings(
+    shade: Shade, dx: Float[Array, " L"], dy: Float[Array, " L"]
+) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
+    """(1/t₁, 1/t₀) of each sight line; 1/t₁ is less than 1 where the line ends inside."""
+    ex, ey = shade.cos * dx + shade.sin * dy, shade.cos * dy - shade.sin * dx
+    x_exit, x_entry = _crossings(ex * shade.x_near, ex * shade.x_far, shade.x_inside)
+    y_exit, y_entry = _crossings(ey * shade.y_near, ey * shade.y_far, shade.y_inside)
+    return jnp.maximum(x_exit, y_exit), jnp.minimum(x_entry, y_entry)
 
 
 def _crossings(
@@ -155,6 +176,73 @@ def _crossings(
     """(1/exit, 1/entry) of a slab; from inside, the entry lies behind the sensor, at 1/0."""
     low, high = jnp.minimum(u, v), jnp.maximum(u, v)
     return jnp.where(inside, high, low), jnp.where(inside, FAR, high)
+
+
+def plan_margin(
+    x: Float[Array, "*n"],
+    y: Float[Array, "*n"],
+    ex: Float[Array, "*n"],
+    ey: Float[Array, "*n"],
+    half: tuple[Float[Array, "*n"], Float[Array, "*n"]],
+) -> Float[Array, "*n"]:
+    """How deep a sight line cuts a rectangle in plan [m]; negative by how far it misses.
+
+    In the rectangle's own frame the line runs from (x, y) by (ex, ey). Separating axes of a
+    segment and a rectangle: the rectangle's two, and the line's normal.
+    """
+    a, b = half
+    length = jnp.sqrt(jnp.maximum(ex * ex + ey * ey, 1e-12))
+    support = a * jnp.abs(ey) + b * jnp.abs(ex)
+    # A line without length, straight down, has no normal; the other two axes decide.
+    beside = jnp.where(length < 1e-5, a + b, (support - jnp.abs(x * ey - y * ex)) / length)
+    ahead = a + jnp.abs(ex) / 2 - jnp.abs(x + ex / 2)
+    across = b + jnp.abs(ey) / 2 - jnp.abs(y + ey / 2)
+    return jnp.minimum(beside, jnp.minimum(ahead, across))
+
+
+def cut_margins(
+    sensor: Float[Array, "3"],
+    prism: Prism,
+    columns: Float[Array, "*n 2"],
+    heights: Float[Array, "*n Z"],
+) -> tuple[Float[Array, "*n"], Float[Array, "*n Z"]]:
+    """How deep each sight line cuts into a prism [m]: sideways in plan, and below its top.
+
+    One prism a column (leading axes of both alike), ``heights`` of the targets in that column.
+    A voxel is hidden where both are positive. Both are measured at the prism, in metres between
+    the line and its sides and top, so neither grows without bound as a prism comes near the
+    sensor, as the height of its shadow does. The line z_s + t·(z − z_s) is lowest where it leaves
+    the prism, at t₁, if it falls, and where it enters, at t₀, if it rises. A line that misses has
+    no t₀ and t₁: then they are held to the stretch that the prism takes up along the line.
+    """
+    sx, sy = sensor[0] - prism.center[..., 0], sensor[1] - prism.center[..., 1]
+    dx, dy = columns[..., 0] - sensor[0], columns[..., 1] - sensor[1]
+    cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
+    x, y = cos * sx + sin * sy, cos * sy - sin * sx
+    ex, ey = cos * dx + sin * dy, cos * dy - sin * dx
+    a, b = prism.half[..., 0], prism.half[..., 1]
+
+    squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
+    middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
+    first, last = jnp.clip(middle - spread, 0.0, 1.0), jnp.clip(middle + spread, 0.0, 1.0)
+    (x_in, x_out), (y_in, y_out) = _slab(x, ex, a), _slab(y, ey, b)
+    t_in = jnp.clip(jnp.maximum(x_in, y_in), first, last)
+    t_out = jnp.clip(jnp.minimum(x_out, y_out), first, last)
+
+    drop = sensor[2] - heights
+    below = (prism.top - sensor[2])[..., None] + jnp.maximum(
+        drop * t_in[..., None], drop * t_out[..., None]
+    )
+    return plan_margin(x, y, ex, ey, (a, b)), below
+
+
+def _slab(
+    start: Float[Array, "*n"], along: Float[Array, "*n"], half: Float[Array, "*n"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """Where start + t·along enters and leaves −half … half; from far to far along the slab."""
+    along = nonzero(along)
+    middle, spread = -start / along, half / jnp.abs(along)
+    return middle - spread, middle + spread
 
 
 def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:

@@ -5,36 +5,96 @@ Geometry returns margins in metres, positive where the statement holds.
 margins well inside, thresholding their product would give a weak maybe.
 """
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from inspe_jax.errors import InspeError
 
-def step(margin: Float[Array, "*n"], softness: float = 0.0) -> Float[Array, "*n"]:
-    """1 where ``margin`` [m] is positive, 0 elsewhere; a logistic of width ``softness`` [m].
+Width = float | Float[Array, ""] | None
+"""Width of a soft reading [m]; None, or a Python 0, is the exact one."""
 
-    ``softness`` is a Python number; 0 is the exact reading, and a margin of
-    exactly 0 counts as a miss.
+
+def exact(width: Width) -> bool:
+    """Whether margins are read exactly. A traced width, whatever its value, is soft."""
+    return width is None or (isinstance(width, (int, float)) and width == 0)
+
+
+def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
+    """1 where ``margin`` [m] is positive, 0 elsewhere; softly, a logistic of that width.
+
+    Read exactly, a margin of 0 counts as a miss.
     """
-    if softness == 0.0:
+    if exact(width):
         return (margin > 0).astype(margin.dtype)
-    return jax.nn.sigmoid(margin / softness)
+    return jax.nn.sigmoid(margin / jnp.asarray(width, margin.dtype))
 
 
-def leave_one_out(p: Float[Array, "S ..."]) -> Float[Array, "1+S ..."]:
-    """Chance that some reading holds: of all s in row 0, of all but s in row 1 + s.
+class Softness(NamedTuple):
+    """How softly each kind of margin is read, widths in metres; None is exactly.
 
-    That is 1 − ∏(1 − p), exactly 0 or 1 when every p is; unlike a clipped sum it
-    keeps a gradient. ∏(1 − p) over the others is the whole product divided by 1 − p_s; factors that
-    are exactly 0, where a sensor sees for certain, are counted and not divided.
+    ``field``: the edge of a field of view and the end of its reach. ``ray``:
+    whether one of the rays in there meets a voxel; rays and voxels are small, and a
+    blur wider than a voxel would see nothing of them, so :meth:`of` holds it to
+    :data:`RAY_SHARE` of the voxel's edge. ``shadow``: how far a sight line passes
+    beside or above a vehicle.
     """
-    miss = 1.0 - p
-    certain = (miss == 0.0).astype(p.dtype)
-    factor = jnp.where(certain > 0, 1.0, miss)
-    product, count = jnp.prod(factor, axis=0, keepdims=True), certain.sum(0, keepdims=True)
-    factors = jnp.concatenate([jnp.ones_like(product), factor])
-    counts = jnp.concatenate([count, count - certain])
-    return 1.0 - jnp.where(counts > 0, 0.0, product / factors)
+
+    field: Width = None
+    ray: Width = None
+    shadow: Width = None
+
+    @classmethod
+    def of(cls, value: Any, voxel: float) -> "Softness":
+        """From one width for all [m], traced or not, or a Softness as it is; 0 is exact.
+
+        ``voxel`` is the edge of a voxel [m]. Raises InspeError where a width is negative.
+        """
+        given = value if isinstance(value, Softness) else (value,)
+        for width in given:
+            if isinstance(width, (int, float)) and not 0 <= width < float("inf"):
+                raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
+        widths = [None if exact(width) else jnp.asarray(width, float) for width in given]
+        if isinstance(value, Softness):
+            return cls(*widths)
+        (width,) = widths
+        return EXACT if width is None else cls(width, jnp.minimum(width, RAY_SHARE * voxel), width)
+
+
+EXACT = Softness()
+"""Every margin read exactly."""
+RAY_SHARE = 0.1
+"""Softness between rays is at most this share of a voxel's edge: a voxel well inside a ray then
+reads 0.97."""
+
+
+def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:
+    """Chance that some reading holds, 1 − ∏(1 − p): exactly 0 or 1 when every p is.
+
+    Unlike a clipped sum it keeps a gradient.
+    """
+    return 1.0 - jnp.prod(1.0 - p, axis=0)
+
+
+def leave_one_out(
+    p: Float[Array, "S ..."], groups: tuple[tuple[int, ...], ...]
+) -> Float[Array, "1+G ..."]:
+    """Chance that some reading holds: of all in row 0, of all but group g in row 1 + g.
+
+    ``groups`` are rows of ``p``, each row in one group. The misses 1 − p are multiplied from both
+    ends, so that leaving one out needs no division, which a certain reading would make 0/0.
+    """
+    if not groups:
+        return any_of(p)[None]
+    miss = [jnp.prod(1.0 - p[jnp.array(group)], axis=0) for group in groups]
+    before, after = [jnp.ones_like(miss[0])], [jnp.ones_like(miss[0])]
+    for first, last in zip(miss, reversed(miss), strict=True):
+        before.append(before[-1] * first)
+        after.append(after[-1] * last)
+    without = [a * b for a, b in zip(before[:-1], reversed(after[:-1]), strict=True)]
+    return 1.0 - jnp.stack([before[-1], *without])
 
 
 def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:

@@ -1,8 +1,12 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from inspe_jax.numerics import dot, leave_one_out, nonzero, step
+from inspe_jax.errors import InspeError
+from inspe_jax.numerics import EXACT, Softness, any_of, dot, leave_one_out, nonzero, step
+
+EACH = tuple((s,) for s in range(5))
 
 
 def test_a_margin_is_read_hard_at_zero_and_soft_around_it():
@@ -20,17 +24,42 @@ def test_softness_to_zero_is_the_hard_reading():
 
 def test_readings_are_exact_on_certainties_and_multiply_as_chances():
     p = jnp.array([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]])
-    assert leave_one_out(p).tolist() == [[0.0, 1.0, 0.75], [0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]
+    assert any_of(p).tolist() == [0.0, 1.0, 0.75]
+    left = [[0.0, 1.0, 0.75], [0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]
+    assert leave_one_out(p, EACH[:2]).tolist() == left
+    assert leave_one_out(p, ()).tolist() == left[:1]
 
 
+@pytest.mark.parametrize("groups", [EACH, ((0, 3), (1,), (2, 4)), ((0, 1, 2, 3, 4),)])
 @pytest.mark.parametrize("certain", [0, 1, 2])
-def test_leave_one_out_equals_leaving_out(certain):
-    """Against the product over the array with the row deleted, with 0, 1 or 2 rows certain."""
+def test_leave_one_out_equals_leaving_out(certain, groups):
+    """Against the product over the array with the rows deleted, with 0, 1 or 2 rows certain."""
     p = np.random.default_rng(3).uniform(0, 0.9, (5, 7)).astype(np.float32)
     p[:certain] = 1.0
     expected = [1 - np.prod(1 - p, 0)]
-    expected += [1 - np.prod(1 - np.delete(p, s, 0), 0) for s in range(5)]
-    np.testing.assert_allclose(leave_one_out(jnp.array(p)), np.stack(expected), atol=1e-6)
+    expected += [1 - np.prod(1 - np.delete(p, group, 0), 0) for group in groups]
+    np.testing.assert_allclose(leave_one_out(jnp.array(p), groups), np.stack(expected), atol=1e-6)
+
+
+def test_a_certain_reading_leaves_a_finite_gradient():
+    """Dividing ∏(1 − p) by a factor of 0 would not."""
+    p = jnp.array([[1.0, 0.2], [1.0, 0.7], [0.3, 1.0]])
+    slope = jax.jacobian(lambda p: leave_one_out(p, EACH[:3]).sum())(p)
+    # d/dp₂ of voxel 0: only where 0 and 1 do not both stand is something missed, which never is.
+    np.testing.assert_allclose(slope, [[0.7, 0.3], [0.7, 0.8], [0.0, 1.34]], atol=1e-6)
+
+
+def test_softness_is_one_width_or_one_for_each_kind():
+    assert Softness.of(0, 0.5) is EXACT
+    assert Softness.of(0.0, 0.5) is EXACT
+    one = Softness.of(0.3, 0.5)
+    assert (float(one.field), float(one.ray), float(one.shadow)) == pytest.approx((0.3, 0.05, 0.3))
+    assert float(Softness.of(0.01, 0.5).ray) == pytest.approx(0.01)
+    mixed = Softness.of(Softness(field=0.5, shadow=0.0), 0.5)
+    assert (float(mixed.field), mixed.ray, mixed.shadow) == (0.5, None, None)
+    for bad in (-1.0, Softness(ray=-0.1), float("nan"), float("inf")):
+        with pytest.raises(InspeError, match="softness"):
+            Softness.of(bad, 0.5)
 
 
 def test_dot_keeps_single_precision_over_two_million_terms():

@@ -95,12 +95,19 @@ class Layout:
         """The pose of sensor ``s``, by name."""
         return Pose(*np.asarray(self.poses[s], float).tolist())
 
-    def groups(self) -> list[tuple[RayGrid, np.ndarray]]:
+    def groups(self) -> tuple[tuple[RayGrid, tuple[int, ...]], ...]:
         """Sensors with the same grid of rays, as (grid, indices): each compiles once."""
         found: dict[RayGrid, list[int]] = {}
         for s, sensor in enumerate(self.sensors):
             found.setdefault(sensor.spec.grid, []).append(s)
-        return [(grid, np.array(index)) for grid, index in found.items()]
+        return tuple((grid, tuple(index)) for grid, index in found.items())
+
+    def members(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of each unit's sensors."""
+        return tuple(
+            tuple(s for s, sensor in enumerate(self.sensors) if sensor.unit == u)
+            for u in range(len(self.units))
+        )
 
     @property
     def reliability(self) -> Float[np.ndarray, " S"]:

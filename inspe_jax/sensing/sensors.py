@@ -98,7 +98,31 @@ class RayGrid:
         row, column = np.meshgrid(np.asarray(self.rows), columns, indexing="ij")
         return np.stack(self.direction(row.ravel(), column.ravel(), np), axis=-1)
 
+    def field_margin(self, q: Point) -> Float[Array, "*n"]:
+        """How deep points lie in the field of view [m]: from the nearest edge row, edge column or
+        the end of the reach; negative outside."""
+        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _LEAST**2))
+        low, high = self.rows[0], self.rows[-1]
+        margin = jnp.minimum(self.reach - distance, self.beyond_row(q, low) / self.slant(low))
+        margin = jnp.minimum(margin, -self.beyond_row(q, high) / self.slant(high))
+        if self.wraps:
+            return margin
+        first, last = self.column_limits
+        after = self.beyond_column(q, first) / self.slant(first)
+        before = -self.beyond_column(q, last) / self.slant(last)
+        # A field of more than half a turn is the union of the two sides, else their overlap.
+        wide = last - first > np.pi and not self.slants
+        both = jnp.maximum(after, before) if wide else jnp.minimum(after, before)
+        return jnp.minimum(margin, both)
+
     # What the two kinds of grid define, each for its own coordinates.
+
+    slants = False
+    """Whether coordinates are tangents, so that :meth:`beyond_row` measures along an axis."""
+
+    def slant(self, coordinate: float) -> float:
+        """What to divide :meth:`beyond_row` and :meth:`beyond_column` by to measure square on."""
+        return float(np.hypot(1.0, coordinate)) if self.slants else 1.0
 
     def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
         """Unit direction of the ray at a row and a column coordinate."""
@@ -112,7 +136,7 @@ class RayGrid:
         """Column coordinate of points."""
         raise NotImplementedError
 
-    def beyond_row(self, q: Point, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """How far points lie beyond a row, in metres across it; linear or nearly so."""
         raise NotImplementedError
 
@@ -147,7 +171,7 @@ class SphericalGrid(RayGrid):
         x = jnp.where(jnp.abs(q[0]) + jnp.abs(q[1]) < _LEAST, _LEAST, q[0])
         return jnp.arctan2(q[1], x)
 
-    def beyond_row(self, q: Point, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """Distance above the cone of elevation ``row``."""
         return q[2] * jnp.cos(row) - _plan(q) * jnp.sin(row)
 
@@ -169,6 +193,8 @@ class SphericalGrid(RayGrid):
 class PinholeGrid(RayGrid):
     """A camera's rays: rows and columns are the tangents z/x and y/x."""
 
+    slants = True
+
     def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
         """(1, column, row), scaled to unit length."""
         scale = 1.0 / xp.sqrt(1.0 + row * row + column * column)
@@ -182,7 +208,7 @@ class PinholeGrid(RayGrid):
         """Tangent of the angle to the left of the optical axis."""
         return q[1] / jnp.maximum(q[0], _LEAST)
 
-    def beyond_row(self, q: Point, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """Height above the plane through row ``row``, along z."""
         return q[2] - row * q[0]
 

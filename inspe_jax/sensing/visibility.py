@@ -12,10 +12,21 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.errors import InspeError
-from inspe_jax.geometry import NEVER, Point, Prism, ray_cube_margin, rotation, shade, shadow_ceiling
+from inspe_jax.geometry import (
+    NEVER,
+    Point,
+    Prism,
+    cut_margins,
+    ray_cube_margin,
+    rotation,
+    shade,
+    shadow_ceiling,
+    shadow_height,
+)
+from inspe_jax.numerics import Width, exact, step
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.layout import Layout
@@ -25,33 +36,105 @@ TOUCH = 2e-5
 """A ray this near to a voxel touches it [m]: the rounding of single precision at 100 m."""
 
 
+DEEP = 0.7
+"""Where rays are dense, voxels are this share of half an edge deep in one at least; no margin
+counts as deeper, since which of the rays is deepest changes with every move and means nothing."""
+
+
 @partial(jax.jit, static_argnames=("grid", "half"))
-def in_view_margin(
+def in_view_margins(
     grid: RayGrid, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
-) -> Float[Array, "S V"]:
-    """How deep the best ray of each sensor passes through each voxel [m]; positive in view.
+) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
+    """How deep each voxel lies in each sensor's field of view, and how deep its best ray goes [m].
 
     Coverage's f(V_i) = 1 if some ray passes through the voxel, the other way
     round: for each voxel the six rays are found that can pass through it if any
-    does (:func:`_candidates`), and the best margin is kept. ``half`` is half a
-    voxel's edge [m]. Voxels are closed: a ray along a face they share passes
-    through both, which :data:`TOUCH` makes sure of in single precision.
+    does (:func:`_candidates`), and the best margin is kept. A voxel is in view where both margins
+    are positive. The first is that of the field of view, from its edge and its reach; the second
+    that of the rays, as if a voxel outside had been moved to the edge: so read softly the first
+    draws the field over voxels far outside it, and the second, which is no larger than a voxel,
+    tells rows apart. ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face
+    they share passes through both, which :data:`TOUCH` makes sure of in single precision.
     """
-    return jax.lax.map(lambda pose: _best_margin(grid, pose, centers, half), poses)
+
+    def margins(pose: Float[Array, "6"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+        ray = jnp.minimum(_best_margin(grid, half, pose, centers), DEEP * half)
+        # A ray in the voxel is in the field of view, whatever the rounding.
+        field = jnp.maximum(_field_margin(grid, half, pose, centers), ray)
+        return field, ray - jnp.minimum(field, 0.0)
+
+    return jax.lax.map(margins, poses)
 
 
-def _best_margin(
-    grid: RayGrid, pose: Float[Array, "6"], centers: Float[Array, "V 3"], half: float
+def _to_voxels(pose: Float[Array, "6"], centers: Float[Array, "V 3"]) -> Point:
+    """From the sensor to each voxel, world axes."""
+    r = centers - pose[None, :3]  # (V, 3)
+    return r[:, 0], r[:, 1], r[:, 2]
+
+
+@partial(jax.checkpoint, static_argnums=(0, 1))
+def _field_margin(
+    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    turn = rotation(pose[3:])
-    r = centers - pose[None, :3]  # (V, 3), world axes
-    offset = (r[:, 0], r[:, 1], r[:, 2])
-    best = jnp.full(len(centers), -jnp.inf, r.dtype)
-    for row, column in _candidates(grid, turn, offset, half):
-        d = grid.direction(row, column)
-        world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
-        best = jnp.maximum(best, ray_cube_margin(world, grid.reach, offset, half + TOUCH))
-    return best
+    return grid.field_margin(_to_body(rotation(pose[3:]), _to_voxels(pose, centers))) + half
+
+
+def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
+    """World axes to the body's."""
+    x, y, z = (sum(turn[k, m] * offset[k] for k in range(3)) for m in range(3))
+    return x, y, z  # type: ignore[return-value]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _best_margin(
+    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+) -> Float[Array, " V"]:
+    return _best_ray(grid, half, pose, centers)[0]
+
+
+@_best_margin.defjvp
+def _best_margin_jvp(grid, half, primals, tangents):  # type: ignore[no-untyped-def]
+    """A maximum is an envelope: its derivative is that of the ray that won."""
+    (pose, centers), (d_pose, _) = primals, tangents  # the voxels stand still
+    margin, row, column = _best_ray(grid, half, pose, centers)
+
+    @jax.checkpoint  # kept, the intermediates would be 30 numbers a voxel; the winner is two
+    def won(pose, row, column):  # type: ignore[no-untyped-def]
+        return _ray_margin(grid, half, pose, centers, row, column)
+
+    still = jnp.zeros_like(row)
+    return margin, jax.jvp(won, (pose, row, column), (d_pose, still, still))[1]
+
+
+def _best_ray(
+    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
+    """(margin, row, column) of the ray that passes deepest through each voxel."""
+    candidates = _candidates(grid, rotation(pose[3:]), _to_voxels(pose, centers), half)
+    best = jnp.full(len(centers), -jnp.inf, centers.dtype)
+    best_row, best_column = candidates[0]
+    for row, column in candidates:
+        margin = _ray_margin(grid, half, pose, centers, row, column)
+        won = margin > best
+        best = jnp.where(won, margin, best)
+        best_row, best_column = (
+            jnp.where(won, row, best_row),
+            jnp.where(won, column, best_column),
+        )
+    return best, best_row, best_column
+
+
+def _ray_margin(
+    grid: RayGrid,
+    half: float,
+    pose: Float[Array, "6"],
+    centers: Float[Array, "V 3"],
+    row: Float[Array, " V"],
+    column: Float[Array, " V"],
+) -> Float[Array, " V"]:
+    turn, d = rotation(pose[3:]), grid.direction(row, column)
+    world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
+    return ray_cube_margin(world, grid.reach, _to_voxels(pose, centers), half + TOUCH)  # type: ignore[arg-type]
 
 
 def _candidates(
@@ -71,7 +154,7 @@ def _candidates(
     cube is partly beyond them. At the edge of the grid the nearest ray is the
     edge ray.
     """
-    q: Point = tuple(sum(turn[k, m] * offset[k] for k in range(3)) for m in range(3))  # type: ignore[assignment]
+    q = _to_body(turn, offset)
 
     def corner(normal: Point, outward: Float[Array, " V"]) -> Point:
         """The corner of the cube furthest along ``normal``, or against it where outward < 0."""
@@ -172,6 +255,89 @@ def shadow_ceilings(
     return jax.vmap(one)(sensors)
 
 
+WINNERS = 2
+"""Prisms a column that soft sight lines are read against: those that hide most of it."""
+
+
+def sight(
+    sensors: Float[Array, "S 3"],
+    prisms: Prism,
+    columns: Float[Array, "L 2"],
+    heights: Float[Array, "L Z"],
+    width: Width = None,
+    *,
+    spare_own: bool = False,
+) -> Float[Array, "S L Z"]:
+    """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
+
+    Read exactly, the highest ceiling over a column decides. Softly, 1 − p of the
+    :data:`WINNERS` prisms that hide most of the column are multiplied, p being the reading of how
+    deep the line cuts in sideways times that of how far below the top; prisms that narrowly miss
+    count. Who wins is found without differentiation.
+    """
+    if exact(width):
+        ceilings = shadow_ceilings(sensors, prisms, columns, spare_own=spare_own)
+        return step(heights[None] - ceilings[:, :, None])
+
+    def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
+        clear = jnp.ones_like(heights)
+        fixed = jax.lax.stop_gradient((sensor, width))
+        for winner, mass in _winners(fixed[0], prisms, columns, heights[:, 0], fixed[1], spare_own):
+            won = jax.tree.map(lambda leaf: leaf[winner], prisms)  # noqa: B023
+            beside, below = cut_margins(sensor, won, columns, heights)
+            hidden = step(beside, width)[:, None] * step(below, width)
+            clear *= 1.0 - jnp.where((mass > 0)[:, None], hidden, 0.0)
+        return clear
+
+    return jax.vmap(one)(sensors)
+
+
+def _winners(
+    sensor: Float[Array, "3"],
+    prisms: Prism,
+    columns: Float[Array, "L 2"],
+    lowest: Float[Array, " L"],
+    width: Float[Array, ""],
+    spare_own: bool,
+) -> list[tuple[Int[Array, " L"], Float[Array, " L"]]]:
+    """The prisms that hide most of each column, and how much [m]: the height of the shadow over
+    the lowest voxel, times how deep the line cuts in, both read in a cheap soft way. Only a prism
+    that is none hides nothing: if those far from the line were cut off, each that comes near would
+    add a jump, and the gradient would miss what the jumps add up to.
+    """
+    dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
+    per_metre = jax.lax.rsqrt(jnp.maximum(dx * dx + dy * dy, 1e-9))
+
+    def enter(best, prism):  # type: ignore[no-untyped-def]
+        number, prism, cast = prism
+        sx, sy = sensor[0] - prism.center[0], sensor[1] - prism.center[1]
+        x, y = cast.cos * sx + cast.sin * sy, cast.cos * sy - cast.sin * sx
+        ex, ey = cast.cos * dx + cast.sin * dy, cast.cos * dy - cast.sin * dx
+        a, b = prism.half
+        support = a * jnp.abs(ey) + b * jnp.abs(ex)
+        beside = (support - jnp.abs(x * ey - y * ex)) * per_metre
+        beside = jnp.minimum(beside, a + jnp.abs(ex) / 2 - jnp.abs(x + ex / 2))
+        beside = jnp.minimum(beside, b + jnp.abs(ey) / 2 - jnp.abs(y + ey / 2))
+        u = beside / width
+        cuts = 0.5 * (1.0 + u * jax.lax.rsqrt(4.0 + u * u))
+        ceiling, stands = shadow_height(cast, dx, dy, sensor[2])
+        height = jnp.clip(ceiling - lowest, -20.0, 20.0)
+        mass = cuts * (height + jnp.sqrt(height * height + 4.0 * width * width))
+        mass = jnp.where(prism.valid & ~(stands & spare_own), mass, 0.0)
+        for k, (held, index) in enumerate(best):
+            more = mass > held
+            best[k] = jnp.where(more, mass, held), jnp.where(more, number, index)
+            mass, number = jnp.where(more, held, mass), jnp.where(more, index, number)
+        return best, None
+
+    count = len(prisms.top)
+    none = (jnp.zeros_like(dx), jnp.zeros(len(dx), int))
+    numbers = jnp.arange(count)
+    table = (numbers, prisms, shade(sensor, prisms))
+    best = jax.lax.scan(enter, [none] * min(WINNERS, count), table, unroll=4)[0]
+    return [(index, mass) for mass, index in best]
+
+
 class Ground(NamedTuple):
     """A scene's arrays about its centre, where single precision is finest.
 
@@ -212,20 +378,29 @@ def poses_about_center(scene: Scene, layout: Layout) -> Float[Array, "S 6"]:
     return jnp.asarray(layout.poses - shift[None], float)
 
 
-def view_margin(scene: Scene, layout: Layout) -> Float[Array, "S V"]:
-    """In-view margin of every sensor and voxel [m]; see :func:`in_view_margin`."""
-    centers, poses = about_center(scene).centers, poses_about_center(scene, layout)
-    groups = layout.groups()
-    half = scene.voxels.size / 2
-    margins = [in_view_margin(grid, poses[index], centers, half) for grid, index in groups]
+def view_margins(
+    poses: Float[Array, "S 6"],
+    centers: Float[Array, "V 3"],
+    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...],
+    half: float,
+) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
+    """:func:`in_view_margins` of all sensors; ``groups`` says which share a grid of rays."""
+    margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
     order = np.argsort(np.concatenate([index for _, index in groups]))
-    return jnp.concatenate(margins)[order]
+    field, ray = (jnp.concatenate(part)[order] for part in zip(*margins, strict=True))
+    return field, ray
 
 
 def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
     """Whether some ray of each sensor passes through each voxel; traffic does not matter."""
     check_layout(scene, layout)
-    return np.asarray(view_margin(scene, layout) > 0)
+    field, ray = view_margins(
+        poses_about_center(scene, layout),
+        about_center(scene).centers,
+        layout.groups(),
+        scene.voxels.size / 2,
+    )
+    return np.asarray((field > 0) & (ray > 0))
 
 
 def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:

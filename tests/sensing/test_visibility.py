@@ -17,7 +17,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.devices import devices
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.sensing.visibility import in_view, in_view_margin, line_of_sight
+from inspe_jax.sensing.visibility import in_view, in_view_margins, line_of_sight
 
 DEVICES = devices()
 
@@ -114,10 +114,10 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
     assert in_view(scene, layout)[1].any()
     for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
         centers = scene.voxels.centers.astype(np.float32)
-        margin = in_view_margin(
+        margins = in_view_margins(
             sensor.spec.grid, pose[None].astype(np.float32), centers, scene.voxels.size / 2
         )
-        assert np.isfinite(np.asarray(margin)).all()
+        assert np.isfinite(np.asarray(margins)).all()
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_devices_of_one_kind_compile_once(capfd):
     layout = place_sensors(*[(LIDAR, [float(x), 0.0, 5.0, 0.0, 0.0, 0.3 * x]) for x in range(3)])
     assert len(layout.groups()) == 1
     in_view(scene, layout)
-    before = in_view_margin._cache_size()
+    before = in_view_margins._cache_size()
     in_view(scene, layout.with_poses(layout.poses + 0.1))
-    assert in_view_margin._cache_size() == before
+    assert in_view_margins._cache_size() == before
     assert jax.config.jax_debug_nans

@@ -14,7 +14,14 @@ Conventions, stated once:
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Contribution, Scores, evaluate
+from inspe_jax.numerics import Softness
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.optimise import compare, methods, optimise
+from inspe_jax.placement.pareto import pareto
+from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.strategies import STRATEGIES, strategy
+from inspe_jax.placement.tolerance import tolerance
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
@@ -32,31 +39,43 @@ __all__ = [
     "BUILT_INS",
     "STRATEGIES",
     "CameraSpec",
+    "Case",
+    "Constraints",
     "Contribution",
     "Device",
     "InspeError",
     "Intersection",
     "Layout",
     "LidarSpec",
+    "Objective",
     "Pose",
     "Region",
+    "Result",
     "Scene",
     "Scores",
     "Sensor",
+    "Softness",
     "TrafficFrames",
     "Unit",
     "VoxelGrid",
     "build_scene",
     "built_in",
+    "compare",
     "device",
     "devices",
     "evaluate",
     "in_view",
     "line_of_sight",
     "load_layout",
+    "load_result",
     "load_scene",
     "make_layout",
+    "methods",
+    "optimise",
+    "pareto",
     "save_layout",
+    "save_result",
     "save_scene",
     "strategy",
+    "tolerance",
 ]

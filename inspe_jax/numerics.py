@@ -37,9 +37,8 @@ class Softness(NamedTuple):
 
     ``field``: the edge of a field of view and the end of its reach. ``ray``:
     whether one of the rays in there meets a voxel; rays and voxels are small, and a
-    blur wider than a voxel would see nothing of them, so :meth:`of` holds it to
-    :data:`RAY_SHARE` of the voxel's edge. ``shadow``: how far a sight line passes
-    beside or above a vehicle.
+    blur as wide as a voxel would see nothing of them, so :meth:`of` makes it ten times finer.
+    ``shadow``: how far a sight line passes beside or above a vehicle.
     """
 
     field: Width = None
@@ -60,14 +59,14 @@ class Softness(NamedTuple):
         if isinstance(value, Softness):
             return cls(*widths)
         (width,) = widths
-        return EXACT if width is None else cls(width, jnp.minimum(width, RAY_SHARE * voxel), width)
+        return EXACT if width is None else cls(width, RAY_SHARE * jnp.minimum(width, voxel), width)
 
 
 EXACT = Softness()
 """Every margin read exactly."""
 RAY_SHARE = 0.1
-"""Softness between rays is at most this share of a voxel's edge: a voxel well inside a ray then
-reads 0.97."""
+"""Softness between rays, as a share of the softness and at most of a voxel's edge: a voxel well
+inside a ray then reads at least 0.97, and sparse rows do not pass for dense ones."""
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:

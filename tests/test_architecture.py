@@ -28,7 +28,7 @@ ROOMS = {
     "jaxopt": ("placement/gradient.py",),
     "optax": ("placement/gradient.py",),
     "matplotlib": ("report/",),
-    "typer": ("cli.py",),
+    "typer": ("cli/",),
 }
 LEVEL = {room: i for i, row in enumerate(LADDER) for room in row}
 

@@ -1,5 +1,6 @@
 """The command line as a stranger meets it: what it prints, what it writes, how it fails."""
 
+import csv
 import json
 import sys
 
@@ -18,6 +19,14 @@ units:
       - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
 """
 
+# On a corner of the four-way, with its back to the traffic: easily bettered.
+AWAY = """
+units:
+  - base: [9.6, 9.6]
+    sensors:
+      - {device: paper-camera-midday, height: 6.0, yaw_deg: 45, pitch_deg: -20}
+"""
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
@@ -27,6 +36,7 @@ def files(tmp_path_factory):
     empty = build_scene(built_in("four_way"), radius=15, density="none")
     save_scene(empty, folder / "empty.npz")
     (folder / "layout.yaml").write_text(LAYOUT)
+    (folder / "away.yaml").write_text(AWAY)
     (folder / "none.yaml").write_text("")
     (folder / "list.yaml").write_text("- a\n- b\n")
     (folder / "zero.npz").write_bytes(b"")
@@ -121,7 +131,84 @@ def test_devices_and_version(inspe):
     assert inspe("--version")[1].startswith("inspe_jax 0.")
 
 
-@pytest.mark.parametrize("command", ["scene", "layout", "score"])
+def search_files(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
+    """The file it writes scores as it says."""
+    arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 40, "--out", "o")
+    status, text, error = inspe("optimise", *arguments)
+    assert (status, error) == (0, "")
+    assert search_files(files / "o") == [
+        "before_after.png",
+        "history.csv",
+        "layout.yaml",
+        "result.json",
+        "start.yaml",
+    ]
+    record = json.loads((files / "o" / "result.json").read_text())
+    assert record["objective"] > record["objective_before"] + 0.01
+    for layout, key in (("layout.yaml", "scores"), ("start.yaml", "scores_before")):
+        again = json.loads(inspe("score", "s.npz", f"o/{layout}", "--json", "-")[1])
+        assert again["surrogate"] == pytest.approx(record[key]["surrogate"], abs=1e-4)
+        assert f"{record[key]['surrogate']:.3f}" in text
+    assert (files / "o" / "before_after.png").read_bytes().startswith(b"\x89PNG")
+    assert "random, seed 0: budget spent" in text
+    assert "next: inspe score s.npz o/layout.yaml" in text
+
+
+def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, files):
+    arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
+    options = ("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5)
+    options = (*options, "--weights", 0.5, 0.5, 0, "--start", "random", "--checkpoint", "c.npz")
+    assert inspe("optimise", *arguments, *options)[0] == 0
+    settings = json.loads((files / "p" / "result.json").read_text())["settings"]
+    assert (settings["start"], settings["budget"]["evaluations"]) == ("random", 3)
+    assert settings["objective"]["over"] == "worst"
+    assert settings["objective"]["weights"] == [0.5, 0.5, 0]
+    assert settings["constraints"]["places"] == "areas"
+    assert settings["constraints"]["heights"] == [4, 8]
+    assert len(settings["scenes"]) == 2
+    assert "c.npz holds a search that has ended" in inspe("optimise", *arguments, *options)[2]
+    status, _, error = inspe("optimise", *arguments, "--checkpoint", "c.npz")
+    assert status == 2
+    assert "c.npz: a checkpoint of another search, with another scene, another" in error
+
+
+def test_optimise_says_where_a_start_had_to_be_moved(inspe, files):
+    """The unit of this layout stands in the middle of the junction."""
+    (files / "road.yaml").write_text(AWAY.replace("base: [9.6, 9.6]", "base: [3.0, 0.0]"))
+    status, _, error = inspe(
+        "optimise", "s.npz", "road.yaml", "--method", "random", "--evaluations", 1, "--out", "q"
+    )
+    assert status == 0
+    assert "Note: unit 'unit 1' moved" in error
+    (files / "road.yaml").unlink()
+
+
+def test_compare_ranks_methods(inspe, files):
+    arguments = ("--methods", "random, grid", "--evaluations", 40, "--seeds", 2, "--out", "v")
+    status, text, _ = inspe("compare", "s.npz", "away.yaml", *arguments)
+    assert status == 0
+    assert search_files(files / "v") == ["compare.csv", "compare.png", "history.csv", "layout.yaml"]
+    with (files / "v" / "compare.csv").open() as f:
+        rows = list(csv.DictReader(f))
+    assert [(row["method"], row["seed"]) for row in rows] == [
+        ("random", "0"),
+        ("random", "1"),
+        ("grid", "0"),
+        ("grid", "1"),
+    ]
+    best = max(float(row["objective"]) for row in rows)
+    assert f"{best:.4f}" in text
+    again = json.loads(inspe("score", "s.npz", "v/layout.yaml", "--json", "-")[1])
+    assert again["surrogate"] == pytest.approx(best, abs=1e-4)
+    with (files / "v" / "history.csv").open() as f:
+        assert {row["method"] for row in csv.DictReader(f)} == {"random", "grid"}
+
+
+@pytest.mark.parametrize("command", ["scene", "layout", "score", "optimise", "compare"])
 def test_help_has_examples(inspe, command):
     status, text, _ = inspe(command, "--help")
     assert status == 0
@@ -164,6 +251,27 @@ BAD = [
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
     (("layout", "s.npz", "--strategy", "L-x"), "L-x"),
     (("layout", "s.npz", "--camera", "paper-camera-noon"), "paper-camera-"),
+    (("optimise", "s.npz", "--method", "adm"), "no method 'adm': adam"),
+    (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),
+    (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),
+    (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
+    (("optimise", "s.npz", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
+    (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 0 of kind camera"),
+    (("optimise", "s.npz", "--worst"), "name more with --also"),
+    (("optimise", "s.npz", "--also", "missing.npz"), "missing.npz: no such file"),
+    (("optimise", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
+    (("optimise", "nosuch", "--out", "s.npz"), "s.npz: is a file; name a folder"),
+    (("optimise", "nosuch", "--checkpoint", "c.txt"), "c.txt: the name must end in .npz"),
+    (("optimise", "nosuch", "--places", "pole"), "places 'pole': one of any, areas, poles, keep"),
+    (("optimise", "nosuch", "--heights", 9, 3), "heights 9 to 3 m"),
+    (("optimise", "nosuch", "--weights", 1, 1, 1), "sum to 1"),
+    (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
+    (("optimise", "s.npz", "layout.yaml", "--checkpoint", "s.npz"), "not a checkpoint of a search"),
+    (("optimise", "empty.npz"), "information gain needs traffic"),
+    (("compare", "s.npz", "--methods", "grid,gird"), "no method 'gird'"),
+    (("compare", "s.npz", "--methods", "grid,grid"), "one is named twice"),
+    (("compare", "s.npz", "--seeds", 0), "seeds 0: at least 1"),
+    (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
 ]
 
 

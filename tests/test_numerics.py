@@ -53,8 +53,8 @@ def test_softness_is_one_width_or_one_for_each_kind():
     assert Softness.of(0, 0.5) is EXACT
     assert Softness.of(0.0, 0.5) is EXACT
     one = Softness.of(0.3, 0.5)
-    assert (float(one.field), float(one.ray), float(one.shadow)) == pytest.approx((0.3, 0.05, 0.3))
-    assert float(Softness.of(0.01, 0.5).ray) == pytest.approx(0.01)
+    assert (float(one.field), float(one.ray), float(one.shadow)) == pytest.approx((0.3, 0.03, 0.3))
+    assert float(Softness.of(3.0, 0.5).ray) == pytest.approx(0.05)  # a tenth of the voxel
     mixed = Softness.of(Softness(field=0.5, shadow=0.0), 0.5)
     assert (float(mixed.field), mixed.ray, mixed.shadow) == (0.5, None, None)
     for bad in (-1.0, Softness(ray=-0.1), float("nan"), float("inf")):

@@ -19,7 +19,10 @@ from inspe_jax.sensing.visibility import in_view_margins
 @pytest.fixture
 def double():
     """Differences of 1e-6 need double precision; everything follows the type of a float."""
-    with jax.enable_x64(True):
+    switch = getattr(jax, "enable_x64", None)
+    if switch is None:  # older JAX
+        from jax.experimental import enable_x64 as switch
+    with switch(True):
         yield
 
 
@@ -58,6 +61,7 @@ def test_softness_to_zero_under_every_option(reference, visibility):
     assert soft.information_gain == pytest.approx(exact.information_gain, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("specs", [[CAMERA] * 6, [LIDAR] * 2, [CAMERA] * 3 + [LIDAR]])
 def test_soft_and_exact_scores_rank_layouts_alike(specs):
     """Spearman at least 0.95 over 200 random layouts at a working softness of 1 m."""
@@ -77,6 +81,7 @@ def test_soft_and_exact_scores_rank_layouts_alike(specs):
     assert spearmanr(*reading).statistic >= 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_gradients_are_those_of_differences(double, seed):
     """In double precision, every coordinate of cameras and a LiDAR.
@@ -100,6 +105,7 @@ def test_gradients_are_those_of_differences(double, seed):
         )
 
 
+@pytest.mark.slow
 def test_layouts_are_scored_and_differentiated_many_at_once():
     scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
     layout = random_layout(scene, [CAMERA, LIDAR], 0, heights=(3.0, 8.0))
@@ -207,6 +213,7 @@ DEGENERATE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spec", [CAMERA, LIDAR])
 def test_no_nan_in_degenerate_places(spec):
     """jax_debug_nans is on; a frame without any vehicle is among the frames."""

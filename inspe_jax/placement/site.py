@@ -5,12 +5,14 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+import shapely
+from jaxtyping import Bool, Float
 from shapely.geometry import LineString, MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points, unary_union
 
 from inspe_jax.errors import InspeError
+from inspe_jax.placement.pieces import merge
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 
@@ -34,6 +36,7 @@ ASIDE = 7.0
 _CLEARANCE = CENTRAL_HEIGHTS[0]  # a mast arm may reach over a lane only above this [m]
 _POLE_REACH = {"corner": 8.0, "roadside": 3.0}  # a standing pole this near is used [m]
 _INSET = 0.3  # from a mounting area's edge to a new pole [m]
+_CHORD = 0.1  # curved edges become chords this near to them [m]
 _APART = 2.5  # between the poles of two units: more than one unit spans [m]
 _DEPTH_SHARE = 0.6  # aim no further than this share of a camera's depth [–]
 _NEAREST_AIM = 5.0  # aim no nearer, measured in plan [m]
@@ -143,12 +146,88 @@ class Site:
         )
 
     @cached_property
-    def ground(self) -> BaseGeometry:
-        """Where a new pole may be put: mounting area near enough, off lanes and crosswalks."""
+    def free(self) -> BaseGeometry:
+        """Mounting area within the radius, off lanes and crosswalks, to its very edge."""
         crosswalks = self.place.regions.get(Region.CROSSWALK, Polygon())
         near = Point(self.center).buffer(self.radius, quad_segs=64)
-        free = self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
-        return unary_union([_inset(part) for part in getattr(free, "geoms", [free])])
+        return self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
+
+    @cached_property
+    def ground(self) -> BaseGeometry:
+        """Where a new pole may be put: the free mounting area less a rim."""
+        return unary_union([_inset(part) for part in getattr(self.free, "geoms", [self.free])])
+
+    @cached_property
+    def core(self) -> BaseGeometry:
+        """The ground of new poles with chords for its curved edges; never outside the free area."""
+        core = self.ground.simplify(_CHORD)
+        return core if self.free.covers(core) else core.intersection(self.free)
+
+    def convex(
+        self, foot: Float[np.ndarray, "2"] | None = None, reach: float = np.inf
+    ) -> list[Float[np.ndarray, "N 2"]]:
+        """Outlines of convex pieces that cover the core, about the centre, the largest first.
+
+        Only of what lies within ``reach`` of ``foot`` (x, y) about the centre [m], if given.
+        """
+        core = self.core
+        if foot is not None:
+            core = core.intersection(Point(self.center + foot).buffer(reach))
+        parts = [p for p in shapely.get_parts(core) if isinstance(p, Polygon) and not p.is_empty]
+        triangles = [
+            np.array(t.exterior.coords)[:3]
+            for part in parts
+            for t in shapely.constrained_delaunay_triangles(part).geoms
+        ]
+        found = merge(np.array(triangles).reshape(-1, 3, 2) - self.center)
+        return sorted(found, key=lambda outline: -Polygon(outline).area)
+
+    def carries(
+        self,
+        foot: Float[np.ndarray, "2"],
+        *,
+        areas: bool = True,
+        poles: bool = True,
+        within: float = 0.0,
+    ) -> bool:
+        """Whether a unit may stand at ``foot`` (x, y) [m]: on free mounting area or on a pole.
+
+        The rim of an area counts. ``within`` is the rounding allowed [m].
+        """
+        away = np.hypot(*(self.poles - foot).T)
+        on_pole = poles and len(away) > 0 and away.min() <= within
+        return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
+
+    def over_lane(self, point: Float[np.ndarray, "2"]) -> bool:
+        """Whether a point (x, y) [m] is over ground that vehicles' lanes sweep."""
+        return bool(self.lanes.contains(Point(point)))
+
+    def lattice(self, spacing: float) -> Float[np.ndarray, "F 2"]:
+        """Feet on the core, about the centre [m]: one in each square of a lattice that meets it.
+
+        It is the point nearest to the middle of the square, so that areas narrower than
+        ``spacing`` have their share too.
+        """
+        steps = np.arange(-np.ceil(self.radius / spacing), np.ceil(self.radius / spacing) + 1)
+        middles = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2) * spacing
+        if self.core.is_empty:
+            return np.zeros((0, 2))
+        shapely.prepare(self.core)
+        lines = shapely.shortest_line(shapely.points(middles + self.center), self.core)
+        feet = shapely.get_coordinates(lines).reshape(-1, 2, 2)[:, 1] - self.center
+        return feet[np.abs(feet - middles).max(1) <= spacing / 2]
+
+    def lane_cells(self, reach: float, cell: float) -> Bool[np.ndarray, "G G"]:
+        """Which squares of a raster touch a lane; cell (0, 0) has its corner at −reach, −reach.
+
+        About the centre [m]; a square within a tenth of its edge of a lane may count too.
+        """
+        # A square touches no lane that its middle is further from than half its diagonal.
+        swept = self.lanes.buffer(0.75 * cell).simplify(0.02 * cell)
+        shapely.prepare(swept)
+        count = int(np.ceil(2 * reach / cell))
+        x, y = np.meshgrid(*[(np.arange(count) + 0.5) * cell - reach] * 2, indexing="ij")
+        return shapely.contains_xy(swept, x + self.center[0], y + self.center[1])
 
     @cached_property
     def poles(self) -> Float[np.ndarray, "P 2"]:

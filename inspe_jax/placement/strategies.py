@@ -224,7 +224,7 @@ def strategy(
     views: list[tuple[View, Spec]] = []
     for rule, spec in ((row.cameras, seeing), (row.lidars, ranging)):
         views += [(view, spec) for view in rule(site)] if rule else []
-    return _join(key, place, views)
+    return join(key, place, views)
 
 
 def _device(option: str, name: str, kind: type[CameraSpec] | type[LidarSpec]) -> Spec:
@@ -234,7 +234,7 @@ def _device(option: str, name: str, kind: type[CameraSpec] | type[LidarSpec]) ->
     return spec
 
 
-def _join(name: str, place: Intersection, views: list[tuple[View, Spec]]) -> Layout:
+def join(name: str, place: Intersection, views: list[tuple[View, Spec]]) -> Layout:
     """One layout of all views: a view joins the first unit that it stands near enough to."""
     units: list[Unit] = []
     sensors: list[Sensor] = []

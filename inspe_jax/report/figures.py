@@ -48,13 +48,13 @@ SENSOR_COLORS: dict[str, str] = {"camera": "#c04a00", "lidar": "#8a2f74"}
 """Vermilion and reddish purple, dark enough to carry white figures."""
 
 _LINE: dict[str, Any] = dict(ec="#707070", lw=0.3)
-_OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
+OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
 _HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
 _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
 _LANE: dict[str, Any] = dict(color="#303030", lw=0.4)
 _WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
-_USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
-_KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
+USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
+KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 _MARKERS = {"camera": "o", "lidar": "s"}
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
@@ -75,13 +75,13 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     with house_style():
         fig, ax, panel = sheet(scene.name, facts, notes, 0.0)
         frame_map(ax, scene, grid.radius)
-        _draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
+        draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
         ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
         _draw_routes(ax, scene)
-        _draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
+        draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
         near = _near_poles(scene)
         ax.plot(*near.T[:2], **_POLE, zorder=6)
-        panel.legend(handles=_scene_keys(scene), loc="upper left", **_KEYS)
+        panel.legend(handles=_scene_keys(scene), loc="upper left", **KEYS)
     return fig
 
 
@@ -101,7 +101,7 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
         f"surrogate $P_{{sm}}$ {scores.surrogate:.3f}\n"
         f"radius {scene.voxels.radius:g} m, voxel {scene.voxels.size:g} m; {_users(scene, frame)}"
     )
-    keys = _plan_keys(scene, layout)
+    keys = plan_keys(scene, layout)
     rows = 7 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
     with house_style():
         title = f"{layout.name} at {scene.name}"
@@ -111,15 +111,15 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
             raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
             interpolation="nearest", zorder=0.5,
         )  # fmt: skip
-        _draw_regions(ax, scene, lambda _: _OUTLINE)
-        _draw_users(ax, scene, frame, [_USER] * len(CLASSES))
+        draw_regions(ax, scene, lambda _: OUTLINE)
+        draw_users(ax, scene, frame, [USER] * len(CLASSES))
         for sensor, pose in zip(layout.sensors, poses, strict=True):
             outline = view_outline(sensor.spec, pose)
-            ax.plot(*outline.T, **_wedge_look(sensor.spec), zorder=5)
-        _draw_badges(ax, layout, poses)
+            ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
+        draw_badges(ax, layout, poses)
         _color_bar(fig, panel, image)
         _list_sensors(panel, layout, poses)
-        panel.legend(handles=keys, loc="lower left", **_KEYS)
+        panel.legend(handles=keys, loc="lower left", **KEYS)
     return fig
 
 
@@ -211,17 +211,17 @@ def _scene_keys(scene: Scene) -> list[Any]:
     return [key for there, key in offered if there]
 
 
-def _plan_keys(scene: Scene, layout: Layout) -> list[Any]:
+def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
     """Keys of a plan view; they say how far each kind of sensor looks, also beyond the map."""
     keys: list[Any] = []
     for kind, name in (("camera", "camera, view to {} m"), ("lidar", "LiDAR, reach {} m")):
         specs = [sensor.spec for sensor in layout.sensors if sensor.spec.kind == kind]
         if specs:
             far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
-            keys.append(Line2D([], [], **_wedge_look(specs[0], halo=False), label=name.format(far)))
+            keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=name.format(far)))
     if scene.traffic.valid.any():
-        keys.append(Patch(**_USER, label="road user"))
-    keys.append(Patch(fc="#d9c76b", ec=_OUTLINE["ec"], lw=0.8, label="region outlined"))
+        keys.append(Patch(**USER, label="road user"))
+    keys.append(Patch(fc="#d9c76b", ec=OUTLINE["ec"], lw=0.8, label="region outlined"))
     return [*keys, Line2D([], [], **CIRCLE, label="region of interest")]
 
 
@@ -264,7 +264,7 @@ def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
     return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
 
 
-def _draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]]) -> None:
+def draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]]) -> None:
     """Regions within the circle, the one that names the column on top."""
     disc = _disc(scene)
     for region in reversed(PRECEDENCE):
@@ -308,7 +308,7 @@ def _arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
     return heads
 
 
-def _draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]]) -> None:
+def draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]]) -> None:
     """One frame's road users as oriented rectangles, a look for each class."""
     traffic = scene.traffic
     for kind, look in enumerate(looks):
@@ -321,7 +321,8 @@ def _draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]])
         ax.add_collection(PolyCollection(list(boxes), **look, zorder=4), autolim=False)
 
 
-def _wedge_look(spec: Spec, halo: bool = True) -> dict[str, Any]:
+def wedge_look(spec: Spec, halo: bool = True) -> dict[str, Any]:
+    """How the outline of what a sensor looks at is drawn."""
     line = "-" if isinstance(spec, CameraSpec) else (0, (4, 2))
     look: dict[str, Any] = dict(color=SENSOR_COLORS[spec.kind], lw=0.8, ls=line)
     return dict(look, path_effects=HALO) if halo else look
@@ -336,14 +337,17 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
     )  # fmt: skip
 
 
-def _draw_badges(ax: Axes, layout: Layout, poses: np.ndarray) -> None:
-    """A dot where each sensor is, and its number joined to it: a camera's in front of it."""
+def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) -> None:
+    """A dot where each sensor is, and its number joined to it: a camera's in front of it.
+
+    ``side`` of the map [inch].
+    """
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
     ahead = np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
     camera = np.array([[sensor.spec.kind == "camera"] for sensor in layout.sensors])
-    gap = (_BADGE + 1.5) * (right - left) / (MAP * 72)
+    gap = (_BADGE + 1.5) * (right - left) / (side * 72)
     places = spread_badges(poses[:, :2], np.where(camera, ahead, out), gap)
     for k, (sensor, foot, place) in enumerate(zip(layout.sensors, poses, places, strict=True)):
         kind, color = sensor.spec.kind, SENSOR_COLORS[sensor.spec.kind]

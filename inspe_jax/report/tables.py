@@ -1,6 +1,6 @@
 """Scores, scenes, layouts and catalogues as tables for people, and scores as a record for JSON."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -14,6 +14,7 @@ from rich.text import Text
 from inspe_jax import __version__
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores
+from inspe_jax.placement.result import Result
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
@@ -31,6 +32,11 @@ METRICS: dict[str, str] = {
     "surrogate": "P_sm",
 }
 """The four scores by the name they have in records, with the paper's symbol."""
+
+_SAME = 1e-5  # objectives and scores sum in different orders, in single precision
+_CHANGE = ("before", "after", "change")
+_MOVES = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
+_ENDS = ("seeds", "median", "worst", "best", "work", "time\n[s]")
 
 
 def scores_table(scores: Scores, layout: Layout) -> RenderableType:
@@ -63,6 +69,59 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     # Side by side as far as the terminal has room.
     beside = Columns([total, regions, levels], padding=(0, 4))
     return Group(beside, "", each)
+
+
+def before_after_table(result: Result) -> RenderableType:
+    """The four scores before and after a search, and its objective where that is something else."""
+    table = _table(f"{result.start.name}, before and after", "metric", "symbol", *_CHANGE)
+    rows = [
+        (_words(name), symbol, getattr(result.scores_before, name), getattr(result.scores, name))
+        for name, symbol in METRICS.items()
+    ]
+    if abs(result.objective - result.scores.surrogate) > _SAME:
+        rows.append(("objective", "", result.objective_before, result.objective))
+    for name, symbol, before, after in rows:
+        look = "bold" if name == rows[-1][0] else ""
+        numbers = (f"{before:.3f}", f"{after:.3f}", f"{after - before:+z.3f}")
+        table.add_row(name, symbol, *numbers, style=look)
+    return table
+
+
+def moves_table(before: Layout, after: Layout) -> RenderableType:
+    """Each sensor of a layout before and after: how far it went [m], how it turned [degrees].
+
+    Distance is in plan; turns are counter-clockwise and nose-up.
+    """
+    table = _table("What moved", "#", "sensor", *_MOVES)
+    poses, new = (np.asarray(of.poses, float) for of in (before, after))
+    for k, sensor in enumerate(after.sensors):
+        ground = (before.units[before.sensors[k].unit].base[2], after.units[sensor.unit].base[2])
+        height = new[k, 2] - ground[1]
+        yaw, pitch = np.degrees(new[k, [5, 4]] - poses[k, [5, 4]])
+        values = (
+            f"{np.hypot(*(new[k, :2] - poses[k, :2])):.1f}",
+            f"{height:.1f}",
+            f"{height - (poses[k, 2] - ground[0]):+z.1f}",
+            f"{180 - (180 - yaw) % 360:+z.0f}",
+            f"{pitch:+z.0f}",
+        )
+        table.add_row(str(k + 1), Text(sensor.name), *values)
+    return table
+
+
+def comparison_table(results: Sequence[Result]) -> RenderableType:
+    """What several searches came to, a row a method, the best median first."""
+    by: dict[str, list[Result]] = {}
+    for result in results:
+        by.setdefault(result.method, []).append(result)
+    name = f"{results[0].start.name}: {results[0].objective_before:.4f} at the start"
+    table = _table(name, "method", *_ENDS)
+    for method, of in sorted(by.items(), key=lambda row: -np.median([r.objective for r in row[1]])):
+        scores = [result.objective for result in of]
+        work = [np.median([getattr(r, key) for r in of]) for key in ("evaluations", "seconds")]
+        numbers = [f"{value:.4f}" for value in (np.median(scores), min(scores), max(scores))]
+        table.add_row(method, str(len(of)), *numbers, *(f"{value:.0f}" for value in work))
+    return table
 
 
 def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any]:
@@ -206,7 +265,7 @@ def built_ins_table() -> RenderableType:
 
 
 _PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view"}
-_NAMES = {"metric", "symbol", "region", "scene", "device", "kind", "name", "centre [m]"}
+_NAMES = {"metric", "method", "symbol", "region", "scene", "device", "kind", "name", "centre [m]"}
 _NAMES |= {"pixels,\nchannels"}
 
 

@@ -81,8 +81,9 @@ def _field_margin(
 
 def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
     """World axes to the body's."""
-    x, y, z = (sum(turn[k, m] * offset[k] for k in range(3)) for m in range(3))
-    return x, y, z  # type: ignore[return-value]
+    a, b, c = offset
+    x, y, z = (turn[0, m] * a + turn[1, m] * b + turn[2, m] * c for m in range(3))
+    return x, y, z
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -117,10 +118,8 @@ def _best_ray(
         margin = _ray_margin(grid, half, pose, centers, row, column)
         won = margin > best
         best = jnp.where(won, margin, best)
-        best_row, best_column = (
-            jnp.where(won, row, best_row),
-            jnp.where(won, column, best_column),
-        )
+        best_row = jnp.where(won, row, best_row)
+        best_column = jnp.where(won, column, best_column)
     return best, best_row, best_column
 
 
@@ -134,7 +133,7 @@ def _ray_margin(
 ) -> Float[Array, " V"]:
     turn, d = rotation(pose[3:]), grid.direction(row, column)
     world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
-    return ray_cube_margin(world, grid.reach, _to_voxels(pose, centers), half + TOUCH)  # type: ignore[arg-type]
+    return ray_cube_margin(world, grid.reach, _to_voxels(pose, centers), half + TOUCH)
 
 
 def _candidates(
@@ -281,8 +280,8 @@ def sight(
 
     def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
         clear = jnp.ones_like(heights)
-        fixed = jax.lax.stop_gradient((sensor, width))
-        for winner, mass in _winners(fixed[0], prisms, columns, heights[:, 0], fixed[1], spare_own):
+        fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
+        for winner, mass in _winners(fixed, prisms, columns, heights[:, 0], soft, spare_own):
             won = jax.tree.map(lambda leaf: leaf[winner], prisms)  # noqa: B023
             beside, below = cut_margins(sensor, won, columns, heights)
             hidden = step(beside, width)[:, None] * step(below, width)

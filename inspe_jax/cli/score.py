@@ -1,77 +1,32 @@
-"""The command line: thin, every command a few calls into the package.
+"""Scenes, layouts by rule, scores: `inspe scene`, `layout`, `score` and `devices`.
 
 Imports stay inside the commands: the map reader and matplotlib load only where they are used.
 """
 
 import json
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.cli.common import (
+    DEFAULT_LAYOUT,
+    DEFAULT_SCENE,
+    LayoutArgument,
+    PlotOption,
+    SceneArgument,
+    app,
+    busy,
+    err,
+    known,
+    out,
+    progress,
+    scene_and_layout,
+)
+from inspe_jax.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
-    from inspe_jax.sensing.layout import Layout
-
-app = typer.Typer(
-    help="Score placements of roadside cameras and LiDARs at road intersections.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-out = Console()
-err = Console(stderr=True, highlight=False)
-
-DEFAULT_SCENE = "four_way"
-DEFAULT_LAYOUT = "Cam-d1"
-
-SceneArgument = Annotated[
-    str, typer.Argument(metavar="[SCENE]", help="A built-in intersection or a saved .npz scene.")
-]
-LayoutArgument = Annotated[
-    str, typer.Argument(metavar="[LAYOUT]", help="A layout .yaml, or a strategy by name.")
-]
-PlotOption = Annotated[
-    Path | None, typer.Option("--plot", metavar="FILE", help="Draw it: .png, .svg or .pdf.")
-]
-
-
-def main() -> None:
-    """Run the command line; an error that the user can mend is one line and status 2."""
-    try:
-        app()
-    except InspeError as e:
-        err.print(f"[bold red]Error:[/] {_plain(str(e))}", soft_wrap=True)
-        sys.exit(2)
-    except OSError as e:
-        where = f"{e.filename}: " if e.filename else ""
-        err.print(f"[bold red]Error:[/] {_plain(where + (e.strerror or str(e)))}", soft_wrap=True)
-        sys.exit(2)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        from inspe_jax import __version__
-
-        out.print(f"inspe_jax {__version__}", highlight=False)
-        raise typer.Exit
-
-
-@app.callback()
-def _root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    pass
 
 
 @app.command()
@@ -164,15 +119,15 @@ def scene(
                     f"{source}: say which place: --junction ID, or --center X Y; "
                     "--list shows the junctions"
                 )
-            with _busy(f"reading {path.name}"):
+            with busy(f"reading {path.name}"):
                 place = read_opendrive(
                     path, junction=junction, center=center, radius=options.get("radius", 50.0)
                 )
         else:
             if junction is not None or center is not None:
                 raise InspeError(f"{source}: --junction and --center are for .xodr maps")
-            place = built_in(_known(source))
-        with _progress("traffic") as report:
+            place = built_in(known(source))
+        with progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
     out.print(scene_table(built))
     _warn_of_full_roads(built)
@@ -257,9 +212,9 @@ def score(
     check_output(plot, FORMATS)
     if record != "-":
         check_output(record)
-    with _busy(f"reading {source}"):
-        world, placed = _scene_and_layout(source, sensors)
-    with _busy("scoring"):
+    with busy(f"reading {source}"):
+        world, placed = scene_and_layout(source, sensors)
+    with busy("scoring"):
         scores = evaluate(
             world,
             placed,
@@ -311,69 +266,9 @@ def _list_places(source: str) -> None:
     if Path(source).suffix.lower() == ".xodr":
         from inspe_jax.scene.opendrive import list_junctions
 
-        with _busy(f"reading {source}"):
+        with busy(f"reading {source}"):
             found = list_junctions(source)
         out.print(junctions_table(found, Path(source).name))
         return
-    _known(source)
+    known(source)
     out.print(built_ins_table())
-
-
-def _known(source: str) -> str:
-    """The name of a built-in; raises InspeError with all that a scene can come from."""
-    from inspe_jax.scene.procedural import BUILT_INS
-
-    if source not in BUILT_INS:
-        raise InspeError(
-            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}), an OpenDRIVE .xodr map or "
-            f"a saved .npz{nearest(source, tuple(BUILT_INS))}"
-        )
-    return source
-
-
-def _scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
-    """A scene, and the layout that a file or a strategy's name gives on it."""
-    from inspe_jax.placement.strategies import STRATEGIES, strategy
-    from inspe_jax.scene.scene import load_scene
-    from inspe_jax.sensing.layout import load_layout
-
-    world = load_scene(source)
-    if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
-        return world, load_layout(sensors, world)
-    if sensors.lower() not in (name.lower() for name in STRATEGIES):
-        raise InspeError(
-            f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"
-            + nearest(sensors, tuple(STRATEGIES))
-        )
-    return world, strategy(world, sensors)
-
-
-@contextmanager
-def _busy(what: str) -> Iterator[None]:
-    """A spinner on a terminal, nothing elsewhere."""
-    if not err.is_terminal:
-        yield
-        return
-    with err.status(f"{what} …"):
-        yield
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Any]:
-    """A progress bar with time left on a terminal; gives a callback (done, total) or None."""
-    if not err.is_terminal:
-        yield None
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _plain(message: str) -> str:
-    """Text with rich's markup brackets escaped."""
-    from rich.markup import escape
-
-    return escape(message)

@@ -1,0 +1,167 @@
+"""Claim: among candidate poses, greedy finds about 95 % of the optimum or more.
+
+One instance small enough to be solved: the built-in four-way in coarse voxels, a camera of
+reliability 1 on each of four units, and candidate poses for all of them (feet × heights ×
+yaws × pitches). What each candidate has in view and sees is found on all voxels and frames.
+An integer program (HiGHS) gives the best k of the candidates, and a bound that no k of them
+can exceed; plain greedy, without the exchanges and finer moves of the method of that name,
+is reported as a share of the optimum: 95.7, 99.6 and 94.8 % with seeds 0, 1 and 2.
+"""
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from common import arguments, write_results
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+import inspe_jax
+from inspe_jax import Layout, Scene, Sensor
+from inspe_jax.placement.candidates import lattice
+from inspe_jax.placement.discrete import best_subset
+from inspe_jax.placement.greedy import lazy_greedy
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.table import Kind
+from inspe_jax.placement.table import Table as Candidates
+from inspe_jax.placement.tally import Tally
+
+console = Console()
+ALL = 10**9
+"""More columns and frames than there are."""
+
+
+def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
+    """The scene, and one ideal camera on each unit of the paper's Cam-d1."""
+    radius, voxel, frames = (25.0, 2.0, 3) if quick else (50.0, 1.0, 10)
+    scene = inspe_jax.build_scene(
+        inspe_jax.built_in("four_way"), radius=radius, voxel=voxel, frames=frames, seed=seed
+    )
+    given = inspe_jax.strategy(scene, "Cam-d1")
+    first = [members[0] for members in given.members()]
+    sensors = [
+        Sensor(f"camera {u}", replace(given.sensors[s].spec, reliability=1.0), u)
+        for u, s in enumerate(first)
+    ]
+    poses = np.asarray(given.poses)[first]
+    return scene, inspe_jax.make_layout(sensors, list(given.units), poses, "four cameras")
+
+
+def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
+    """Candidate poses, the same for every camera, and all that they see."""
+    layout, space = problem.layout, problem.space
+    tally = Tally(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
+    feet = lattice(space, 6 if quick else 16)
+    stand = np.array([space.unit_can_stand(u, feet) for u in range(len(layout.units))])
+    common = np.flatnonzero(stand.all(0))
+    yaws, pitches = np.radians(np.arange(0, 360, 60)), np.radians([-25.0, -12.0])
+    foot, height, yaw, pitch = (
+        part.ravel() for part in np.meshgrid(common, [6.0], yaws, pitches, indexing="ij")
+    )
+    kind = Kind(tuple(range(len(layout))), foot, height, yaw, pitch)
+    table = Candidates(problem, tally, feet, stand, [kind])
+    for part in range(len(table.parts)):
+        table.look(part)
+    return table
+
+
+def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """The optimum and greedy's choice: a row each; and the instance's figures."""
+    problem, tally = table.problem, table.tally
+    kind, k, shares = table.kinds[0], len(problem.layout), problem.shares(tally.sample)
+    count, voxels = len(kind.foot), len(shares.weight)
+    bits = np.concatenate(kind.bits)[:count]
+    began = time.perf_counter()
+    found = best_subset(
+        bits[:, :voxels],
+        bits[:, voxels:].reshape(count, -1, voxels),
+        *(shares.weight, shares.entropy, shares.free),
+        reliability=1.0,
+        k=k,
+        weights=problem.objective.weights,
+        seconds=seconds,
+    )
+    solved = time.perf_counter()
+    picks, again = lazy_greedy(table)
+    done = time.perf_counter()
+    start = problem.space.start(problem.layout)[0]
+    best = dict(enumerate(found.chosen.tolist()))
+    rows = [
+        dict(method=name, start="", score=problem.exact(table.layout(start, chosen)), seconds=took)
+        for name, chosen, took in (
+            ("optimum", best, solved - began),
+            ("greedy, lazily", picks, done - solved),
+        )
+    ]
+    figures = dict(
+        candidates=count,
+        cameras=k,
+        voxels=voxels,
+        frames=shares.free.shape[0],
+        bound=found.bound,
+        gap=found.bound - found.value,
+        gains_worked_out=count + again,
+        gains_of_plain_greedy=sum(count - n for n in range(k)),
+    )
+    return rows, figures
+
+
+def main() -> None:
+    """Solve, compare, print and write."""
+    options = arguments(__doc__)
+    scene, layout = instance(options.quick, options.seed)
+    problem = Problem(scene, layout)
+    with console.status("looking at candidates"):
+        table = candidates(problem, options.quick, options.seed)
+    with console.status("solving the integer program"):
+        rows, figures = discrete(table, 60.0 if options.quick else 600.0)
+    optimum = rows[0]["score"]
+    for row in rows:
+        row["share"] = row["score"] / optimum
+
+    shown = Table(
+        "method", "start", "P_sm", "share of\noptimum", "seconds",
+        title=f"{figures['cameras']} of {figures['candidates']} candidate poses on {scene.name}",
+    )  # fmt: skip
+    for row in rows:
+        shown.add_row(
+            row["method"], row["start"], f"{row['score']:.4f}", f"{row['share']:.2%}",
+            f"{row['seconds']:.2f}",
+        )  # fmt: skip
+    console.print(shown)
+    console.print(
+        f"no choice exceeds {figures['bound']:.6f}; lazy evaluation worked out "
+        f"{figures['gains_worked_out']} gains, plain greedy {figures['gains_of_plain_greedy']}"
+    )
+    stem = options.out / ("discrete_reference_quick" if options.quick else "discrete_reference")
+    settings = dict(scene.settings, seed=options.seed, **figures)
+    write_results(stem.with_suffix(".csv"), rows, settings)
+    draw(rows).savefig(stem.with_suffix(".png"), dpi=150)
+    console.print(f"wrote {stem}.csv, .json and .png", highlight=False)
+
+
+def draw(rows: list[dict[str, Any]]) -> Figure:
+    """Each method's score as a share of the optimum."""
+    figure = Figure(figsize=(7.0, 1.1 + 0.4 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    names = [f"{r['method']}, from {r['start']}" if r["start"] else r["method"] for r in rows]
+    shares = [100 * r["share"] for r in rows]
+    axes.axvline(100, color="#666666", lw=1)
+    axes.plot(shares, range(len(rows)), "o", color="#0072B2", ms=8)
+    for y, share in enumerate(shares):
+        axes.annotate(
+            f"{share:.2f} %", (share, y), (0, 12),
+            textcoords="offset points", ha="center", bbox=dict(fc="white", ec="none", pad=1),
+        )  # fmt: skip
+    axes.set_yticks(range(len(rows)), names)
+    axes.set(xlabel="exact P_sm, share of the best choice of candidates [%]")
+    axes.margins(x=0.15, y=0.4)
+    axes.invert_yaxis()
+    axes.grid(axis="x", alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,263 @@
+"""Claim: at equal wall time, searches along the gradient find better places than searches without.
+
+Every method, several seeds, on three built-in and five town junctions, with 8 cameras, with 4
+LiDARs and with both: 24 cells. All start from the same layout, work on samples of the same size,
+and get the same seconds; each is compiled before its time begins, and what that takes is a column
+of its own. Scores are exact, of the whole scene. Prints the median over the seeds for each cell,
+which methods win, and how soon the gradient reaches what the grid ends with.
+
+A run that is stopped goes on from what it has written: rows are appended as they come.
+"""
+
+import argparse
+import csv
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import MAPS, machine, write_results
+from matplotlib.figure import Figure
+from rich.console import Console
+
+import inspe_jax
+from inspe_jax import Layout, Scene
+from inspe_jax.placement.gradient import GRADIENTS
+from inspe_jax.placement.optimise import METHODS
+from inspe_jax.placement.pareto import around
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
+
+BUILT_INS = ("four_way", "t_junction", "roundabout")
+TOWNS = (("Town03", 422), ("Town04", 53), ("Town05", 53), ("Town07", 725), ("Town10HD", 189))
+MIXES = {
+    "cameras": {"paper-camera-midday": 8},
+    "lidars": {"paper-lidar-32": 4},
+    "both": {"paper-camera-midday": 8, "paper-lidar-32": 4},
+}
+GRADIENT = [method.name for method in GRADIENTS]
+FIELDS = ("place", "mix", "method", "seed", "start", "score", "evaluations", "seconds", "compiling")
+WARM = 6.0
+"""Evaluations of the run that compiles a method: enough for each of its parts."""
+
+console = Console()
+
+
+def options() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
+    parser.add_argument("--seconds", type=float, default=20.0, help="for each search")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
+    parser.add_argument("--places", default="", help="only these, with commas")
+    found = parser.parse_args()
+    found.out.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
+    """The junctions, one after another; towns where their maps are at hand."""
+    size: dict[str, Any] = dict(radius=50, voxel=0.5, frames=40, density="medium", seed=0)
+    if quick:
+        size |= dict(radius=20, voxel=1.0, frames=5)
+    wanted = [name for name in only.split(",") if name]
+    for name in BUILT_INS[:1] if quick else BUILT_INS:
+        if not wanted or name in wanted:
+            yield name, inspe_jax.build_scene(inspe_jax.built_in(name), **size)
+    for town, junction in () if quick else TOWNS:
+        name = f"{town} {junction}"
+        if wanted and name not in wanted:
+            continue
+        path = MAPS / f"{town}.xodr"
+        if not path.is_file():
+            console.print(f"{name}: no map at hand, left out")
+            continue
+        from inspe_jax.scene.opendrive import read_opendrive
+
+        place = read_opendrive(path, junction=junction, radius=size["radius"])
+        yield name, inspe_jax.build_scene(place, **size)
+
+
+def search(
+    problem: Problem, method: Method, seed: int, **budget: float
+) -> tuple[Run, list[Progress]]:
+    """One search from the given layout, without what comes before and after it."""
+    run = Run(problem, problem.space.start(problem.layout)[0], seed=seed, **budget)  # type: ignore[arg-type]
+    try:
+        run.offer(run.start)
+        state: Any = method.begin(run)
+        while state is not None:
+            state = method.step(run, state)
+    except BudgetSpent:
+        pass
+    return run, run.history
+
+
+def cell(
+    place: str, mix: str, scene: Scene, layout: Layout, given: argparse.Namespace, done: set
+) -> Iterator[tuple[dict[str, Any], list[Progress]]]:
+    """Every method and seed on one cell."""
+    problem, seeds = Problem(scene, layout), 1 if given.quick else given.seeds
+    problem.exact(problem.space.start(layout)[0])
+    for name in given.methods.split(","):
+        todo = [s for s in range(seeds) if (place, mix, name, str(s)) not in done]
+        if not todo:
+            continue
+        began = time.monotonic()
+        search(problem, METHODS[name], 0, evaluations=WARM)
+        compiling = time.monotonic() - began
+        for seed in todo:
+            seconds = 2.0 if given.quick else given.seconds
+            run, history = search(problem, METHODS[name], seed, seconds=seconds)
+            row = (place, mix, name, seed, history[0].best, run.best, run.evaluations)
+            yield (
+                dict(zip(FIELDS, (*row, history[-1].seconds, compiling), strict=True)),
+                history,
+            )
+
+
+def append(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Add rows to a CSV, with a head if it is new."""
+    new = not path.exists()
+    with path.open("a", newline="", encoding="utf-8") as f:
+        writer = csv.DictWriter(f, fieldnames=list(rows[0]), lineterminator="\n")
+        if new:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV; none where there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as f:
+        return list(csv.DictReader(f))
+
+
+def medians(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
+    """(lower quartile, median, upper quartile) of the final score, by cell and method."""
+    table: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for row in rows:
+        table.setdefault((row["place"], row["mix"]), {}).setdefault(row["method"], []).append(
+            float(row["score"])
+        )
+    return {
+        at: {name: np.quantile(scores, (0.25, 0.5, 0.75)) for name, scores in by.items()}
+        for at, by in table.items()
+    }
+
+
+def best_at(steps: list[tuple[float, float]], seconds: float) -> float:
+    """Best score found by a time."""
+    return max((score for t, score in steps if t <= seconds), default=np.nan)
+
+
+def courses(rows: list[dict[str, str]]) -> dict[tuple[str, str, str], dict[str, list]]:
+    """(seconds, best) of every run, by cell and method, then by seed."""
+    found: dict[tuple[str, str, str], dict[str, list]] = {}
+    for row in rows:
+        by = found.setdefault((row["place"], row["mix"], row["method"]), {})
+        by.setdefault(row["seed"], []).append((float(row["seconds"]), float(row["best"])))
+    return found
+
+
+def reached(course: dict[str, list], score: float) -> float:
+    """Median time at which the runs reached a score [s]; infinite where most did not."""
+    times = [min((t for t, best in s if best >= score), default=np.inf) for s in course.values()]
+    return float(np.median(times))
+
+
+def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
+    """A table for the README: medians, spread, who wins, how soon."""
+    table, course = medians(rows), courses(history)
+    names = [name for name in METHODS if any(name in by for by in table.values())]
+    text = "| cell | start | " + " | ".join(names) + " | grid's end reached |\n"
+    text += "|---" * (len(names) + 3) + "|\n"
+    wins = early = 0
+    for at, by in table.items():
+        start = next(row["start"] for row in rows if (row["place"], row["mix"]) == at)
+        ours = max((name for name in by if name in GRADIENT), key=lambda n: by[n][1])
+        others = max((by[n][1] for n in by if n not in GRADIENT), default=-np.inf)
+        wins += bool(by[ours][1] >= others)
+        cells = [
+            f"{by[n][1]:.4f} ± {(by[n][2] - by[n][0]) / 2:.4f}" if n in by else "" for n in names
+        ]
+        cells = [
+            f"**{c}**" if n in by and by[n][1] == max(q[1] for q in by.values()) else c
+            for n, c in zip(names, cells, strict=True)
+        ]
+        ratio = np.inf
+        if "grid" in by:
+            end = by["grid"][1]
+            ratio = reached(course[(*at, "grid")], end) / reached(course[(*at, ours)], end)
+            early += ratio >= 10
+        text += f"| {at[0]}, {at[1]} | {float(start):.3f} | " + " | ".join(cells)
+        text += f" | {ratio:.1f}× sooner by {ours} |\n"
+    text += f"\nBest gradient method at least as good as every baseline: {wins} of {len(table)}.\n"
+    text += f"Grid's final score in a tenth of grid's time: {early} of {len(table)}.\n"
+    return text
+
+
+def draw(history: list[dict[str, str]], path: Path) -> None:
+    """Median best score against time, a panel a cell."""
+    found = courses(history)
+    places = list(dict.fromkeys(at[0] for at in found))
+    mixes = list(dict.fromkeys(at[1] for at in found))
+    figure = Figure(figsize=(3.4 * len(mixes) + 1.6, 2.1 * len(places) + 0.8), layout="constrained")
+    axes = figure.subplots(len(places), len(mixes), squeeze=False)
+    for i, place in enumerate(places):
+        for j, mix in enumerate(mixes):
+            ax = axes[i, j]
+            for k, name in enumerate(METHODS):
+                runs = found.get((place, mix, name))
+                if not runs:
+                    continue
+                end = max(t for steps in runs.values() for t, _ in steps)
+                times = np.linspace(0, end, 200)
+                best = [[best_at(steps, t) for t in times] for steps in runs.values()]
+                style = "-" if name in GRADIENT else "--"
+                ax.plot(times, np.median(best, 0), style, label=name, color=f"C{k}")
+            ax.set_title(f"{place}, {mix}", fontsize=9)
+            ax.tick_params(labelsize=8)
+            if i == len(places) - 1:
+                ax.set_xlabel("wall time [s]", fontsize=9)
+            if j == 0:
+                ax.set_ylabel("exact P_sm", fontsize=9)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", fontsize=9)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Run what is missing; then the table and the picture of all there is."""
+    given = options()
+    path = given.out / "gradient_vs_grid.csv"
+    courses_path = given.out / "gradient_vs_grid_history.csv"
+    done = {(r["place"], r["mix"], r["method"], r["seed"]) for r in read(path)}
+    for place, scene in scenes(given.quick, given.places):
+        for mix, counts in list(MIXES.items())[: 1 if given.quick else None]:
+            layout = around(scene, counts)
+            for row, history in cell(place, mix, scene, layout, given, done):
+                key = {k: row[k] for k in ("place", "mix", "method", "seed")}
+                append(courses_path, [key | dict(seconds=p.seconds, best=p.best) for p in history])
+                append(path, [row])
+                console.print(
+                    f"{place}, {mix}, {row['method']} {row['seed']}: {row['score']:.4f}",
+                    highlight=False,
+                )
+    rows, steps = read(path), read(courses_path)
+    settings = {k: str(v) for k, v in vars(given).items()} | {"machine": str(machine())}
+    write_results(given.out / "gradient_vs_grid_settings.csv", [settings], settings)
+    text = summary(rows, steps)
+    (given.out / "gradient_vs_grid.md").write_text(text, encoding="utf-8")
+    console.print(text, highlight=False)
+    draw(steps, given.out / "gradient_vs_grid.png")
+
+
+if __name__ == "__main__":
+    main()

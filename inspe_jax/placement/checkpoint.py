@@ -1,0 +1,249 @@
+"""A search on disk: where it stood after a step, and of what search it is.
+
+A checkpoint is an ``.npz`` of plain arrays and one JSON text, written whole or not at all and
+read without pickle. It carries a digest of everything that the search depends on, so that it is
+not taken up on another scene, layout or method.
+"""
+
+import hashlib
+import json
+import os
+import time
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.errors import InspeError
+from inspe_jax.files import check_input, whole_file
+from inspe_jax.placement.run import Progress, Run, State
+
+FORMAT = "inspe_jax checkpoint 1"
+SUFFIXES = (".npz",)
+EVERY = 10.0
+"""Time between two checkpoints of a search [s]."""
+_NOT_A_CHECKPOINT = (
+    AttributeError,
+    EOFError,
+    KeyError,
+    OSError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+_ARRAY, _VALUE = "array: ", "value: "  # how a state's arrays, and its numbers and texts, are named
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Checkpoint:
+    """A search after a step.
+
+    ``of``: what the search depends on, by name, as digests or words; ``state`` of the method;
+    ``best_x`` and ``best``; ``seconds`` and ``evaluations`` spent; ``limits``, its budget of both;
+    ``status`` is "" while it runs, or how it ended.
+    """
+
+    of: dict[str, str]
+    state: State
+    best_x: Float[np.ndarray, " N"]
+    best: float
+    history: tuple[Progress, ...]
+    seconds: float
+    evaluations: float
+    limits: tuple[float | None, float | None]
+    status: str = ""
+
+
+def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
+    """Write a checkpoint in place of the one there was; whole, or the old one stays."""
+    record = {
+        "format": FORMAT,
+        "of": kept.of,
+        "best": kept.best,
+        "seconds": kept.seconds,
+        "evaluations": kept.evaluations,
+        "limits": kept.limits,
+        "status": kept.status,
+    }
+    history = [[row.seconds, row.evaluations, row.score, row.best] for row in kept.history]
+    arrays = {
+        "record": np.array(json.dumps(record)),
+        "best_x": kept.best_x,
+        "history": np.array(history, float).reshape(-1, 4),
+    }
+    for name, value in kept.state.items():
+        if isinstance(value, np.ndarray) and value.dtype.kind in "biufU":
+            arrays[_ARRAY + name] = value
+        elif isinstance(value, bool | int | float | str | np.generic):
+            arrays[_VALUE + name] = np.array(value)
+        else:
+            # A fault of a method, not of its user.
+            raise TypeError(f"state '{name}': a {type(value).__name__} cannot be kept")
+    with whole_file(path) as f:
+        np.savez(f, **arrays)  # type: ignore[arg-type]  # names are ours
+
+
+def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
+    """Read a checkpoint. Raises InspeError where the file is missing or is something else."""
+    path = Path(path)
+    check_input(path)
+    try:
+        with path.open("rb") as f, np.load(f, allow_pickle=False) as data:
+            return _unpack({name: data[name] for name in data.files})
+    except _NOT_A_CHECKPOINT as e:
+        raise InspeError(
+            f"{path}: not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
+        ) from e
+
+
+def _unpack(data: dict[str, np.ndarray]) -> Checkpoint:
+    record = json.loads(str(data["record"]))
+    if record["format"] != FORMAT:
+        raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
+    state: State = {
+        name.removeprefix(_ARRAY): value for name, value in data.items() if name.startswith(_ARRAY)
+    }
+    state |= {
+        name.removeprefix(_VALUE): value.item()
+        for name, value in data.items()
+        if name.startswith(_VALUE)
+    }
+    seconds, evaluations = record["limits"]
+    return Checkpoint(
+        of=dict(record["of"]),
+        state=state,
+        best_x=data["best_x"],
+        best=float(record["best"]),
+        history=tuple(Progress(*row) for row in data["history"].tolist()),
+        seconds=float(record["seconds"]),
+        evaluations=float(record["evaluations"]),
+        limits=(seconds, evaluations),
+        status=str(record["status"]),
+    )
+
+
+def check_same(kept: Checkpoint, of: Mapping[str, str], path: str | os.PathLike[str]) -> None:
+    """Raise InspeError, naming what differs, where a checkpoint is of another search."""
+    other = []
+    for name, value in of.items():
+        was = kept.of.get(name)
+        if was != value:
+            plain = was is not None and len(value) < 30 and len(was) < 30  # words, not digests
+            other.append(f"{name} ({was}, not {value})" if plain else name)
+    if other:
+        raise InspeError(
+            f"{path}: a checkpoint of another search, with another {', another '.join(other)}; "
+            "name another file, or delete it to begin anew"
+        )
+
+
+class Keeper:
+    """Writes where a search stands to its checkpoint now and then, and takes it up again.
+
+    What is written is how things were before a step. A step that was cut short is done again when
+    the search is taken up, and so ends as it would have. ``ended`` is the status of a search that
+    had ended already, else "".
+    """
+
+    def __init__(self, path: str | os.PathLike[str], of: dict[str, str], run: Run) -> None:
+        self.path, self.of, self.ended = Path(path), of, ""
+        self._last = time.monotonic()
+        self._kept = self._now(run, {})
+
+    def take_up(self, run: Run) -> State:
+        """Bring the run to where the file has it, and give the state; an empty one to begin."""
+        if not self.path.exists():
+            return {}
+        kept = load_checkpoint(self.path)
+        check_same(kept, self.of, self.path)
+        run.take_up(kept.seconds, kept.evaluations, kept.history)
+        run.best, run.best_x = kept.best, kept.best_x
+        self._kept = kept
+        over = kept.status == "converged" or (kept.status and kept.limits == run.limits)
+        if over or run.left <= 0:
+            self.ended = kept.status or "budget spent"
+            run.notes.append(
+                f"{self.path} holds a search that has ended ({self.ended}); delete it to begin "
+                "anew" + (", or give a larger budget" if self.ended == "budget spent" else "")
+            )
+        else:
+            run.notes.append(f"went on from {self.path}, after {kept.seconds:.0f} s of search")
+        return kept.state
+
+    def mark(self, run: Run, state: State) -> None:
+        """Note where the search stands before a step, and write it if it is time to."""
+        self._kept = self._now(run, state)
+        if time.monotonic() - self._last >= EVERY:
+            self._write()
+
+    def end(self, run: Run, state: State, status: str) -> None:
+        """Write how the search ended; one that was interrupted, as before its last step."""
+        if status != "interrupted":
+            self._kept = self._now(run, state, status)
+        self._write()
+
+    def _now(self, run: Run, state: State, status: str = "") -> Checkpoint:
+        return Checkpoint(
+            of=self.of,
+            state=state,
+            best_x=run.best_x,
+            best=run.best,
+            history=tuple(run.history),
+            seconds=run.seconds,
+            evaluations=run.evaluations,
+            limits=run.limits,
+            status=status,
+        )
+
+    def _write(self) -> None:
+        save_checkpoint(self._kept, self.path)
+        self._last = time.monotonic()
+
+
+def digest(thing: Any) -> str:
+    """A text that is the same for the same content: of arrays, shapes, records of them.
+
+    Raises TypeError for what has no content of its own, as a function.
+    """
+    found = hashlib.sha256()
+    _feed(found, thing)
+    return found.hexdigest()
+
+
+def _feed(found: "hashlib._Hash", thing: Any) -> None:
+    """Every part with its kind and size before it, so that no two contents read alike."""
+    if isinstance(thing, np.ndarray | np.generic | jax.Array):
+        array = np.asarray(thing)
+        found.update(f"array {array.dtype.str} {array.shape};".encode())
+        found.update(np.ascontiguousarray(array).tobytes())
+    elif isinstance(thing, Enum):
+        found.update(f"enum {type(thing).__name__}.{thing.name};".encode())
+    elif thing is None or isinstance(thing, bool | int | float | str):
+        found.update(f"{thing!r};".encode())
+    elif is_dataclass(thing):
+        found.update(f"record {type(thing).__name__};".encode())
+        for part in fields(thing):
+            found.update(f"{part.name}=".encode())
+            _feed(found, getattr(thing, part.name))
+    elif isinstance(thing, Mapping):
+        found.update(f"mapping {len(thing)};".encode())
+        for key in sorted(thing, key=str):
+            _feed(found, key)
+            _feed(found, thing[key])
+    elif isinstance(thing, Sequence):
+        found.update(f"sequence {len(thing)};".encode())
+        for item in thing:
+            _feed(found, item)
+    elif hasattr(thing, "wkb"):  # a polygon
+        found.update(f"shape {len(thing.wkb)};".encode())
+        found.update(thing.wkb)
+    else:
+        raise TypeError(f"a {type(thing).__name__} has no digest")

@@ -1,0 +1,208 @@
+"""The coordinates of a search, and their limits: discs about feet and mast heads, and intervals.
+
+Where a foot may stand is apart, in :mod:`inspe_jax.placement.constraints`; the limits leave
+``base`` as it is. In NumPy or JAX alike (``xp``).
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from inspe_jax.placement.pieces import into_disc, swing, swing_disc, unswing, unswing_disc
+from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN
+
+STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
+"""A typical step of each coordinate [m or rad]."""
+PLANE = ("base", "arm", "offset")
+"""Coordinates that come in pairs, x and y."""
+
+_TOWARDS = np.radians(60.0)  # half of the random directions are this near to the centre's
+_DOWNWARD = np.radians([-40.0, -5.0])  # random pitch of cameras
+_LEVEL = np.radians([-10.0, 10.0])  # … and of LiDARs
+
+
+class Coordinates(NamedTuple):
+    """What is searched, in plan metres about the scene's centre and radians.
+
+    ``base``: the foot of each unit; ``arm``: from there to its mast head; ``height`` of the head
+    above the ground at the foot; ``offset`` and ``rise``: from the head to each sensor, both 0
+    for a unit's only sensor; ``yaw``; ``pitch``. Roll is not searched.
+    """
+
+    base: Float[Any, "U 2"]
+    arm: Float[Any, "U 2"]
+    height: Float[Any, " U"]
+    offset: Float[Any, "S 2"]
+    rise: Float[Any, " S"]
+    yaw: Float[Any, " S"]
+    pitch: Float[Any, " S"]
+
+    def flat(self, xp: Any = np) -> Float[Any, " N"]:
+        """One after the other, in the order of the fields."""
+        return xp.concatenate([part.reshape(-1) for part in self])
+
+    @classmethod
+    def split(cls, x: Float[Any, " N"], units: int, sensors: int) -> "Coordinates":
+        """From a flat array of 5·(units + sensors) numbers."""
+        sizes = [2 * units, 2 * units, units, 2 * sensors, sensors, sensors, sensors]
+        ends = np.cumsum(sizes).tolist()
+        parts = [x[end - n : end] for end, n in zip(ends, sizes, strict=True)]
+        named = zip(cls._fields, parts, strict=True)
+        return cls(*(part.reshape(-1, 2) if name in PLANE else part for name, part in named))
+
+
+class Range(NamedTuple):
+    """From ``low`` to ``high``, one interval an element."""
+
+    low: Float[np.ndarray, " n"]
+    high: Float[np.ndarray, " n"]
+
+    @property
+    def middle(self) -> Float[np.ndarray, " n"]:
+        """Middle of each."""
+        return (self.low + self.high) / 2
+
+    @property
+    def half(self) -> Float[np.ndarray, " n"]:
+        """Half the length of each."""
+        return (self.high - self.low) / 2
+
+    def clip(self, x: Any, xp: Any) -> Any:
+        """The nearest values within."""
+        return xp.clip(x, xp.asarray(self.low, x.dtype), xp.asarray(self.high, x.dtype))
+
+    def swing(self, v: Any, xp: Any) -> Any:
+        """Values within from any; see :func:`inspe_jax.placement.pieces.swing`."""
+        return xp.asarray(self.middle, v.dtype) + swing(v, xp.asarray(self.half, v.dtype), xp)
+
+    def unswing(self, x: Any) -> Any:
+        """The inverse of :meth:`swing`."""
+        return unswing(x - self.middle, self.half, np)
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Limits:
+    """Discs for ``arm`` (U,) and ``offset`` (S,) [m] and intervals for the others.
+
+    ``sector`` tells the sensors whose yaw is limited; ``camera`` those that are cameras.
+    """
+
+    arm: Float[np.ndarray, " U"]
+    height: Range
+    offset: Float[np.ndarray, " S"]
+    rise: Range
+    yaw: Range
+    pitch: Range
+    sector: Bool[np.ndarray, " S"]
+    camera: Bool[np.ndarray, " S"]
+
+    @classmethod
+    def of(
+        cls, unit: np.ndarray, above: Range, yaw: Range, pitch: Range, camera: np.ndarray
+    ) -> "Limits":
+        """From the ``unit`` (S,) of each sensor and the heights allowed ``above`` (U,) the ground.
+
+        Heads keep some way from the ends of the heights and sensors as near to their heads, so
+        that the sensors keep the heights and the unit rule, and can be anywhere within both. A
+        unit's only sensor is its head.
+        """
+        alone = np.bincount(unit, minlength=len(above.low)) == 1
+        spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
+        arm = np.where(alone, UNIT_PLAN, UNIT_PLAN / 2)
+        return cls(
+            arm,
+            Range(above.low + spread, above.high - spread),
+            (UNIT_PLAN - arm)[unit],
+            Range(-spread[unit], spread[unit]),
+            yaw,
+            pitch,
+            yaw.half < np.pi,
+            camera,
+        )
+
+    def clip(self, c: Coordinates, xp: Any) -> Coordinates:
+        """The nearest coordinates within. A yaw keeps its turns."""
+        turned = nearest_turn(c.yaw, xp.asarray(self.yaw.middle, c.yaw.dtype), xp)
+        back = self.yaw.clip(turned, xp) - turned
+        return Coordinates(
+            c.base,
+            into_disc(c.arm, xp.asarray(self.arm, c.arm.dtype), xp),
+            self.height.clip(c.height, xp),
+            into_disc(c.offset, xp.asarray(self.offset, c.offset.dtype), xp),
+            self.rise.clip(c.rise, xp),
+            c.yaw + xp.where(xp.asarray(self.sector), back, xp.zeros_like(back)),
+            self.pitch.clip(c.pitch, xp),
+        )
+
+    def swing(self, v: Coordinates, xp: Any) -> Coordinates:
+        """Coordinates within from any; in the middle they move as ``v`` does."""
+        return Coordinates(
+            v.base,
+            swing_disc(v.arm, xp.asarray(self.arm, v.arm.dtype), xp),
+            self.height.swing(v.height, xp),
+            swing_disc(v.offset, xp.asarray(self.offset, v.offset.dtype), xp),
+            self.rise.swing(v.rise, xp),
+            xp.where(xp.asarray(self.sector), self.yaw.swing(v.yaw, xp), v.yaw),
+            self.pitch.swing(v.pitch, xp),
+        )
+
+    def unswing(self, c: Coordinates) -> Coordinates:
+        """The inverse of :meth:`swing`; what lies on a limit is taken to lie slightly inside."""
+        turned = nearest_turn(c.yaw, self.yaw.middle, np)
+        return Coordinates(
+            c.base,
+            unswing_disc(c.arm, self.arm, np),
+            self.height.unswing(c.height),
+            unswing_disc(c.offset, self.offset, np),
+            self.rise.unswing(c.rise),
+            np.where(self.sector, self.yaw.unswing(turned), c.yaw),
+            self.pitch.unswing(c.pitch),
+        )
+
+    def draw(
+        self, rng: np.random.Generator, base: Float[np.ndarray, "M U 2"], unit: np.ndarray
+    ) -> list[Coordinates]:
+        """Random coordinates within, one for each row of feet.
+
+        Evenly over discs, heights and rises. Cameras look down by 5° to 40°, LiDARs are level to
+        10°; half of all look within 60° of the centre, half anywhere.
+        """
+        count = len(base)
+
+        def even(limits: Range) -> np.ndarray:
+            return rng.uniform(limits.low, limits.high, (count, len(limits.low)))
+
+        def disc(radius: np.ndarray) -> np.ndarray:
+            angle = rng.uniform(-np.pi, np.pi, (count, len(radius)))
+            far = radius * np.sqrt(rng.uniform(size=angle.shape))
+            return far[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+
+        usual = np.where(self.camera[:, None], _DOWNWARD, _LEVEL)
+        low, high = self.pitch.clip(usual[:, 0], np), self.pitch.clip(usual[:, 1], np)
+        inward = np.arctan2(*np.moveaxis(-base[:, unit], -1, 0)[::-1])
+        anywhere = even(self.yaw)
+        aimed = inward + rng.uniform(-_TOWARDS, _TOWARDS, anywhere.shape)
+        aimed = nearest_turn(aimed, self.yaw.middle, np)
+        may = (aimed >= self.yaw.low) & (aimed <= self.yaw.high)
+        yaw = np.where(may & (rng.uniform(size=may.shape) < 0.5), aimed, anywhere)
+        parts = (base, disc(self.arm), even(self.height), disc(self.offset), even(self.rise))
+        pitch = rng.uniform(low, high, (count, len(low)))
+        return [Coordinates(*row) for row in zip(*parts, yaw, pitch, strict=True)]
+
+    def may_change(self) -> dict[str, np.ndarray]:
+        """Which units or sensors each coordinate, but for ``base``, is free for."""
+        return dict(
+            arm=self.arm > 0,
+            height=self.height.half > 0,
+            offset=self.offset > 0,
+            rise=self.rise.half > 0,
+            yaw=self.yaw.half > 0,
+            pitch=self.pitch.half > 0,
+        )
+
+
+def nearest_turn(angle: Any, about: Any, xp: Any) -> Any:
+    """The same direction by the angle nearest to ``about`` [rad]."""
+    return angle - 2 * np.pi * xp.round((angle - about) / (2 * np.pi))

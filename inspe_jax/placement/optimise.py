@@ -1,0 +1,361 @@
+"""Find better places for a layout's sensors: the one entry to every method."""
+
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+import inspe_jax
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.evaluation import Scores, evaluate
+from inspe_jax.files import check_output
+from inspe_jax.placement.checkpoint import SUFFIXES, Keeper, digest
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.gradient import GRADIENTS
+from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.result import Result
+from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget
+from inspe_jax.placement.search import SEARCHES
+from inspe_jax.placement.strategies import STRATEGIES, strategy
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Layout
+
+METHODS: dict[str, Method] = {method.name: method for method in (*GRADIENTS, *SEARCHES)}
+"""The registry; adding a method is adding a row."""
+DEFAULT_METHOD = "greedy-adam"
+"""Candidates find the places, gradients the poses."""
+DEFAULT_SECONDS = 60.0
+"""Budget where none is given [s]."""
+STARTS = ("given", "random")
+"""Starts beside the strategies' names."""
+WARMING = 6.0
+"""Budget of the run that compiles a method before it is compared [evaluations]."""
+LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
+"""What a method's outcome depends on; a result says which versions it had."""
+
+_ENDING = 0.1
+"""A method that stops with no more than this share of the budget left followed it to its end."""
+
+Start = tuple[Float[np.ndarray, " N"], tuple[str, ...]]
+"""Feasible coordinates to begin at, and what had to be moved for it."""
+
+
+def methods() -> dict[str, str]:
+    """Every search method and what it does."""
+    return {name: method.summary for name, method in METHODS.items()}
+
+
+def optimise(
+    scene: Scene | Case | Sequence[Scene | Case],
+    layout: Layout,
+    method: str = DEFAULT_METHOD,
+    seconds: float | None = None,
+    evaluations: float | None = None,
+    seed: int = 0,
+    objective: Objective | None = None,
+    constraints: Constraints | None = None,
+    start: str | Layout = "given",
+    progress: Callable[[float, float], None] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+) -> Result:
+    """Better places for the sensors of a layout, under constraints, within a budget.
+
+    ``scene``: one, or several of one intersection, which ``objective.over`` combines. ``layout``
+    gives the sensors and which units carry them. ``start`` is "given" (where the layout has
+    them), "random", the name of a strategy with as many sensors of each kind, or a layout of the
+    same sensors; where mounting does not allow it, the nearest that it does is the start, and
+    ``notes`` say so. The budget is in ``seconds`` of wall time (60 if none is given), in
+    ``evaluations`` (exact scores and their equivalents), or both; with ``evaluations`` alone a
+    ``seed`` repeats on the same machine. ``progress`` is called with the share of the budget that
+    is spent and the best score so far.
+
+    ``checkpoint`` names an ``.npz`` file that is written every 10 s and at the end. If it is there
+    already, the search goes on from it: to the same end as if it had not been stopped, or further
+    with a larger budget.
+
+    Ctrl-C ends a search with the best so far. The result is feasible, which is checked on the
+    map's polygons, and never scores below its start under the exact score. Raises InspeError
+    where an option is unknown or out of range, a unit has nowhere to stand, or the checkpoint is
+    of another search.
+    """
+    began = time.monotonic()
+    row = _method(method)
+    seconds = _seconds(seconds, evaluations)
+    _check_seed(seed)
+    _check_start(start)
+    check_output(checkpoint, SUFFIXES)
+    problem = Problem(scene, layout, objective, constraints)
+    x, notes = _start(problem, start, seed)
+    run = Run(
+        problem,
+        x,
+        seed=seed,
+        seconds=seconds,
+        evaluations=evaluations,
+        began=began,
+        progress=progress,
+    )
+    run.notes += notes
+    keeper = None
+    if checkpoint is not None:
+        keeper = Keeper(checkpoint, _search(problem, row, seed, start), run)
+    status = _drive(run, row, keeper)
+    budget = dict(seconds=seconds, evaluations=evaluations)
+    return _result(run, row, status, dict(budget=budget, start=_called(start)))
+
+
+def compare(
+    scene: Scene | Case | Sequence[Scene | Case],
+    layout: Layout,
+    methods: Sequence[str] = tuple(METHODS),
+    seconds: float | None = None,
+    evaluations: float | None = None,
+    seeds: int = 3,
+    objective: Objective | None = None,
+    constraints: Constraints | None = None,
+    start: str | Layout = "given",
+    progress: Callable[[str, int, float, float], None] | None = None,
+) -> list[Result]:
+    """Searches by several methods, each with ``seeds`` seeds from 0, on equal terms.
+
+    The other options as in :func:`optimise`. All work on the same compiled scores, and every
+    method first runs for a moment that is not counted: none pays for what it or another compiles.
+    ``progress`` is called with the method, the seed, the share of its budget spent and its best
+    score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
+    """
+    rows = [_method(name) for name in methods]
+    if not rows:
+        raise InspeError(f"no method to compare: some of {', '.join(METHODS)}")
+    if len(set(methods)) < len(rows):
+        raise InspeError(f"methods {', '.join(methods)}: one is named twice")
+    seconds = _seconds(seconds, evaluations)
+    if seeds < 1:
+        raise InspeError(f"seeds {seeds}: at least 1")
+    _check_start(start)
+    problem = Problem(scene, layout, objective, constraints)
+    results: list[Result] = []
+    for row in rows:
+        warming = Run(problem, _start(problem, start, 0)[0], evaluations=WARMING)
+        if _drive(warming, row) == "interrupted":
+            if not results:
+                raise KeyboardInterrupt
+            return results
+        for seed in range(seeds):
+            x, notes = _start(problem, start, seed)
+            run = Run(
+                problem,
+                x,
+                seed=seed,
+                seconds=seconds,
+                evaluations=evaluations,
+                progress=_naming(progress, row.name, seed),
+            )
+            run.notes += notes
+            status = _drive(run, row)
+            budget = dict(seconds=seconds, evaluations=evaluations)
+            results.append(_result(run, row, status, dict(budget=budget, start=_called(start))))
+            if status == "interrupted":
+                return results
+    return results
+
+
+# ── One search ──────────────────────────────────────────────────────────────
+
+
+def _drive(run: Run, row: Method, keeper: Keeper | None = None) -> str:
+    """Step by step to the end; gives the status."""
+    state = keeper.take_up(run) if keeper else {}
+    if keeper and keeper.ended:
+        return keeper.ended
+    status = ""
+    try:
+        if not run.history:
+            run.offer(run.start)
+        following: State | None = state or row.begin(run)
+        while following is not None:
+            state = following
+            if keeper:
+                keeper.mark(run, state)
+            following = row.step(run, state)
+            run.report()
+        status = "converged" if run.left > _ENDING else "budget spent"
+    except BudgetSpent:
+        status = "budget spent"
+    except KeyboardInterrupt:
+        if not run.history:  # nothing to hand back
+            raise
+        status = "interrupted"
+    if keeper:
+        keeper.end(run, state, status)
+    return status
+
+
+def _result(run: Run, row: Method, status: str, settings: dict[str, Any]) -> Result:
+    seconds, problem, objective = run.seconds, run.problem, run.problem.objective
+    found, start = problem.space.layout(run.best_x), problem.space.layout(run.start)
+    # Faults of ours, not of the user: never hand on what cannot be mounted, or is no better.
+    wrong = problem.space.violations(found)
+    if wrong:
+        raise AssertionError(f"{row.name} found a layout that is not feasible: {'; '.join(wrong)}")
+    before = run.history[0].score
+    if not run.best >= before:
+        raise AssertionError(f"{row.name}: {run.best} is worse than the start's {before}")
+    if run.best == before:
+        run.notes.append("nothing better than the start was found; try a larger budget or start")
+    case = problem.cases[0]
+
+    def scores(of: Layout) -> Scores:
+        specs = zip(of.sensors, case.specs(of), strict=True)
+        swapped = tuple(replace(sensor, spec=spec) for sensor, spec in specs)
+        return evaluate(
+            case.scene,
+            replace(of, sensors=swapped),
+            weights=objective.weights,
+            occlusion_reference=objective.occlusion_reference,
+            visibility=objective.visibility,
+        )
+
+    after = scores(found)
+    return Result(
+        layout=replace(found, name=f"{found.name.removesuffix(_SUFFIX)}{_SUFFIX}"),
+        start=start,
+        scores_before=scores(start),
+        scores=after,
+        objective_before=before,
+        objective=run.best,
+        history=tuple(run.history),
+        evaluations=run.evaluations,
+        seconds=seconds,
+        status=status,
+        method=row.name,
+        seed=run.seed,
+        settings=settings | _settings(problem),
+        versions=_versions(),
+        notes=tuple(run.notes),
+    )
+
+
+_SUFFIX = ", optimised"
+
+
+def _settings(problem: Problem) -> dict[str, Any]:
+    """What a search was asked, for its record: lengths in metres, angles in degrees."""
+    limits = problem.space.constraints
+    return {
+        "layout": problem.layout.name,
+        "scenes": [
+            {
+                "name": case.scene.name,
+                "source": case.scene.intersection.source,
+                "settings": dict(case.scene.settings),
+                "swap": dict(case.swap),
+            }
+            for case in problem.cases
+        ],
+        "objective": asdict(problem.objective),
+        "constraints": {
+            "heights": list(limits.heights),
+            "span_heights": list(limits.span_heights),
+            "clearance": limits.clearance,
+            "pitch_deg": {k: np.degrees(v).round(6).tolist() for k, v in limits.pitch.items()},
+            "yaw_deg": {k: np.degrees(v).round(6).tolist() for k, v in limits.yaw.items()},
+            "places": limits.places,
+            "area": None if limits.area is None else limits.area.wkt,
+            "move": limits.move,
+        },
+    }
+
+
+def _versions() -> dict[str, str]:
+    own = {"inspe_jax": inspe_jax.__version__, "python": platform.python_version()}
+    return own | {name: metadata.version(name) for name in LIBRARIES}
+
+
+# ── Options ─────────────────────────────────────────────────────────────────
+
+
+def _method(name: str) -> Method:
+    if name not in METHODS:
+        raise InspeError(f"no method '{name}': {', '.join(METHODS)}{nearest(name, tuple(METHODS))}")
+    return METHODS[name]
+
+
+def _seconds(seconds: float | None, evaluations: float | None) -> float | None:
+    """The budget in seconds, with the default where there is none at all."""
+    if seconds is None and evaluations is None:
+        seconds = DEFAULT_SECONDS
+    check_budget(seconds, evaluations)
+    return seconds
+
+
+def _check_seed(seed: int) -> None:
+    if not (isinstance(seed, int) and seed >= 0):
+        raise InspeError(f"seed {seed!r}: a whole number, 0 or more")
+
+
+def _naming(
+    progress: Callable[[str, int, float, float], None] | None, name: str, seed: int
+) -> Callable[[float, float], None] | None:
+    if progress is None:
+        return None
+    return lambda done, best: progress(name, seed, done, best)
+
+
+def _check_start(start: str | Layout) -> None:
+    known = (*STARTS, *STRATEGIES)
+    if isinstance(start, str) and start.lower() not in (name.lower() for name in known):
+        raise InspeError(
+            f"start '{start}': {', '.join(known)}, or a layout of the same sensors"
+            f"{nearest(start, known)}"
+        )
+
+
+def _called(start: str | Layout) -> str:
+    return start if isinstance(start, str) else start.name
+
+
+def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
+    if isinstance(start, Layout):
+        return problem.space.start(start)
+    if start.lower() == "given":
+        return problem.space.start(problem.layout)
+    if start.lower() == "random":
+        return problem.space.random(np.random.default_rng([seed, 11]), 1)[0], ()
+    placed, given = strategy(problem.cases[0].scene, start), problem.layout
+    poses, taken = np.array(given.poses, float), np.zeros(len(given), int)
+    for kind in ("camera", "lidar"):
+        theirs, ours = ([s for s, x in enumerate(of.sensors) if x.spec.kind == kind]
+                        for of in (placed, given))  # fmt: skip
+        if len(theirs) != len(ours):
+            raise InspeError(
+                f"start '{start}' has {len(theirs)} of kind {kind} and {given.name} has "
+                f"{len(ours)}; name a strategy with as many, or give a layout of the same sensors"
+            )
+        poses[ours], taken[ours] = np.asarray(placed.poses, float)[theirs], theirs
+    # The k-th camera goes where the k-th camera of the strategy stands, and each unit where its
+    # first sensor does; what that tears apart is drawn together again by the projection.
+    posts = [placed.sensors[taken[members[0]]].unit for members in given.members()]
+    units = tuple(
+        replace(unit, base=placed.units[post].base)
+        for unit, post in zip(given.units, posts, strict=True)
+    )
+    return problem.space.start(Layout(poses, given.sensors, units, placed.name))
+
+
+def _search(problem: Problem, row: Method, seed: int, start: str | Layout) -> dict[str, str]:
+    """What a checkpoint must agree in, by name."""
+    return {
+        "scene": digest(problem.cases),
+        "layout": digest(problem.layout),
+        "objective": digest(problem.objective),
+        "constraints": digest(problem.space.constraints),
+        "start": start.lower() if isinstance(start, str) else digest(start),
+        "method": row.name,
+        "seed": str(seed),
+    }

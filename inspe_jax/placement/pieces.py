@@ -1,0 +1,274 @@
+"""Convex pieces of ground: the nearest point of their union, and a smooth chart of each.
+
+A single point, as the foot of a pole, is a piece of its own. Everything here is plan
+geometry in metres, in NumPy or JAX alike (``xp``); JAX can differentiate it.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+LEAST_AREA = 0.05
+"""Pieces smaller than this are left out [m²]."""
+
+_STEEP = 0.05  # an edge this nearly across a piece, as a share of its length, ends the piece
+_FURTHEST = 1e4  # chart coordinates beyond this many radii go round and round anyway [–]
+_INSIDE = 0.99  # what the inverses of the charts take for the edge: there the slope is still 0.14
+
+
+# ── Bounded coordinates from unbounded ones ─────────────────────────────────
+
+
+def swing(v: Any, radius: Any, xp: Any) -> Any:
+    """r·sin(v/r): any v to −r … r, where v counts metres (or radians) in the middle.
+
+    A sine and not the usual v/√(1 + v²): that one's slope is 0.0075 where 98 % of the way is
+    done, and what has gone there hardly comes back; a sine's is 0.2, and steps that overshoot
+    the end come back. A radius of 0 gives 0.
+    """
+    return radius * xp.sin(_turn(v, radius, xp))
+
+
+def _turn(v: Any, radius: Any, xp: Any) -> Any:
+    """v/r, for a sine; 0 in place of r leaves v."""
+    safe = xp.where(radius > 0, radius, xp.ones_like(radius))
+    return xp.clip(v / safe, -_FURTHEST, _FURTHEST)
+
+
+def unswing(x: Any, radius: Any, xp: Any) -> Any:
+    """The inverse of :func:`swing`; an end is taken to lie slightly inside."""
+    safe = xp.where(radius > 0, radius, xp.ones_like(radius))
+    return radius * xp.arcsin(xp.clip(x / safe, -_INSIDE, _INSIDE))
+
+
+def swing_disc(v: Any, radius: Any, xp: Any) -> Any:
+    """Any v (…, 2) to the disc of ``radius`` (…), as :func:`swing` does along each ray."""
+    w = _turn(v, radius[..., None], xp)
+    length = _length(w, xp)
+    return radius[..., None] * w * xp.sin(length) / length
+
+
+def unswing_disc(x: Any, radius: Any, xp: Any) -> Any:
+    """The inverse of :func:`swing_disc`; the rim is taken to lie slightly inside."""
+    safe = xp.where(radius > 0, radius, xp.ones_like(radius))[..., None]
+    w = x / safe
+    length = _length(w, xp)
+    return radius[..., None] * w * xp.arcsin(xp.minimum(length, _INSIDE)) / length
+
+
+def into_disc(x: Any, radius: Any, xp: Any) -> Any:
+    """The nearest point (…, 2) of the disc of ``radius`` (…) about 0."""
+    return x * xp.minimum(1.0, radius[..., None] / _length(x, xp))
+
+
+def _length(x: Any, xp: Any) -> Any:
+    # Kept off 0, where a norm has no gradient; the ratios taken with it are right at 0.
+    return xp.sqrt(xp.maximum((x * x).sum(-1, keepdims=True), 1e-12))
+
+
+# ── Pieces ──────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Pieces:
+    """K convex pieces, made by :func:`make_pieces`.
+
+    ``corners`` counter-clockwise, the last one repeated as padding; ``area`` [m²], 0 for a single
+    point. The chart of a piece has its long side along ``axis``, through ``middle``, and is
+    ``half`` long to each side of it. There, across the axis, the piece lies between the highest of
+    the lines ``lower`` and the lowest of ``upper`` (slope, height), at most ``across`` to each side
+    of their mean [m].
+    """
+
+    corners: Float[np.ndarray, "K E 2"]
+    area: Float[np.ndarray, " K"]
+    middle: Float[np.ndarray, "K 2"]
+    axis: Float[np.ndarray, "K 2"]
+    half: Float[np.ndarray, " K"]
+    lower: Float[np.ndarray, "K E 2"]
+    upper: Float[np.ndarray, "K E 2"]
+    across: Float[np.ndarray, " K"]
+
+    def __len__(self) -> int:
+        return len(self.area)
+
+    def nearest(
+        self, p: Float[Any, "U 2"], allowed: Bool[np.ndarray, "U K"], xp: Any = np
+    ) -> tuple[Float[Any, "U 2"], Int[Any, " U"], Float[Any, "U K"]]:
+        """The point of the allowed pieces nearest to each given one.
+
+        Returns it, the piece it is of, and the squared distance to every piece [m²], infinite
+        where it is not allowed.
+        """
+        start = xp.asarray(self.corners, p.dtype)  # (K, E, 2)
+        edge = xp.roll(start, -1, axis=1) - start
+        way = p[:, None, None] - start[None]  # (U, K, E, 2)
+        share = _share(way, edge[None], xp)
+        off = way - share[..., None] * edge[None]
+        squared = (off * off).sum(-1)  # (U, K, E)
+        left = edge[None, ..., 0] * way[..., 1] - edge[None, ..., 1] * way[..., 0] >= 0
+        inside = left.all(-1) & xp.asarray(self.area > 0)[None]  # (U, K)
+        far = xp.where(inside, xp.zeros_like(squared[..., 0]), squared.min(-1))
+        far = xp.where(xp.asarray(allowed), far, xp.full_like(far, xp.inf))
+        which = far.argmin(-1)  # (U,)
+        u = xp.arange(len(p))
+        e = squared[u, which].argmin(-1)
+        # Once more, for the winning edge alone: the only one whose gradient matters.
+        start, edge = start[which, e], edge[which, e]
+        foot = start + _share(p - start, edge, xp)[..., None] * edge
+        return xp.where(inside[u, which][:, None], p, foot), which, far
+
+    def at(self, v: Float[Any, "U 2"], which: Int[Any, " U"], xp: Any) -> Float[Any, "U 2"]:
+        """The points with chart coordinates ``v`` [m] on pieces ``which``; any v is inside."""
+        axis, middle, half, across = self._frame(which, v.dtype, xp)
+        along = swing(v[:, 0], half, xp)
+        low, high = self._chord(along, which, v.dtype, xp)
+        aside = (low + high) / 2 + (high - low) / 2 * xp.sin(_turn(v[:, 1], across, xp))
+        normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
+        return middle + along[:, None] * axis + aside[:, None] * normal
+
+    def chart(self, p: Float[Any, "U 2"], which: Int[Any, " U"], xp: Any) -> Float[Any, "U 2"]:
+        """The inverse of :meth:`at`; the edge of a piece is taken to lie slightly inside."""
+        axis, middle, half, across = self._frame(which, p.dtype, xp)
+        normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
+        v = unswing(((p - middle) * axis).sum(-1), half, xp)
+        low, high = self._chord(swing(v, half, xp), which, p.dtype, xp)
+        aside = ((p - middle) * normal).sum(-1) - (low + high) / 2
+        share = aside / xp.maximum((high - low) / 2, 1e-6)
+        return xp.stack([v, across * xp.arcsin(xp.clip(share, -_INSIDE, _INSIDE))], -1)
+
+    def _frame(self, which: Any, dtype: Any, xp: Any) -> tuple[Any, ...]:
+        tables = (self.axis, self.middle, self.half, self.across)
+        return tuple(xp.asarray(table, dtype)[which] for table in tables)
+
+    def _chord(self, along: Any, which: Any, dtype: Any, xp: Any) -> tuple[Any, Any]:
+        lower, upper = (xp.asarray(lines, dtype)[which] for lines in (self.lower, self.upper))
+        low = (lower[..., 0] * along[:, None] + lower[..., 1]).max(-1)
+        high = (upper[..., 0] * along[:, None] + upper[..., 1]).min(-1)
+        return low, high
+
+    def draw(
+        self, rng: np.random.Generator, allowed: Bool[np.ndarray, " K"], count: int
+    ) -> Float[np.ndarray, "N 2"]:
+        """Points spread evenly over the area of the allowed pieces."""
+        first, second, third = self.corners[:, :1], self.corners[:, 1:-1], self.corners[:, 2:]
+        a, b = second - first, third - first  # a fan of triangles in each piece, (K, E - 2, 2)
+        double = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) * allowed[:, None]
+        chosen = rng.choice(double.size, count, p=double.ravel() / double.sum())
+        k, e = np.unravel_index(chosen, double.shape)
+        s, t = rng.uniform(size=(2, count, 1))
+        s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
+        return self.corners[k, 0] + s * a[k, e] + t * b[k, e]
+
+
+def _share(way: Any, edge: Any, xp: Any) -> Any:
+    """How far along an edge from its start the nearest point lies, 0 to 1; 0 on an edge of none."""
+    squared = xp.maximum((edge * edge).sum(-1), 1e-12)
+    return xp.clip((way * edge).sum(-1) / squared, 0.0, 1.0)
+
+
+def make_pieces(outlines: list[Float[np.ndarray, "N 2"]]) -> Pieces:
+    """Pieces from their corners, counter-clockwise; an outline of one corner is a point."""
+    room = max(3, *(len(outline) for outline in outlines))
+    rows = []
+    for outline in outlines:
+        outline = np.asarray(outline, float)
+        corners = np.concatenate([outline, np.repeat(outline[-1:], room - len(outline), 0)])
+        rows.append((corners, *_chart_of(outline, room)))
+    return Pieces(*(np.stack(column) for column in zip(*rows, strict=True)))
+
+
+def _chart_of(outline: np.ndarray, room: int) -> tuple[Any, ...]:
+    """(area, middle, axis, half, lower, upper, across) of one piece."""
+    lines = np.zeros((2, room, 2))
+    if len(outline) == 1:
+        return 0.0, outline[0], np.array([1.0, 0.0]), 0.0, *lines, 0.0
+    edge = np.roll(outline, -1, 0) - outline
+    area = float((outline[:, 0] * np.roll(outline, -1, 0)[:, 1]).sum()) / 2
+    area -= float((outline[:, 1] * np.roll(outline, -1, 0)[:, 0]).sum()) / 2
+    # The long axis: that of least width among those along an edge, as of the narrowest rectangle.
+    directions = edge / np.linalg.norm(edge, axis=1, keepdims=True)
+    normals = np.stack([-directions[:, 1], directions[:, 0]], 1)
+    axis = directions[np.ptp(outline @ normals.T, axis=0).argmin()]
+    turn = np.stack([axis, [-axis[1], axis[0]]], 1)
+    middle = turn @ ((outline @ turn).max(0) + (outline @ turn).min(0)) / 2
+    at = (outline - middle) @ turn  # along and across
+    step = np.roll(at, -1, 0) - at
+    slant = step[:, 0] / np.linalg.norm(step, axis=1)
+    first, last = at[:, 0].min(), at[:, 0].max()
+    # An edge nearly across the axis would be a line too steep to compute with: the piece's chart
+    # stops short of it, which leaves out a sliver.
+    for k in np.flatnonzero(np.abs(slant) < _STEEP):
+        ends = at[k, 0], at[(k + 1) % len(at), 0]
+        if step[k, 1] > 0:
+            last = min(last, *ends)
+        else:
+            first = max(first, *ends)
+    for row, part in zip(lines, (slant >= _STEEP, slant <= -_STEEP), strict=True):
+        slope = step[part, 1] / step[part, 0]
+        found = np.stack([slope, at[part, 1] - slope * at[part, 0]], 1)
+        row[:] = found[np.minimum(np.arange(room), len(found) - 1)]
+    shift, half = (first + last) / 2, (last - first) / 2
+    middle = middle + shift * axis
+    lines[..., 1] += lines[..., 0] * shift
+    knots = np.clip(at[:, 0] - shift, -half, half)[:, None]
+    low = (lines[0][:, 0] * knots + lines[0][:, 1]).max(1)
+    high = (lines[1][:, 0] * knots + lines[1][:, 1]).min(1)
+    return area, middle, axis, half, *lines, float((high - low).max() / 2)
+
+
+# ── From triangles ──────────────────────────────────────────────────────────
+
+Corner = tuple[float, float]
+
+
+def merge(triangles: Float[np.ndarray, "N 3 2"]) -> list[Float[np.ndarray, "M 2"]]:
+    """Convex outlines, counter-clockwise, that together cover the triangles exactly.
+
+    Neighbours are joined while their union stays convex, over the longest sides first; that
+    leaves at most four times as many as could be (Hertel and Mehlhorn, 1983). Pieces of less than
+    :data:`LEAST_AREA` are left out.
+    """
+    pieces: dict[int, list[Corner]] = {}
+    owner: dict[tuple[Corner, Corner], int] = {}
+    for k, triangle in enumerate(np.asarray(triangles, float)):
+        a, b, c = (tuple(corner) for corner in triangle.tolist())
+        outline = [a, b, c] if _cross(a, b, c) > 0 else [a, c, b]
+        pieces[k] = outline
+        owner.update(dict.fromkeys(_sides(outline), k))
+    shared = [side for side in owner if side < side[::-1] and side[::-1] in owner]
+    for a, b in sorted(shared, key=lambda s: -np.hypot(s[0][0] - s[1][0], s[0][1] - s[1][1])):
+        here, there = owner[a, b], owner[b, a]
+        ours, theirs = _from(pieces[here], b), _from(pieces[there], a)
+        # ours runs b … a, theirs a … b.
+        joined = [*ours, *theirs[1:-1]]
+        bends = _cross(ours[-2], a, theirs[1]), _cross(theirs[-2], b, ours[1])
+        once = sum(owner.get(side[::-1]) == there for side in _sides(pieces[here])) == 1
+        if here == there or not once or min(bends) < 0:
+            continue
+        pieces[here] = joined
+        owner.update(dict.fromkeys(_sides(pieces.pop(there)), here))
+        del owner[a, b], owner[b, a]
+    found = [np.array(outline) for outline in pieces.values()]
+    return [outline for outline in found if _area(outline) >= LEAST_AREA]
+
+
+def _sides(outline: list[Corner]) -> list[tuple[Corner, Corner]]:
+    return list(zip(outline, outline[1:] + outline[:1], strict=True))
+
+
+def _from(outline: list[Corner], first: Corner) -> list[Corner]:
+    k = outline.index(first)
+    return outline[k:] + outline[:k]
+
+
+def _cross(a: Corner, b: Corner, c: Corner) -> float:
+    """Twice the area of a triangle, positive where it turns left at b."""
+    return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+
+
+def _area(outline: np.ndarray) -> float:
+    x, y = (outline - outline[0]).T
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2

@@ -1,0 +1,394 @@
+"""What a search maximises: the objective of a layout's coordinates, exact, rough or soft.
+
+Three readings of one number. *Exact*: every voxel and frame, margins read hard; what a
+result reports. *Rough*: hard too, on a sample of columns and frames; what baselines
+rank candidates by. *Soft*: margins read softly on a sample; what gradients are of.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from inspe_jax import metrics
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import (
+    Crew,
+    Field,
+    check_entropy,
+    check_options,
+    measure,
+)
+from inspe_jax.geometry import Prism, solid_top
+from inspe_jax.numerics import Softness, step
+from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import Spec
+from inspe_jax.sensing.visibility import (
+    Ground,
+    about_center,
+    check_layout,
+    poses_about_center,
+    sight,
+    view_margins,
+)
+
+COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
+"""How the scores of several scenes become one."""
+
+_VIEW_COST = 0.4
+"""Share of an exact score's time that goes into what is in view, which no frame repeats; as
+measured on 8 cameras, 125,000 voxels and 100 frames."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What is maximised: a mean or a worst case of P_sm, less what the sensors cost.
+
+    ``weights`` of C, O, IG; ``occlusion_reference`` and ``visibility`` as in
+    :func:`inspe_jax.evaluate`; ``over`` several scenes, "mean" or "worst"; with ``failures`` the
+    score is N−1: the mean over the units of the score without that unit. ``price_weight`` is how
+    much score a thousand US dollars must bring; ``budget`` the most the layout may cost [US
+    dollars]; ``prices`` of devices [US dollars], before the catalogue's.
+    """
+
+    weights: tuple[float, float, float] = metrics.WEIGHTS
+    occlusion_reference: str = "roi"
+    visibility: str = "in_view"
+    over: str = "mean"
+    failures: bool = False
+    price_weight: float = 0.0
+    budget: float | None = None
+    prices: Mapping[str, float] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Raise InspeError where a setting is unknown or out of range."""
+        check_options(self.weights, self.occlusion_reference, self.visibility)
+        if self.over not in COMBINATIONS:
+            raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
+        if not self.price_weight >= 0:
+            raise InspeError(f"price_weight {self.price_weight}: 0 or more, per 1000 US dollars")
+        for name, price in self.prices.items():
+            if not 0 <= price < float("inf"):
+                raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
+
+    def price_of(self, name: str) -> float:
+        """Price of a device [US dollars]. Raises InspeError where none is known."""
+        price = self.prices.get(name)
+        if price is None:
+            price = device(name).price_usd
+        if price is None:
+            raise InspeError(
+                f"device '{name}' has no list price in the catalogue; give it one: "
+                f"prices={{'{name}': …}}, on the command line --price {name}=USD"
+            )
+        return price
+
+    def cost(self, layout: Layout) -> float:
+        """What the layout's sensors cost [US dollars]."""
+        return sum(self.price_of(sensor.spec.name) for sensor in layout.sensors)
+
+    def price(self, layout: Layout) -> float:
+        """What the cost takes off the score. Raises InspeError where the budget is exceeded."""
+        if self.budget is None and not self.price_weight:
+            return 0.0
+        cost = self.cost(layout)
+        if self.budget is not None and cost > self.budget:
+            raise InspeError(
+                f"{layout.name}: the sensors cost {cost:,.0f} US dollars, more than the budget of "
+                f"{self.budget:,.0f}; use fewer or cheaper ones"
+            )
+        return self.price_weight * cost / 1000
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scene to score on; ``swap`` replaces devices by name, as by night."""
+
+    scene: Scene
+    swap: Mapping[str, str] = field(default_factory=dict)
+
+    def specs(self, layout: Layout) -> tuple[Spec, ...]:
+        """The layout's specifications in this case."""
+        names = {sensor.spec.name for sensor in layout.sensors}
+        for name in self.swap:
+            if name not in names:
+                raise InspeError(f"swap of '{name}': the layout has {', '.join(sorted(names))}")
+        return tuple(
+            device(self.swap[sensor.spec.name]).spec
+            if sensor.spec.name in self.swap
+            else sensor.spec
+            for sensor in layout.sensors
+        )
+
+
+Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
+"""Columns and frames of every case."""
+
+
+class Sample(NamedTuple):
+    """Some columns and frames of every case; ``share`` is its cost beside an exact score's."""
+
+    fields: tuple[Field, ...]
+    share: float
+
+
+class Shares(NamedTuple):
+    """What each voxel of a sample counts for.
+
+    ``weight`` (V,), ``free`` (T, V) and ``entropy`` (V,) are the shares of C, O and IG that each
+    voxel carries; each sums to 1. Several cases stand one after another.
+    """
+
+    weight: Float[np.ndarray, " V"]
+    free: Float[np.ndarray, "T V"]
+    entropy: Float[np.ndarray, " V"]
+
+
+class Problem:
+    """One layout's sensors on one or more scenes, under constraints."""
+
+    def __init__(
+        self,
+        scenes: "Scene | Case | Sequence[Scene | Case]",
+        layout: Layout,
+        objective: Objective | None = None,
+        constraints: Constraints | None = None,
+    ) -> None:
+        """Raises InspeError where scenes do not fit together or an option is out of range."""
+        listed = [scenes] if isinstance(scenes, Scene | Case) else list(scenes)
+        if not listed:
+            raise InspeError("no scene to search on: give at least one")
+        self.cases = tuple(s if isinstance(s, Case) else Case(s) for s in listed)
+        self.layout = layout
+        self.objective = objective or Objective()
+        self.objective.check()
+        first = self.cases[0].scene
+        for case in self.cases[1:]:
+            if not np.allclose(case.scene.voxels.center, first.voxels.center, atol=1e-6):
+                raise InspeError(
+                    f"{case.scene.name} has another centre than {first.name}: scenes searched "
+                    "together are of one intersection, with other traffic or other light"
+                )
+        check_layout(first, layout)
+        self.price = self.objective.price(layout)
+        failures = layout.members() if self.objective.failures else ()
+        if self.objective.failures and len(layout.units) < 2:
+            raise InspeError(f"{layout.name}: failures need at least two units, it has one")
+        self.crews = tuple(self._crew(case, failures) for case in self.cases)
+        self.space = Space(first, layout, constraints or Constraints())
+
+    def _crew(self, case: Case, failures: tuple[tuple[int, ...], ...]) -> Crew:
+        specs = case.specs(self.layout)
+        groups: dict[object, list[int]] = {}
+        for s, spec in enumerate(specs):
+            groups.setdefault(spec.grid, []).append(s)
+        return Crew(
+            tuple((grid, tuple(index)) for grid, index in groups.items()),  # type: ignore[misc]
+            tuple(spec.reliability for spec in specs),
+            failures,
+        )
+
+    @cached_property
+    def fields(self) -> tuple[Field, ...]:
+        """Every case's arrays in full."""
+        found = []
+        for case in self.cases:
+            ground = about_center(case.scene)
+            occupancy = _occupancy(ground)
+            if self.objective.weights[2] > 0:
+                check_entropy(case.scene, occupancy)
+            weight = jnp.asarray(case.scene.voxels.weight, float)
+            found.append(Field(ground, weight, occupancy))
+        return tuple(found)
+
+    def value(
+        self, poses: Float[Array, "S 6"], fields: tuple[Field, ...], softness: float | Array = 0.0
+    ) -> Float[Array, ""]:
+        """The objective of poses about the centre, on these fields."""
+        options = self.objective
+        scores = []
+        for case, part, crew in zip(self.cases, fields, self.crews, strict=True):
+            voxel = case.scene.voxels.size
+            m = measure(
+                part,
+                poses,
+                crew,
+                voxel,
+                Softness.of(softness, voxel),
+                occlusion_reference=options.occlusion_reference,
+                visibility=options.visibility,
+            )
+            p = metrics.surrogate(m.coverage, m.occlusion, m.information_gain, options.weights)
+            scores.append(p[1:].mean() if options.failures else p[0])
+        return COMBINATIONS[options.over](jnp.stack(scores)) - self.price
+
+    def exact(self, x: Float[np.ndarray, " N"]) -> float:
+        """The exact objective of the layout that coordinates give."""
+        return self.exact_of(self.space.layout(np.asarray(x)))
+
+    def exact_of(self, layout: Layout) -> float:
+        """The exact objective of a layout of these sensors."""
+        poses = poses_about_center(self.cases[0].scene, layout)
+        return float(self._exact(poses, self.fields))
+
+    @cached_property
+    def _exact(self) -> Any:
+        return jax.jit(self.value)
+
+    def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
+        """Evenly spread columns and frames of each case from a random first one; all if fewer.
+
+        The same sizes give the same shapes. Shares of all voxels are estimated without bias, and
+        with less noise than by columns drawn one by one.
+        """
+        return tuple(
+            (
+                _spread(rng, len(part.ground.columns), columns),
+                _spread(rng, len(part.ground.prisms.top), frames),
+            )
+            for part in self.fields
+        )
+
+    def share(self, drawn: Drawn) -> float:
+        """The cost of a sample beside an exact score's."""
+        cost = whole = 0.0
+        for part, (at, when) in zip(self.fields, drawn, strict=True):
+            frames = len(when) / len(part.ground.prisms.top)
+            cost += len(at) * (_VIEW_COST + (1 - _VIEW_COST) * frames)
+            whole += len(part.ground.columns)
+        return cost / whole
+
+    def sample(self, rng: np.random.Generator, columns: int = 2048, frames: int = 8) -> Sample:
+        """A sample of every case; see :meth:`draw`."""
+        drawn = self.draw(rng, columns, frames)
+        return Sample(_take(self.fields, drawn), self.share(drawn))
+
+    def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
+        """The objective of many layouts, read hard on a sample."""
+        return np.asarray(self._rough(jnp.asarray(x, float), sample.fields))
+
+    @cached_property
+    def _rough(self) -> Any:
+        @jax.jit
+        def rough(x: Array, fields: tuple[Field, ...]) -> Array:
+            return jax.lax.map(lambda row: self.value(self.space.poses(row), fields), x)
+
+        return rough
+
+    def soft(
+        self, x: Float[Array, " N"], fields: tuple[Field, ...], softness: Float[Array, ""]
+    ) -> Float[Array, ""]:
+        """The objective read softly [m]; differentiable in the coordinates."""
+        return self.value(self.space.poses(x), fields, softness)
+
+    # ── Candidates one by one, for greedy and integer programs ──
+
+    def shares(self, sample: Sample) -> Shares:
+        """What each voxel of a sample counts for."""
+        parts = []
+        for part in sample.fields:
+            free = np.asarray(_free(part, self.objective.occlusion_reference), float)
+            weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
+            entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
+            filled = np.maximum((free.sum(1) > 0).sum(), 1)
+            free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / filled
+            parts.append((weight / weight.sum(), free, entropy / max(entropy.sum(), 1e-9)))
+        n = len(parts)
+        weight, free, entropy = (np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True))
+        return Shares(weight, free, entropy)
+
+    def views(
+        self, s: int, poses: Float[np.ndarray, "K 6"], sample: Sample
+    ) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
+        """What sensor ``s`` of the layout would have in view, and see, at each of K poses.
+
+        Poses are about the scene's centre. With :meth:`shares`, for a set of sensors: C is the sum
+        of ``weight`` over voxels in view of some, O that of ``free`` over voxels and frames seen by
+        some, IG that of ``entropy``·(1 − ∏(1 − reliability·view)).
+        """
+        views, seen = [], []
+        for case, part, crew in zip(self.cases, sample.fields, self.crews, strict=True):
+            grid = next(grid for grid, index in crew.groups if s in index)
+            f, v = _views(
+                grid,
+                jnp.asarray(poses, float),
+                part,
+                case.scene.voxels.size / 2,
+                self.objective.occlusion_reference == "targets",
+            )
+            views.append(np.asarray(f))
+            seen.append(np.asarray(v))
+        return np.concatenate(views, -1), np.concatenate(seen, -1)
+
+
+def take(fields: tuple[Field, ...], drawn: Drawn) -> tuple[Field, ...]:
+    """Some columns and frames of every case's arrays."""
+    parts = []
+    for part, (at, when) in zip(fields, drawn, strict=True):
+        ground = part.ground
+        levels = ground.heights.shape[1]
+        leaves = (part.weight, part.occupancy)
+        weight, occupancy = (jnp.reshape(x, (-1, levels))[at].reshape(-1) for x in leaves)  # type: ignore[arg-type]
+        prisms = jax.tree.map(lambda leaf: leaf[when], ground.prisms)  # noqa: B023
+        parts.append(
+            Field(Ground(ground.columns[at], ground.heights[at], prisms), weight, occupancy)
+        )
+    return tuple(parts)
+
+
+_take = jax.jit(take)
+
+
+def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:
+    """``count`` evenly spread indices of ``total``, from a random first one."""
+    count = min(count, total)
+    return ((rng.uniform() + np.arange(count)) * total / count).astype(int).clip(0, total - 1)
+
+
+@jax.jit
+def _occupancy(ground: Ground) -> Float[Array, " V"]:
+    """p̂, the share of frames in which each voxel is inside a vehicle."""
+
+    def add(total: Array, prisms: Prism) -> tuple[Array, None]:
+        return total + step(solid_top(ground.columns, prisms)[:, None] - ground.heights), None
+
+    total = jax.lax.scan(add, jnp.zeros_like(ground.heights), ground.prisms)[0]
+    return total.reshape(-1) / len(ground.prisms.top)
+
+
+@partial(jax.jit, static_argnames="reference")
+def _free(part: Field, reference: str) -> Float[Array, "T V"]:
+    """The voxels that occlusion counts in each frame: those outside vehicles, or inside."""
+
+    def one(prisms: Prism) -> Array:
+        solid = step(solid_top(part.ground.columns, prisms)[:, None] - part.ground.heights)
+        return (solid if reference == "targets" else 1.0 - solid).reshape(-1)
+
+    return jax.lax.map(one, part.ground.prisms)
+
+
+@partial(jax.jit, static_argnames=("grid", "half", "spare_own"))
+def _views(grid, poses, part, half, spare_own):  # type: ignore[no-untyped-def]
+    ground = part.ground
+
+    def one(pose: Array) -> tuple[Array, Array]:
+        field, ray = view_margins(pose[None], ground.centers, ((grid, (0,)),), half)
+        f = ((field > 0) & (ray > 0))[0]
+
+        def look(prisms: Prism) -> Array:
+            clear = sight(
+                pose[None, :3], prisms, ground.columns, ground.heights, spare_own=spare_own
+            )
+            return f & (clear.reshape(-1) > 0)
+
+        return f, jax.lax.map(look, ground.prisms)
+
+    return jax.lax.map(one, poses)

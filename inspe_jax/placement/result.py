@@ -1,0 +1,182 @@
+"""What a search gives: a layout, its scores before and after, how it came there; in files too."""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Contribution, Scores
+from inspe_jax.files import check_input, write_text
+from inspe_jax.placement.run import Progress
+from inspe_jax.sensing.layout import Layout, load_layout, save_layout
+
+FORMAT = "inspe_jax result 1"
+FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv")
+"""The files of a result: the layout found, the one begun with, the record, the exact scores."""
+STATUSES = {
+    "converged": "the method found nothing more to do",
+    "budget spent": "the seconds or evaluations were used up",
+    "interrupted": "it was stopped by hand",
+}
+"""How a search ends."""
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Result:
+    """The outcome of a search.
+
+    ``layout`` is feasible, and its ``objective`` is at least that of ``start``, the feasible
+    layout begun with, ``objective_before``. ``scores_before`` and ``scores`` are the exact scores
+    of both on the first scene: their ``surrogate`` is the objective where that is P_sm on one
+    scene. ``history`` has every exact score of the search; ``evaluations`` count all its work in
+    exact scores, ``seconds`` in wall time, without the scores before and after. ``status`` is one
+    of :data:`STATUSES`. ``settings``, ``seed`` and ``versions`` make it again; ``notes`` say what
+    a person should know.
+    """
+
+    layout: Layout
+    start: Layout
+    scores_before: Scores
+    scores: Scores
+    objective_before: float
+    objective: float
+    history: tuple[Progress, ...]
+    evaluations: float
+    seconds: float
+    status: str
+    method: str
+    seed: int
+    settings: dict[str, Any]
+    versions: dict[str, str]
+    notes: tuple[str, ...] = ()
+
+
+def prepare_folder(folder: str | os.PathLike[str]) -> Path:
+    """A folder for a result, made where it is missing. Raises InspeError where that cannot be."""
+    folder = Path(folder)
+    check_folder(folder)
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def check_folder(folder: str | os.PathLike[str]) -> None:
+    """Raise InspeError where a folder could not be made or written to, before any work for it."""
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InspeError(f"{folder}: is a file; name a folder")
+    if not folder.exists() and not folder.parent.is_dir():
+        raise InspeError(f"{folder}: no such folder: {folder.parent}")
+    place = folder if folder.exists() else folder.parent
+    if not os.access(place, os.W_OK):
+        raise InspeError(f"{folder}: cannot be written: no permission in {place}")
+
+
+def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
+    """Write a result's files, :data:`FILES`, each whole or not at all.
+
+    :func:`load_result` reads them back, all but the scores by column. Raises InspeError where the
+    folder cannot be written, or as :func:`~inspe_jax.sensing.layout.save_layout` does.
+    """
+    place = prepare_folder(folder)
+    save_layout(result.layout, place / "layout.yaml")
+    save_layout(result.start, place / "start.yaml")
+    write_text(place / "result.json", json.dumps(_record(result), indent=2) + "\n")
+    write_text(place / "history.csv", _csv([asdict(row) for row in result.history]))
+
+
+def load_result(folder: str | os.PathLike[str]) -> Result:
+    """Read what :func:`save_result` wrote.
+
+    ``seen_share`` of the scores is not kept, and empty: score the layout on its scene once more.
+    Raises InspeError where a file is missing or is something else.
+    """
+    place = Path(folder)
+    if not place.is_dir():
+        raise InspeError(f"{place}: no such folder")
+    for name in FILES:
+        check_input(place / name)
+    layout, start = (load_layout(place / name) for name in FILES[:2])
+    try:
+        record = json.loads((place / "result.json").read_text(encoding="utf-8"))
+        if record.pop("format") != FORMAT:
+            raise ValueError(f"format is not '{FORMAT}'")
+        for key in ("scores_before", "scores"):
+            record[key] = _scores(record[key])
+        record["notes"] = tuple(record["notes"])
+        rows = csv.DictReader(io.StringIO((place / "history.csv").read_text(encoding="utf-8")))
+        history = tuple(Progress(**{k: float(v) for k, v in row.items()}) for row in rows)
+        return Result(layout=layout, start=start, history=history, **record)
+    except (KeyError, TypeError, ValueError, AttributeError) as e:
+        raise InspeError(f"{place}: not a result saved by this package") from e
+
+
+def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -> None:
+    """Write what several searches came to, their courses, and the best layout.
+
+    ``compare.csv`` has a row a search, ``history.csv`` one an exact score, ``layout.yaml`` the
+    layout of the best. Raises InspeError as :func:`save_result` does.
+    """
+    place = prepare_folder(folder)
+    best = max(results, key=lambda result: result.objective)
+    save_layout(best.layout, place / "layout.yaml")
+    ends = ("status", "objective_before", "objective", "evaluations", "seconds")
+    rows = [_of(result) | {name: getattr(result, name) for name in ends} for result in results]
+    write_text(place / "compare.csv", _csv(rows))
+    steps = [_of(result) | asdict(row) for result in results for row in result.history]
+    write_text(place / "history.csv", _csv(steps))
+
+
+def _of(result: Result) -> dict[str, Any]:
+    return {"method": result.method, "seed": result.seed}
+
+
+def _record(result: Result) -> dict[str, Any]:
+    """All but the layouts and the history, for JSON."""
+    return {
+        "format": FORMAT,
+        "method": result.method,
+        "status": result.status,
+        "objective_before": result.objective_before,
+        "objective": result.objective,
+        "evaluations": result.evaluations,
+        "seconds": result.seconds,
+        "seed": result.seed,
+        "notes": list(result.notes),
+        "scores_before": _plain(asdict(replace(result.scores_before, seen_share=np.zeros(0)))),
+        "scores": _plain(asdict(replace(result.scores, seen_share=np.zeros(0)))),
+        "settings": _plain(result.settings),
+        "versions": result.versions,
+    }
+
+
+def _scores(record: dict[str, Any]) -> Scores:
+    record = dict(record)
+    record["contributions"] = tuple(Contribution(**row) for row in record["contributions"])
+    record["level_coverage"] = tuple(record["level_coverage"])
+    record["seen_share"] = np.array(record["seen_share"], float)
+    return Scores(**record)
+
+
+def _csv(rows: Sequence[dict[str, Any]]) -> str:
+    """Rows as CSV; every result has at least one exact score."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    """Lists for tuples and arrays, Python's own numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,120 @@
+"""The objective on a sample, put together from what each sensor has in view and sees.
+
+A sensor at a pose is a row of W = V + T·V bits: f of each voxel, then f and in line of
+sight of each frame and voxel. C and O are weighted unions of such rows and IG a weighted
+chance that one sensor resolves, so all three are monotone and submodular: what a sensor
+adds only falls as others are added.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from inspe_jax.placement.problem import Problem, Sample
+
+_PART = 256  # rows that are turned into numbers at a time
+
+
+class Tally:
+    """What sets of sensors score on one sample of a problem.
+
+    With ``failures`` in the objective it is the mean over the units of the score without that
+    unit, submodular too. For the worst of several scenes it counts their mean, and with the
+    occlusion reference "covered" that of "roi": unions weighted by themselves are not submodular.
+    """
+
+    def __init__(self, problem: Problem, sample: Sample) -> None:
+        objective, shares = problem.objective, problem.shares(sample)
+        c, o, ig = objective.weights
+        self.sample, self.price = sample, problem.price
+        self._weight = c * shares.weight
+        self._free = o * shares.free
+        self._entropy = ig * shares.entropy
+        self._sighted = objective.visibility == "line_of_sight"
+        self._voxels = len(shares.weight)
+        everyone = range(len(problem.layout))
+        # Who is there, in each of the cases whose mean the score is.
+        self._there = [
+            frozenset(everyone) - frozenset(lost) for lost in problem.crews[0].failures or [()]
+        ]
+        counts = [part.ground.heights.size for part in sample.fields]
+        self._reliability = np.repeat([crew.reliability for crew in problem.crews], counts, 0).T
+
+    def rows(self, f: Bool[np.ndarray, "K V"], seen: Bool[np.ndarray, "K T V"]) -> np.ndarray:
+        """Bits (K, W) of poses, from what :meth:`Problem.views` gives."""
+        return np.concatenate([f, seen.reshape(len(f), -1)], 1)
+
+    def view(self, problem: Problem, s: int, poses: Float[np.ndarray, "K 6"]) -> np.ndarray:
+        """Bits (K, W) of sensor ``s`` at poses about the scene's centre."""
+        return self.rows(*problem.views(s, poses, self.sample))
+
+    def _left(
+        self, rows: Mapping[int, Bool[np.ndarray, " W"]], there: frozenset[int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of those that are there: weights not yet in view and not yet seen, entropy left."""
+        counted = [s for s in rows if s in there]
+        union = np.zeros(self._voxels + self._free.size, bool)
+        entropy = self._entropy
+        for s in counted:
+            union |= rows[s]
+            entropy = entropy * (1 - self._resolved(s, rows[s]))
+        weight = np.where(union[: self._voxels], 0.0, self._weight)
+        return weight, np.where(union[self._voxels :], 0.0, self._free.ravel()), entropy
+
+    def _resolved(self, s: int, row: Bool[np.ndarray, "*k W"]) -> Float[np.ndarray, "*k V"]:
+        """The chance that sensor ``s`` alone resolves each voxel."""
+        v = self._voxels
+        if self._sighted:
+            seen = row[..., v:].reshape(*row.shape[:-1], -1, v)
+            return seen.mean(-2) * self._reliability[s]
+        return row[..., :v] * self._reliability[s]
+
+    def value(self, rows: Mapping[int, Bool[np.ndarray, " W"]]) -> float:
+        """The score of a set of sensors, each in its row."""
+        total = self._weight.sum() + self._free.sum() + self._entropy.sum()
+        left = [sum(part.sum() for part in self._left(rows, there)) for there in self._there]
+        return float(total - np.mean(left) - self.price)
+
+    def worth(self, rows: Mapping[int, Bool[np.ndarray, " W"]], s: int) -> np.ndarray:
+        """What each bit (W,) of one more sensor ``s`` adds: its gain is their sum over its row."""
+        worth = np.zeros(self._voxels + self._free.size)
+        first, rest = worth[: self._voxels], worth[self._voxels :].reshape(self._free.shape)
+        for there in self._there:
+            if s not in there:
+                continue
+            weight, free, entropy = self._left(rows, there)
+            first += weight
+            rest += free.reshape(rest.shape)
+            resolved = entropy * self._reliability[s]
+            if self._sighted:
+                rest += resolved / len(rest)
+            else:
+                first += resolved
+        return (worth / len(self._there)).astype(np.float32)
+
+    def gains(
+        self,
+        rows: Mapping[int, Bool[np.ndarray, " W"]],
+        added: Mapping[int, Bool[np.ndarray, "K W"]],
+    ) -> Float[np.ndarray, " K"]:
+        """What K choices of some more sensors, each of them in a row of its own, add together."""
+        gains = np.zeros(len(next(iter(added.values()))))
+        for there in self._there:
+            new = {s: bits for s, bits in added.items() if s in there}
+            if not new:
+                continue
+            weight, free, entropy = self._left(rows, there)
+            union = np.logical_or.reduce(list(new.values()))
+            missed = np.ones((len(gains), self._voxels), np.float32)
+            for s, bits in new.items():
+                missed *= 1 - self._resolved(s, bits)
+            gains += times(union, np.concatenate([weight, free])) + (1 - missed) @ entropy
+        return gains / len(self._there)
+
+
+def times(bits: Bool[np.ndarray, "K W"], worth: Float[np.ndarray, " W"]) -> np.ndarray:
+    """The sums (K,) of ``worth`` over the bits of each row."""
+    worth = worth.astype(np.float32)
+    parts = [bits[k : k + _PART].astype(np.float32) @ worth for k in range(0, len(bits), _PART)]
+    return np.concatenate([np.zeros(0), *parts])

@@ -1,0 +1,205 @@
+"""What a search changed, and how searches went: figures."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Scores
+from inspe_jax.placement.result import Result
+from inspe_jax.placement.run import Progress
+from inspe_jax.report.figures import (
+    KEYS,
+    OUTLINE,
+    USER,
+    draw_badges,
+    draw_regions,
+    draw_users,
+    plan_keys,
+    seen_raster,
+    view_outline,
+    wedge_look,
+)
+from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic import CLASSES
+from inspe_jax.sensing.layout import Layout
+
+MOVED = 0.5
+"""Units that moved further than this have an arrow [m]."""
+COLORS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#808080",
+)  # fmt: skip
+"""Okabe and Ito's colours that can be told from white, and grey; one a method."""
+LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+"""Methods of neighbouring colours differ in this too."""
+
+_SIDE, _LEFT, _GAP = 3.10, 0.48, 0.30  # of the two maps, before the first, between them [inch]
+_HEAD, _BELOW = 0.66, 1.14  # above and below the maps [inch]
+_ARROW: dict[str, Any] = dict(color="#202020", lw=0.9)
+
+
+def before_after(
+    scene: Scene,
+    before: Layout,
+    after: Layout,
+    scores_before: Scores,
+    scores: Scores,
+    *,
+    frame: int = 0,
+) -> Figure:
+    """Two plan views side by side: a layout, and what a search made of it.
+
+    Each in the colours of :func:`~inspe_jax.report.figures.plan_view`, on one scale. Arrows in the
+    right one lead from where a unit's sensors were to where they are. Raises InspeError where the
+    layouts are not of the same sensors, or the scores are not of this scene.
+    """
+    if [(s.name, s.unit) for s in before.sensors] != [(s.name, s.unit) for s in after.sensors]:
+        raise InspeError(f"{before.name} and {after.name} are not of the same sensors")
+    maps = [
+        (of, np.asarray(of.poses, float), *seen_raster(scene.voxels, of_scores.seen_share))
+        for of, of_scores in ((before, scores_before), (after, scores))
+    ]
+    center, radius = scene.voxels.center[:2], scene.voxels.radius
+    reach = max(radius, *(np.hypot(*(poses[:, :2] - center).T).max() for _, poses, *_ in maps))
+    height = _HEAD + _SIDE + _BELOW
+    with house_style():
+        fig = Figure(figsize=(WIDTH, height), facecolor="white")
+        left = _LEFT / WIDTH
+        fig.text(left, 1 - 0.10 / height, fit(f"{before.name} at {scene.name}", 68), size=10,
+                 weight="bold", va="top", parse_math=False)  # fmt: skip
+        facts = f"radius {radius:g} m, voxel {scene.voxels.size:g} m; frame {frame} of the traffic"
+        fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
+        both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)
+        for k, ((layout, poses, raster, extent), when, of_scores) in enumerate(both):
+            x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
+            ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
+            frame_map(ax, scene, reach)
+            image = ax.imshow(
+                raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
+                interpolation="nearest", zorder=0.5,
+            )  # fmt: skip
+            draw_regions(ax, scene, lambda _: OUTLINE)
+            draw_users(ax, scene, frame, [USER] * len(CLASSES))
+            for sensor, pose in zip(layout.sensors, poses, strict=True):
+                outline = view_outline(sensor.spec, pose)
+                ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
+            ax.set_title(_caption(when, of_scores), size=7.5, loc="left", pad=4)
+            if k == 1:
+                ax.set(ylabel="")
+                moved = _draw_moves(ax, before, maps[0][1], poses)
+            draw_badges(ax, layout, poses, _SIDE)
+        bar = fig.add_axes((left, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
+        fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
+        bar.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
+        bar.set_title("share of frames and levels in which a column is seen", loc="left", size=7)
+        keys = plan_keys(scene, before)
+        if moved:
+            keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label="where a unit went"))
+        keys_left = (_LEFT + _SIDE) / WIDTH
+        fig.legend(
+            handles=keys, loc="lower left", bbox_to_anchor=(keys_left, 0.10 / height), ncols=2,
+            columnspacing=1.6, **KEYS,
+        )  # fmt: skip
+    return fig
+
+
+def _caption(when: str, scores: Scores) -> str:
+    parts = dict(C=scores.coverage, O=scores.occlusion, IG=scores.information_gain)
+    each = ", ".join(f"{name} {value:.3f}" for name, value in parts.items())
+    return f"{when}: $P_{{sm}}$ {scores.surrogate:.3f}  ({each})"
+
+
+def _draw_moves(ax: Axes, layout: Layout, before: np.ndarray, after: np.ndarray) -> bool:
+    """An arrow for every unit that moved; whether any did."""
+    moved = False
+    for members in layout.members():
+        old, new = (poses[list(members), :2].mean(0) for poses in (before, after))
+        if np.hypot(*(new - old)) > MOVED:
+            moved = True
+            ax.plot(*old, "o", ms=4, mfc="white", mec=_ARROW["color"], mew=0.8, zorder=5.5)
+            ax.add_patch(
+                FancyArrowPatch(
+                    tuple(old), tuple(new), arrowstyle="-|>,head_width=1.6,head_length=3",
+                    connectionstyle="arc3,rad=0.12", shrinkA=2, shrinkB=6, zorder=5.4,
+                    path_effects=HALO, **_ARROW,
+                )
+            )  # fmt: skip
+    return moved
+
+
+def history_view(results: Sequence[Result]) -> Figure:
+    """Best exact score against wall time and against work: medians over seeds, and their spread.
+
+    One line a method, of the median, in a band from the worst to the best seed. A search that
+    ended early keeps its score. Raises InspeError where there is no result.
+    """
+    if not results:
+        raise InspeError("no result to draw")
+    by: dict[str, list[Result]] = {}
+    for result in results:
+        by.setdefault(result.method, []).append(result)
+    panels: tuple[tuple[str, Callable[[Progress], float]], ...] = (
+        ("wall time [s]", lambda row: row.seconds),
+        ("work [exact scores]", lambda row: row.evaluations),
+    )
+    with house_style():
+        fig = Figure(figsize=(WIDTH, 3.6), facecolor="white")
+        first, second = fig.subplots(1, 2, sharey=True)
+        fig.subplots_adjust(left=0.085, right=0.985, top=0.74, bottom=0.13, wspace=0.06)
+        for ax, (name, along) in zip((first, second), panels, strict=True):
+            end = max(along(result.history[-1]) for result in results)
+            end = max(end, *(_ended(result, name) for result in results))
+            for k, of in enumerate(by.values()):
+                x, low, middle, high = _course([r.history for r in of], along, end)
+                color, line = COLORS[k % len(COLORS)], LINES[k % len(LINES)]
+                ax.fill_between(x, low, high, step="post", color=color, alpha=0.15, lw=0)
+                ax.step(x, middle, where="post", color=color, ls=line, lw=1.3)
+            ax.set(xlabel=name, xlim=(0, end))
+            ax.grid(color="#e0e0e0", lw=0.4)
+            ax.set_axisbelow(True)
+        first.set_ylabel("best exact score")
+        seeds = max(len(of) for of in by.values())
+        scenes = " and ".join(dict.fromkeys(r["name"] for r in results[0].settings["scenes"]))
+        title = f"Searches for {results[0].start.name} at {scenes}"
+        fig.text(0.085, 0.975, fit(title, 68), size=10, weight="bold", va="top", parse_math=False)
+        words = f"median of {seeds} seeds and all between the worst and the best"
+        fig.text(0.085, 0.922, words if seeds > 1 else "one seed", va="top")
+        handles = [
+            Line2D([], [], color=COLORS[k % len(COLORS)], ls=LINES[k % len(LINES)], lw=1.3,
+                   label=f"{name}, {np.median([r.objective for r in of]):.4f}")
+            for k, (name, of) in enumerate(by.items())
+        ]  # fmt: skip
+        fig.legend(
+            handles=handles, loc="upper left", bbox_to_anchor=(0.085, 0.875), ncols=4,
+            columnspacing=1.6, **{**KEYS, "handlelength": 2.6},
+        )  # fmt: skip
+    return fig
+
+
+def _ended(result: Result, name: str) -> float:
+    return result.seconds if name.startswith("wall") else result.evaluations
+
+
+Curve = Float[np.ndarray, " P"]
+
+
+def _course(
+    histories: Sequence[Sequence[Progress]], along: Callable[[Progress], float], end: float
+) -> tuple[Curve, Curve, Curve, Curve]:
+    """Where something changes, and there the lowest, median and highest best score so far.
+
+    From where all searches have a score, to ``end``.
+    """
+    steps = [np.array([[along(row), row.best] for row in history]) for history in histories]
+    first = max(row[0, 0] for row in steps)
+    x = np.unique(np.concatenate([row[:, 0] for row in steps] + [[first, end]]))
+    x = x[x >= first]
+    best = [row[np.searchsorted(row[:, 0], x, side="right") - 1, 1] for row in steps]
+    return x, np.min(best, 0), np.median(best, 0), np.max(best, 0)

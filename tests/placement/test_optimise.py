@@ -1,0 +1,615 @@
+"""A search from outside: budgets, starts, ends, checkpoints, and what is never handed on."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from mounts import assert_mountable, lanes_of
+from worlds import CAMERA, crossing
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import evaluate
+from inspe_jax.placement import checkpoint as files
+from inspe_jax.placement import optimise as module
+from inspe_jax.placement.checkpoint import digest, load_checkpoint, save_checkpoint
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
+from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.run import BudgetSpent, Method, Run
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.layout import Layout
+
+EVALUATIONS = 250
+"""Enough for greedy placement, exchanges and some moves on so small a scene."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=4, density=20)
+
+
+@pytest.fixture(scope="module")
+def layout(scene):
+    """Four cameras on two units: less than there is to see."""
+    whole = strategy(scene, "Cam-d1")
+    sensors = tuple(s for s in whole.sensors if s.unit < 2)
+    return Layout(whole.poses[: len(sensors)], sensors, whole.units[:2], "two corners")
+
+
+# ── The run, on a hill of its own ───────────────────────────────────────────
+
+
+class Hill:
+    """Highest, at 1, where x is 0."""
+
+    def exact(self, x):
+        return 1.0 - float((x**2).sum())
+
+    def rough(self, x, sample):
+        return 1.0 - (x**2).sum(-1)
+
+
+class Sample:
+    share = 0.25
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def run_of(**options):
+    return Run(Hill(), np.array([2.0, 0.0]), **options)
+
+
+def test_a_run_counts_work_in_exact_scores():
+    run = run_of(evaluations=10)
+    assert run.offer(run.start) == -3.0
+    np.testing.assert_array_equal(run.rough(np.ones((8, 2)), Sample()), -np.ones(8))
+    run.charge(0.5)
+    assert run.evaluations == 1 + 8 * 0.25 + 0.5
+    assert run.left == pytest.approx(0.65)
+
+
+def test_a_run_keeps_the_best_and_a_copy_of_it():
+    run, told = run_of(evaluations=10, progress=lambda *row: told.append(row)), []
+    x = np.array([0.5, 0.0])
+    for at in (run.start, x, np.array([1.0, 0.0])):
+        run.offer(at)
+    x[:] = 9.0
+    assert run.best == 0.75
+    np.testing.assert_array_equal(run.best_x, [0.5, 0.0])
+    assert [row.score for row in run.history] == [-3.0, 0.75, 0.0]
+    assert [row.best for row in run.history] == [-3.0, 0.75, 0.75]
+    assert [row.evaluations for row in run.history] == [1, 2, 3]
+    assert told == [(pytest.approx(0.1 * k), best) for k, best in ((1, -3.0), (2, 0.75), (3, 0.75))]
+
+
+@pytest.mark.parametrize("work", ["offer", "rough", "charge"])
+def test_no_work_begins_after_the_budget(work):
+    """Of evaluations, and of seconds by the clock; what began within it is finished."""
+    for limit in ("evaluations", "seconds"):
+        clock = Clock()
+        run = run_of(**{limit: 2.0}, clock=clock)
+        does = {
+            "offer": lambda run=run: run.offer(run.start),
+            "rough": lambda run=run: run.rough(np.ones((4, 2)), Sample()),
+            "charge": lambda run=run: run.charge(1.0),
+        }[work]
+        does()
+        clock.now += 1.0
+        does()
+        clock.now += 1.0
+        assert run.left == 0
+        before = (run.evaluations, len(run.history))
+        with pytest.raises(BudgetSpent):
+            does()
+        assert (run.evaluations, len(run.history)) == before
+
+
+def test_the_first_of_two_budgets_ends_it():
+    clock = Clock()
+    run = run_of(evaluations=10, seconds=100, clock=clock)
+    run.charge(5)
+    clock.now += 20
+    assert run.left == pytest.approx(0.5)
+    clock.now += 60
+    assert run.left == pytest.approx(0.2)
+    assert run.seconds == 80
+
+
+def test_a_run_taken_up_goes_on_counting():
+    """Of seconds too: those of the first part, not those between the two."""
+    clock = Clock()
+    run = run_of(evaluations=10, seconds=100, clock=clock)
+    clock.now += 1000
+    run.take_up(40.0, 2.5, [])
+    assert (run.seconds, run.evaluations) == (40, 2.5)
+    clock.now += 30
+    assert run.seconds == 70
+    assert run.left == pytest.approx(0.3)
+
+
+def test_random_numbers_hang_on_seed_and_key_only():
+    draw = lambda seed, *key: run_of(seed=seed, evaluations=1).rng(*key).uniform()  # noqa: E731
+    keys = [(), (0,), (1,), (1, 0), (0, 1), (1, 0, 0)]
+    drawn = {draw(seed, *key) for seed in (0, 1) for key in keys}
+    assert len(drawn) == 2 * len(keys)
+    assert draw(1, 1, 0) == draw(1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("budget", "message"),
+    [
+        (dict(seconds=0), "seconds 0: a budget must be more than 0"),
+        (dict(evaluations=-3), "evaluations -3: a budget must be more than 0"),
+        (dict(seconds=float("nan")), "seconds nan"),
+        (dict(evaluations=float("inf")), "and finite"),
+        (dict(), "no budget: give seconds, evaluations or both"),
+    ],
+)
+def test_a_budget_of_nothing_is_refused(budget, message):
+    with pytest.raises(InspeError, match=message):
+        run_of(**budget)
+
+
+# ── A search in full ────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def found(scene, layout):
+    return optimise(scene, layout, "greedy", evaluations=EVALUATIONS)
+
+
+def test_a_search_finds_better_places_that_can_be_mounted(scene, layout, found):
+    assert found.objective > found.objective_before + 0.02
+    assert_mountable(scene, found.layout, lanes_of(scene.intersection))
+    assert found.layout.sensors == layout.sensors
+    assert [unit.name for unit in found.layout.units] == [unit.name for unit in layout.units]
+    assert found.layout.name == "two corners, optimised"
+    assert found.notes == ()
+    np.testing.assert_allclose(found.start.poses, layout.poses, atol=1e-5)
+
+
+def test_its_scores_are_the_exact_ones(scene, found):
+    """By the scoring itself; single precision sums in another order."""
+    for of, scores, objective in (
+        (found.layout, found.scores, found.objective),
+        (found.start, found.scores_before, found.objective_before),
+    ):
+        again = evaluate(scene, of)
+        assert scores.surrogate == pytest.approx(again.surrogate, abs=1e-6)
+        assert objective == pytest.approx(again.surrogate, abs=1e-6)
+
+
+def test_its_history_ends_at_its_score(found):
+    history = found.history
+    assert history[0].score == found.objective_before
+    assert history[-1].best == found.objective == max(row.score for row in history)
+    assert [row.best for row in history] == np.maximum.accumulate(
+        [row.score for row in history]
+    ).tolist()
+    assert (np.diff([row.evaluations for row in history]) >= 1).all()
+    assert (np.diff([row.seconds for row in history]) > 0).all()
+    assert found.evaluations >= EVALUATIONS > history[-1].evaluations - 1
+    assert found.seconds >= history[-1].seconds
+    assert found.status == "budget spent"
+
+
+def test_its_record_says_how_to_make_it_again(found):
+    assert (found.method, found.seed) == ("greedy", 0)
+    settings = json.loads(json.dumps(found.settings))
+    assert settings["budget"] == {"seconds": None, "evaluations": EVALUATIONS}
+    assert settings["scenes"][0]["name"] == "four_way"
+    assert settings["constraints"]["pitch_deg"]["camera"] == [-80, 10]
+    assert {"inspe_jax", "python", "jax", "optax", "jaxopt", "cmaes"} <= set(found.versions)
+
+
+def test_a_stopped_search_goes_on_to_the_same_end(scene, layout, found, tmp_path, monkeypatch):
+    """Stopped in the midst of its third step, after work that is then done once more."""
+    row, count, path = METHODS["greedy"], 0, tmp_path / "kept.npz"
+
+    def stopped(run, state):
+        nonlocal count
+        count += 1
+        after = row.step(run, state)
+        if count == 3:
+            raise KeyboardInterrupt
+        return after
+
+    monkeypatch.setitem(METHODS, "greedy", replace(row, step=stopped))
+    part = optimise(scene, layout, "greedy", evaluations=EVALUATIONS, checkpoint=path)
+    assert part.status == "interrupted"
+    assert load_checkpoint(path).evaluations < part.evaluations < found.evaluations
+    monkeypatch.setitem(METHODS, "greedy", row)
+    whole = optimise(scene, layout, "greedy", evaluations=EVALUATIONS, checkpoint=path)
+    np.testing.assert_array_equal(whole.layout.poses, found.layout.poses)
+    course = [[(row.evaluations, row.score) for row in of.history] for of in (whole, found)]
+    assert course[0] == course[1]
+    assert whole.evaluations == found.evaluations
+    assert "went on from" in whole.notes[0]
+
+    ended = optimise(scene, layout, "greedy", evaluations=EVALUATIONS, checkpoint=path)
+    assert "has ended (budget spent); delete it to begin anew, or give a larger" in ended.notes[0]
+    assert (ended.objective, ended.status) == (found.objective, "budget spent")
+    assert ended.history == whole.history
+
+
+# ── Ends, starts and faults, with methods made for it and scores made up ────
+
+
+@pytest.fixture
+def quick(monkeypatch, scene, found):
+    """Made-up scores, which nothing is compiled for: the nearer to 6 m the masts, the better."""
+
+    def exact(self, x):
+        self.space.layout(x)
+        return 1.0 - float(np.abs(self.space.split(x).height - 6.0).mean()) / 10
+
+    monkeypatch.setattr(Problem, "exact", exact)
+    monkeypatch.setattr(module, "evaluate", lambda *_, **__: found.scores)
+
+    def add(name, step, begin=lambda run: {"count": 0}):
+        monkeypatch.setitem(METHODS, name, Method(name, "made for a test", begin, step))
+        return partial(optimise, method=name)
+
+    return add
+
+
+def at_height(run, height):
+    """The start with every mast as high [m]."""
+    x = np.array(run.start)
+    x[run.problem.space.split(np.arange(len(x))).height.astype(int)] = height
+    return x
+
+
+def moved(result):
+    """Notes of what the start had to be moved for."""
+    return [note for note in result.notes if "nothing better" not in note]
+
+
+def climb(run, state, steps=5):
+    """Every mast to a random height."""
+    if state["count"] == steps:
+        return None
+    run.offer(at_height(run, run.rng(state["count"]).uniform(5, 10)))
+    return {"count": state["count"] + 1}
+
+
+def test_a_method_that_is_done_has_converged(scene, layout, quick):
+    result = quick("climb", climb)(scene, layout, evaluations=100)
+    assert result.status == "converged"
+    assert result.evaluations == 6
+    again = quick("climb", climb)(scene, layout, evaluations=100)
+    assert again.history[-1].score == result.history[-1].score
+    other = quick("climb", climb)(scene, layout, evaluations=100, seed=1)
+    assert other.history[-1].score != result.history[-1].score
+
+
+def test_a_method_that_follows_the_budget_to_its_end_has_spent_it(scene, layout, quick):
+    follow = lambda run, state: None if run.left < 0.1 else climb(run, state, 99)  # noqa: E731
+    result = quick("follow", follow)(scene, layout, evaluations=20)
+    assert result.status == "budget spent"
+    assert result.evaluations == 18
+
+
+def test_seconds_end_a_search(scene, layout, quick):
+    result = quick("climb", partial(climb, steps=10**9))(scene, layout, seconds=0.5)
+    assert result.status == "budget spent"
+    assert 0.5 <= result.seconds < 5
+
+
+def test_the_result_is_never_worse_than_its_start(scene, layout, quick):
+    def fall(run, state):
+        assert run.offer(at_height(run, 10.0)) < run.history[0].score
+
+    result = quick("fall", fall)(scene, layout, evaluations=100)
+    assert result.objective == result.objective_before
+    assert result.notes == (
+        "nothing better than the start was found; try a larger budget or start",
+    )
+    np.testing.assert_allclose(result.layout.poses, result.start.poses)
+
+
+def test_what_cannot_be_mounted_is_not_handed_on(scene, layout, quick, monkeypatch):
+    monkeypatch.setattr("inspe_jax.placement.constraints.Space.violations", lambda *_: ["floats"])
+    with pytest.raises(AssertionError, match="not feasible: floats"):
+        quick("climb", climb)(scene, layout, evaluations=100)
+
+
+def test_an_interrupt_gives_the_best_so_far(scene, layout, quick, tmp_path):
+    def stop(run, state):
+        if state["count"] == 3:
+            raise KeyboardInterrupt
+        return climb(run, state)
+
+    result = quick("stop", stop)(scene, layout, evaluations=100, checkpoint=tmp_path / "c.npz")
+    assert result.status == "interrupted"
+    assert len(result.history) == 4
+    assert result.objective == max(row.score for row in result.history)
+    assert load_checkpoint(tmp_path / "c.npz").status == ""
+
+
+def test_an_interrupt_without_a_score_and_a_second_one_go_through(
+    scene, layout, quick, monkeypatch
+):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    search = quick("stop", stop)
+    with monkeypatch.context() as patch:  # the second, while the results are scored
+        patch.setattr(module, "evaluate", stop)
+        with pytest.raises(KeyboardInterrupt):
+            search(scene, layout, evaluations=100)
+    monkeypatch.setattr(Problem, "exact", stop)
+    with pytest.raises(KeyboardInterrupt):
+        search(scene, layout, evaluations=100)
+
+
+def test_a_start_that_cannot_be_mounted_is_moved_and_said_so(scene, layout, quick):
+    poses, units = np.array(layout.poses), list(layout.units)
+    members = [s for s, sensor in enumerate(layout.sensors) if sensor.unit == 0]
+    poses[members, :2] -= units[0].base[:2]  # into the middle of the junction …
+    poses[members, 2] += 9.0  # … and out of reach
+    units[0] = replace(units[0], base=(3.0, 0.0, 0.0))
+    poses[members, 0] += 3.0
+    bad = Layout(poses, layout.sensors, tuple(units), "in the way")
+    result = quick("climb", climb)(scene, bad, evaluations=3)
+    assert any("moved" in note and "to the nearest" in note for note in result.notes)
+    assert any("lowered from" in note for note in result.notes)
+    assert_mountable(scene, result.start, lanes_of(scene.intersection))
+    assert result.objective >= result.objective_before == result.history[0].score
+
+
+def test_any_start(scene, layout, quick):
+    whole = strategy(scene, "Cam-d1")
+    search = partial(quick("climb", climb), scene, whole, evaluations=1)
+    np.testing.assert_allclose(search().start.poses, whole.poses, atol=1e-5)
+    drawn = [search(start="random", seed=seed).start.poses for seed in (0, 0, 1)]
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+    assert np.abs(drawn[0] - drawn[2]).max() > 1
+    mine = search(start=whole.with_poses(whole.poses + np.array([0, 0, 0.5, 0, 0, 0])))
+    np.testing.assert_allclose(mine.start.poses[:, 2], whole.poses[:, 2] + 0.5, atol=1e-5)
+    # Its sensors in the places of another strategy, of eight cameras too. Both put two cameras
+    # on each of four poles, so nothing has to be drawn together.
+    other = search(start="cam-D2")
+    assert not moved(other)
+    np.testing.assert_allclose(other.start.poses, strategy(scene, "Cam-d2").poses, atol=1e-5)
+    assert other.start.sensors == whole.sensors
+
+
+def test_a_start_that_tears_units_apart_draws_them_together(scene, quick):
+    """Each unit of the first has a camera and a LiDAR, which the second puts in other places."""
+    both = strategy(scene, "Cam-d1/L-d1")
+    result = quick("climb", climb)(scene, both, evaluations=1, start="Cam-d1/L-d1")
+    assert not moved(result)
+    swapped = replace(both.sensors[0], unit=3), replace(both.sensors[-1], unit=0)
+    sensors = (swapped[0], *both.sensors[1:-1], swapped[1])
+    mixed = Layout(both.poses, sensors, both.units, "mixed")
+    result = quick("climb", climb)(scene, mixed, evaluations=1, start="Cam-d1/L-d1")
+    assert any("drawn" in note and "nearer to its unit's foot" in note for note in result.notes)
+    assert_mountable(scene, result.start, lanes_of(scene.intersection))
+
+
+def test_several_scenes_and_the_worst(scene, layout, quick):
+    dark = Case(scene, {"paper-camera-midday": "paper-camera-night"})
+    result = quick("climb", climb)(
+        [scene, dark], layout, evaluations=2, objective=Objective(over="worst")
+    )
+    assert [row["swap"] for row in result.settings["scenes"]] == [
+        {},
+        {"paper-camera-midday": "paper-camera-night"},
+    ]
+    assert result.settings["objective"]["over"] == "worst"
+
+
+def test_methods_are_compared_on_equal_terms(scene, layout, quick):
+    quick("climb", climb)
+    quick("short", partial(climb, steps=2))
+    told = []
+    results = compare(
+        scene,
+        layout,
+        ["short", "climb"],
+        evaluations=4,
+        seeds=2,
+        progress=lambda *row: told.append(row),
+    )
+    assert [(r.method, r.seed) for r in results] == [
+        ("short", 0),
+        ("short", 1),
+        ("climb", 0),
+        ("climb", 1),
+    ]
+    assert [r.evaluations for r in results] == [3, 3, 4, 4]
+    assert len({r.objective_before for r in results}) == 1
+    assert ("climb", 1, 1.0, results[-1].objective) in told
+
+
+def test_a_comparison_that_is_stopped_gives_what_it_has(scene, layout, quick):
+    quick("climb", climb)
+    quick("stop", lambda run, state: (_ for _ in ()).throw(KeyboardInterrupt))
+    results = compare(scene, layout, ["climb", "stop"], evaluations=4, seeds=1)
+    assert [r.method for r in results] == ["climb"]
+    with pytest.raises(KeyboardInterrupt):
+        compare(scene, layout, ["stop"], evaluations=4, seeds=1)
+
+    def later(run, state):
+        if run.seed == 1 and state["count"] == 2:
+            raise KeyboardInterrupt
+        return climb(run, state)
+
+    quick("later", later)
+    results = compare(scene, layout, ["later", "climb"], evaluations=10, seeds=3)
+    assert [(r.method, r.seed, r.status, len(r.history)) for r in results] == [
+        ("later", 0, "converged", 6),
+        ("later", 1, "interrupted", 3),
+    ]
+
+
+def test_methods_are_listed_with_a_line_each():
+    assert {"adam", "lbfgsb", "projected-gradient", "grid", "random", "greedy", "cma-es"} <= set(
+        methods()
+    )
+    assert all(methods().values())
+
+
+# ── Checkpoints ─────────────────────────────────────────────────────────────
+
+
+@pytest.fixture
+def kept(scene, layout, quick, tmp_path):
+    """A checkpoint of a finished search, and a way to go on from it with other options."""
+    search = partial(quick("climb", climb), evaluations=3, checkpoint=tmp_path / "c.npz")
+    search(scene, layout)
+    return search
+
+
+def test_a_larger_budget_goes_further(scene, layout, kept):
+    first = kept(scene, layout)
+    more = kept(scene, layout, evaluations=100)
+    assert more.status == "converged"
+    assert len(more.history) == 6
+    assert more.history[:3] == first.history
+    assert "went on from" in more.notes[0]
+    done = kept(scene, layout, evaluations=200)
+    assert (done.status, len(done.history)) == ("converged", 6)
+    assert done.notes[0].endswith("has ended (converged); delete it to begin anew")
+
+
+def test_a_checkpoint_of_another_search_names_what_differs(scene, layout, kept, quick):
+    moved = layout.with_poses(np.asarray(layout.poses) + 0.01)
+    quick("other", climb)
+    box = built_in("four_way").mounting.envelope
+    for differs, change in {
+        "scene": dict(scene=replace(scene, settings=(("seed", "7"),))),
+        "layout": dict(layout=moved),
+        "objective": dict(objective=Objective(failures=True)),
+        "constraints": dict(constraints=Constraints(area=box)),
+        r"start \(given, not random\)": dict(start="random"),
+        r"method \(climb, not other\)": dict(method="other"),
+        r"seed \(0, not 4\)": dict(seed=4),
+    }.items():
+        given = dict(scene=scene, layout=layout) | change
+        with pytest.raises(InspeError, match=f"of another search, with another {differs}; name"):
+            kept(**given)
+
+
+def test_a_file_that_is_no_checkpoint_is_refused_and_left_alone(scene, layout, kept, tmp_path):
+    for content in (b"", b"PK\x03\x04", (tmp_path / "c.npz").read_bytes()[:-200]):
+        (tmp_path / "bad.npz").write_bytes(content)
+        with pytest.raises(InspeError, match=r"bad\.npz: not a checkpoint of a search"):
+            kept(scene, layout, checkpoint=tmp_path / "bad.npz")
+        assert (tmp_path / "bad.npz").read_bytes() == content
+    with np.load(tmp_path / "c.npz") as data:  # whole, but for an array that is a pickle
+        whole = {name: data[name] for name in data.files}
+    np.savez(tmp_path / "bad.npz", **whole, **{"array: x": np.array([None])})
+    with pytest.raises(InspeError, match="not a checkpoint"):
+        load_checkpoint(tmp_path / "bad.npz")
+
+
+def test_a_state_comes_back_as_it_was(tmp_path, kept):
+    state = {
+        "floats": np.array([[1.5, np.inf]], np.float32),
+        "point": np.array(2.5),
+        "none": np.zeros((0, 3)),
+        "words": np.array(["a", "bc"]),
+        "flag": True,
+        "count": 3,
+        "width": 0.1,
+        "phase": "look",
+        "optax 0": np.arange(3),
+        "moved": np.bool_(False),
+    }
+    save_checkpoint(replace(load_checkpoint(tmp_path / "c.npz"), state=state), tmp_path / "d.npz")
+    back = load_checkpoint(tmp_path / "d.npz").state
+    assert set(back) == set(state)
+    for name, value in state.items():
+        np.testing.assert_array_equal(back[name], value)
+        assert isinstance(back[name], np.ndarray) == isinstance(value, np.ndarray)
+        if isinstance(value, np.ndarray):
+            assert back[name].dtype == value.dtype
+    assert type(back["flag"]) is bool
+    assert type(back["phase"]) is str
+    with pytest.raises(TypeError, match="state 'x': a list"):
+        save_checkpoint(replace(load_checkpoint(tmp_path / "c.npz"), state={"x": [1]}), "e.npz")
+
+
+def test_checkpoints_are_written_on_the_way(scene, layout, quick, tmp_path, monkeypatch):
+    """Every 0 s here: what a killed search leaves is as of its last whole step."""
+    path, seen = tmp_path / "c.npz", []
+
+    def look(run, state):
+        seen.append((load_checkpoint(path).state, load_checkpoint(path).evaluations))
+        return climb(run, state, 3)
+
+    monkeypatch.setattr(files, "EVERY", 0.0)
+    quick("look", look)(scene, layout, evaluations=100, checkpoint=path)
+    assert seen == [({"count": k}, k + 1.0) for k in range(4)]
+
+
+def test_digests_tell_contents_apart():
+    place = crossing()
+    same = [digest(crossing()), digest(place)]
+    assert same[0] == same[1]
+    others = [
+        crossing(slope=0.01),
+        replace(place, mounting=place.mounting.buffer(1e-6)),
+        CAMERA,
+        replace(CAMERA, reliability=0.8),
+        Constraints(),
+        Constraints(yaw={"a": (0.0, 1.0)}),
+        Constraints(yaw={"b": (0.0, 1.0)}),
+        {"a": 1},
+        {"a": 1.0},
+        ["a", "bc"],
+        ["ab", "c"],
+        np.zeros((2, 3)),
+        np.zeros((3, 2)),
+        np.zeros((2, 3), np.float32),
+        np.zeros((2, 3), int),
+        None,
+    ]
+    assert len({same[0], *map(digest, others)}) == len(others) + 1
+    with pytest.raises(TypeError, match="has no digest"):
+        digest(lambda: 0)
+
+
+# ── Bad input ───────────────────────────────────────────────────────────────
+
+
+BAD = [
+    (dict(method="adm"), "no method 'adm': adam, .*did you mean adam"),
+    (dict(seconds=0), "seconds 0: a budget must be more than 0"),
+    (dict(evaluations=-1.0), "evaluations -1"),
+    (dict(seed=-1), "seed -1: a whole number, 0 or more"),
+    (dict(seed=0.5), "seed 0.5"),
+    (dict(start="Cam-d3"), "start 'Cam-d3': given, random, Cam-c.*did you mean Cam-d"),
+    (dict(start="Cam-d1"), "start 'Cam-d1' has 8 of kind camera and two corners has 4"),
+    (dict(checkpoint="c.txt"), r"must end in \.npz"),
+    (dict(checkpoint="no/such/c.npz"), "no such folder"),
+    (dict(constraints=Constraints(places="nowhere")), "places 'nowhere'"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), BAD, ids=[message for _, message in BAD])
+def test_bad_options_are_refused(scene, layout, options, message):
+    with pytest.raises(InspeError, match=message):
+        optimise(scene, layout, **options)
+
+
+def test_bad_comparisons_are_refused(scene, layout):
+    for options, message in (
+        (dict(methods=[]), "no method to compare"),
+        (dict(methods=["adam", "adam"]), "named twice"),
+        (dict(methods=["adam"], seeds=0), "seeds 0: at least 1"),
+        (dict(methods=["adam", "gird"]), "did you mean grid"),
+    ):
+        with pytest.raises(InspeError, match=message):
+            compare(scene, layout, **options)

@@ -1,0 +1,131 @@
+"""A result on disk: what comes back, what the files say to others, and what is refused."""
+
+import csv
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from worlds import world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import evaluate
+from inspe_jax.placement.result import FILES, Result, check_folder, load_result, save_result
+from inspe_jax.placement.run import Progress
+from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout
+
+
+@pytest.fixture(scope="module")
+def result():
+    scene = world(radius=10, voxel=1.0)
+    spec = device("paper-camera-midday").spec
+    sensors = [Sensor("a", spec, 0), Sensor("b", spec, 1)]
+    units = [Unit("north", (9.0, 8.0, 0.1)), Unit("south", (-9.0, -8.0, -0.1))]
+    poses = np.array([[9, 8.5, 6, 0, -0.4, -2.2], [-9, -8, 5.0, 0, -0.3, 0.7]])
+    start = make_layout(sensors, units, poses, "by hand")
+    layout = replace(start, poses=poses + [0.1, -0.2, 0.3, 0, 0.05, 0.2], name="better")
+    return Result(
+        layout=layout,
+        start=start,
+        scores_before=evaluate(scene, start),
+        scores=evaluate(scene, layout),
+        objective_before=0.1 + 0.2,
+        objective=1 / 3,
+        history=(Progress(0.5, 1.0, 0.3, 0.3), Progress(1 / 7, 2 / 3, 1e-9, 0.3)),
+        evaluations=2.5,
+        seconds=1.25,
+        status="converged",
+        method="made up",
+        seed=3,
+        settings={"objective": {"weights": (0.3, 0.5, 0.2)}, "heights": np.array([3.0, 12.0])},
+        versions={"python": "3"},
+        notes=("unit 'north' moved 3.20 m to the nearest mounting area",),
+    )
+
+
+def test_a_result_comes_back(result, tmp_path):
+    folder = tmp_path / "new"
+    save_result(result, folder)
+    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    back = load_result(folder)
+    for name in (field.name for field in fields(Result)):
+        mine, theirs = getattr(result, name), getattr(back, name)
+        if name in ("layout", "start"):
+            np.testing.assert_allclose(theirs.poses, mine.poses, atol=1e-8)
+            assert (theirs.sensors, theirs.units, theirs.name) == (
+                mine.sensors,
+                mine.units,
+                mine.name,
+            )
+        elif name in ("scores", "scores_before"):
+            assert len(theirs.seen_share) == 0
+            for part in fields(mine):
+                if part.name == "settings":
+                    assert theirs.settings["weights"] == [0.3, 0.5, 0.2]
+                elif part.name != "seen_share":
+                    assert getattr(theirs, part.name) == getattr(mine, part.name)
+        elif name == "settings":
+            assert theirs == {
+                "objective": {"weights": [0.3, 0.5, 0.2]},
+                "heights": [3.0, 12.0],
+            }
+        else:
+            assert theirs == mine, name  # numbers to the last digit
+
+
+def test_others_can_read_the_files(result, tmp_path):
+    save_result(result, tmp_path)
+    assert load_layout(tmp_path / "layout.yaml").name == "better"
+    record = json.loads((tmp_path / "result.json").read_text())
+    assert record["objective"] == 1 / 3
+    assert record["scores"]["surrogate"] == result.scores.surrogate
+    with (tmp_path / "history.csv").open(newline="") as f:
+        rows = list(csv.DictReader(f))
+    assert [float(row["best"]) for row in rows] == [0.3, 0.3]
+    assert list(rows[0]) == ["seconds", "evaluations", "score", "best"]
+
+
+def test_a_second_result_takes_the_place_of_the_first(result, tmp_path):
+    save_result(result, tmp_path)
+    save_result(replace(result, seed=4), tmp_path)
+    assert load_result(tmp_path).seed == 4
+    assert len(list(tmp_path.iterdir())) == len(FILES)
+
+
+def test_a_folder_that_cannot_be_is_refused_before_any_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder, message in (
+        (tmp_path / "file", "is a file; name a folder"),
+        (tmp_path / "no" / "such", "no such folder"),
+    ):
+        with pytest.raises(InspeError, match=message):
+            check_folder(folder)
+    check_folder(tmp_path / "new")
+    check_folder(tmp_path)
+    assert not (tmp_path / "new").exists()
+
+
+def test_what_is_no_result_is_refused(result, tmp_path):
+    with pytest.raises(InspeError, match="no such folder"):
+        load_result(tmp_path / "none")
+    with pytest.raises(InspeError, match=r"layout\.yaml: no such file"):
+        load_result(tmp_path)
+    save_result(result, tmp_path)
+    good = (tmp_path / "result.json").read_text()
+    record = json.loads(good)
+    for content in (
+        "",
+        "[]",
+        good.replace("result 1", "result 0"),
+        json.dumps(record | {"surprise": 1}),
+        json.dumps({k: v for k, v in record.items() if k != "seed"}),
+        json.dumps(record | {"scores": {}}),
+    ):
+        (tmp_path / "result.json").write_text(content)
+        with pytest.raises(InspeError, match="not a result saved by this package"):
+            load_result(tmp_path)
+    (tmp_path / "result.json").write_text(good)
+    (tmp_path / "history.csv").write_text("seconds,evaluations,score,best\n1,2,x,4\n")
+    with pytest.raises(InspeError, match="not a result"):
+        load_result(tmp_path)

@@ -1,0 +1,497 @@
+"""The baselines on functions with a known optimum, and on a small crossing."""
+
+import io
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, random_traffic, world
+
+from inspe_jax.placement import candidates, greedy, search
+from inspe_jax.placement import table as tables
+from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.run import BudgetSpent, Run
+from inspe_jax.placement.tally import Tally, times
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+
+METHODS = {method.name: method for method in search.SEARCHES}
+
+
+class Heard(Run):
+    """A run that remembers every score that it told."""
+
+    def __init__(self, problem, start, evaluations, seed=0):
+        super().__init__(problem, start, evaluations=evaluations, seed=seed)
+        self.heard = []
+        self.offer(self.start)
+
+    def rough(self, x, sample):
+        scores = super().rough(x, sample)
+        self.heard.append(scores.tolist())
+        return scores
+
+    @property
+    def offers(self):
+        return [(round(row.evaluations, 9), row.score) for row in self.history]
+
+
+def go(method, run, state=None, steps=10**9, seen=None):
+    """Run a method; its state after some steps, or None when it stops or the budget is spent."""
+    try:
+        state = method.begin(run) if state is None else state
+        for _ in range(steps):
+            state = method.step(run, state)
+            if seen is not None:
+                seen.append(state)
+            if state is None:
+                return None
+    except BudgetSpent:
+        return None
+    return state
+
+
+def saved(state):
+    """Through a file as checkpoints are: no pickle, and numbers and strings as they were."""
+    file = io.BytesIO()
+    np.savez(file, **state)
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as held:
+        found = {k: held[k] for k in held.files}
+    return {k: v.item() if v.ndim == 0 else v for k, v in found.items()}
+
+
+# ── Functions with a known optimum ──────────────────────────────────────────
+
+
+class Box:
+    """A space of numbers from −3 to 3, the last of them frozen."""
+
+    def __init__(self, size=5):
+        self.size, self.scale = size, np.array([1.0] * (size - 1) + [0.0])
+        self.free = np.arange(size - 1)
+
+    def project(self, x):
+        return x.clip(-3, 3)
+
+    def poses(self, x):
+        return x
+
+    def random(self, rng, count):
+        return np.column_stack([rng.uniform(-3, 3, (count, self.size - 1)), np.zeros(count)])
+
+
+class Bowl:
+    """A function with one summit; a sample shifts all of its values, and each a little."""
+
+    def __init__(self, space, height, noise=0.0):
+        self.space, self._height, self._noise = space, height, noise
+
+    def exact(self, x):
+        return float(self._height(np.asarray(x, float)[None])[0])
+
+    def sample(self, rng, columns, frames):
+        return SimpleNamespace(share=0.02, seed=int(rng.integers(2**31)))
+
+    def rough(self, x, sample):
+        rng = np.random.default_rng(sample.seed)
+        shift, tilt = rng.normal(), rng.normal(size=x.shape[1])
+        return self._height(x) + shift + self._noise * (x @ tilt)
+
+
+@pytest.mark.parametrize("summit", [(1.0, -2.0, 0.5, 2.0), (3.0, 3.0, -1.0, 9.0)])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_cma_climbs_to_the_summit_or_to_the_bound_before_it(summit, noise):
+    problem = Bowl(Box(), lambda x: -((x[:, :4] - summit) ** 2).sum(1) / 10, noise)
+    run = Heard(problem, np.zeros(5), evaluations=60)
+    go(METHODS["cma-es"], run)
+    nearest = np.clip(summit, -3, 3)
+    assert np.abs(run.best_x[:4] - nearest).max() < (0.05 if noise == 0 else 0.3)
+    assert run.best_x[4] == 0
+
+
+def test_cma_restarts_with_twice_the_population_and_finds_the_higher_summit():
+    def height(x):
+        low = np.exp(-((x[:, :4]) ** 2).sum(1))
+        return low + 3 * np.exp(-((x[:, :4] - 2) ** 2).sum(1))
+
+    problem, sizes = Bowl(Box(), height), []
+    run = Heard(problem, np.zeros(5), evaluations=300)
+    states = []
+    go(METHODS["cma-es"], run, seen=states)
+    sizes = [state["told"].shape[1] for state in states if len(state["told"]) == 0]
+    assert sizes[:2] == [16, 32]
+    assert run.best == pytest.approx(height(np.full((1, 4), 2.0))[0], abs=0.02)
+
+
+def test_random_finds_the_summit_as_nearly_as_its_draws_do():
+    """Of n even draws the nearest in a box of 4 dimensions is about n^(−1/4) of its width away."""
+    summit = np.array([1.0, -2.0, 0.5, 2.0])
+    problem = Bowl(Box(), lambda x: -np.abs(x[:, :4] - summit).max(1))
+    run = Heard(problem, np.zeros(5), evaluations=40)
+    go(METHODS["random"], run)
+    draws = 0.9 * 40 / (search.CHUNK * 0.02) * search.CHUNK
+    assert -run.best < 2 * 6 * draws**-0.25 / 2
+    assert len(run.offers) < 15  # exact scores only for what beats the best so far
+
+
+# ── A small crossing ────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
+
+
+def crew(scene):
+    """A camera and a LiDAR on one pole, two cameras on another, one on a third; all look up."""
+    c = scene.voxels.center
+    units = [
+        Unit(name, (c[0] + x, c[1] + y, c[2]))
+        for name, x, y in (("a", 9, 9), ("b", -9, -9), ("c", -9, 9))
+    ]
+    members = [("ca", CAMERA, 0), ("la", LIDAR, 0), ("cb", CAMERA, 1), ("db", CAMERA, 1)]
+    members += [("cc", CAMERA, 2)]
+    sensors = [Sensor(*row) for row in members]
+    poses = [[*units[u].base[:2], 4.0, 0.0, 0.15, 0.7 * s] for s, (_, _, u) in enumerate(members)]
+    return make_layout(sensors, units, np.array(poses))
+
+
+@pytest.fixture(scope="module")
+def problem(scene):
+    return Problem(scene, crew(scene))
+
+
+@pytest.fixture(scope="module")
+def start(problem):
+    return problem.space.start(problem.layout)[0]
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch):
+    """Small samples and few candidates, so that a test takes a second."""
+    for module in (search, greedy, tables):
+        monkeypatch.setattr(module, "COLUMNS", 96)
+        monkeypatch.setattr(module, "FRAMES", 3)
+    monkeypatch.setattr(tables, "HEIGHTS", 2)
+    monkeypatch.setattr(tables, "YAWS", 4)
+    monkeypatch.setattr(greedy, "TRIES", 8)
+    monkeypatch.setattr(tables, "CHUNK", 64)
+    monkeypatch.setattr(candidates, "SPACING", 12.0)
+    monkeypatch.setattr(search, "LOOK", 3)
+    monkeypatch.setattr(search, "PATIENCE", 2)
+
+
+BUDGET = {"grid": 7.0, "random": 7.0, "greedy": 8.0, "cma-es": 8.0}
+"""Evaluations in which each method comes through all of its kinds of step, but for restarts."""
+
+
+def steps_of(name, problem, start):
+    run, seen = Heard(problem, start, BUDGET[name]), []
+    go(METHODS[name], run, seen=seen)
+    return run, seen
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_finds_better_layouts_that_can_be_mounted(name, problem, start):
+    run, _ = steps_of(name, problem, start)
+    assert run.best > run.offers[0][1] + 0.01
+    layout = problem.space.layout(run.best_x)
+    assert problem.space.violations(layout) == []
+    assert problem.exact_of(layout) == pytest.approx(run.best, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_seed_repeats_and_another_does_not(name, problem, start):
+    first, again, other = (Heard(problem, start, BUDGET[name], seed) for seed in (0, 0, 1))
+    for run in (first, again, other):
+        go(METHODS[name], run)
+    assert first.offers == again.offers
+    assert first.heard == again.heard
+    # A grid is no game of chance, but what it hears is of other samples.
+    assert (first.offers, first.heard) != (other.offers, other.heard)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_from_any_checkpoint_a_run_goes_on_as_if_nothing_had_come_between(name, problem, start):
+    whole, seen = steps_of(name, problem, start)
+    if name == "greedy":
+        assert {state["phase"] for state in seen} == {"look", "place", "exchange", "move"}
+    for stop in {len(seen) // 2, len(seen) - 2}:
+        run = Heard(problem, start, BUDGET[name])
+        state = saved(go(METHODS[name], run, steps=stop))
+        # Another process has nothing but the state, and the run's own account.
+        later = Heard(problem, start, BUDGET[name])
+        later.take_up(run.seconds, run.evaluations, run.history)
+        later.best, later.best_x = run.best, run.best_x
+        go(METHODS[name], later, state)
+        assert later.offers == whole.offers, stop
+
+
+def test_a_generation_that_was_cut_short_is_asked_again(problem, start):
+    """Ctrl-C in the middle of a step leaves no strategy that has asked and not been told."""
+    whole, _ = steps_of("cma-es", problem, start)
+    run = Heard(problem, start, BUDGET["cma-es"])
+    state = go(METHODS["cma-es"], run, steps=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "rough", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            METHODS["cma-es"].step(run, state)
+    go(METHODS["cma-es"], run, state)
+    assert run.offers == whole.offers
+
+
+def test_states_are_flat(problem, start):
+    for method in METHODS.values():
+        state = go(method, Heard(problem, start, 40.0), steps=3)
+        assert all(isinstance(v, np.ndarray | int | float | str | bool) for v in state.values())
+
+
+# ── Grid ────────────────────────────────────────────────────────────────────
+
+
+def test_grid_comes_as_near_to_a_summit_as_its_finest_step(problem, start):
+    """Where coordinates do not depend on each other, one block at a time is enough."""
+    space = problem.space
+    target = space.random(np.random.default_rng(5), 1)[0]
+    above, c = candidates.above_ground(space, target), space.split(target)
+
+    def height(x):
+        lost = []
+        for row in x:
+            r = space.split(row)
+            turned = np.sin((r.yaw - c.yaw) / 2) ** 2
+            lifted = (candidates.above_ground(space, row) - above) ** 2
+            away = ((r.base - c.base) ** 2).sum(1)
+            pitched = (r.pitch - c.pitch) ** 2
+            lost.append(turned.sum() + lifted.sum() / 16 + away.sum() / 100 + 4 * pitched.sum())
+        return -np.array(lost)
+
+    run = Heard(Bowl(space, height), start, evaluations=4000)
+    run.problem.layout = problem.layout
+    assert go(METHODS["grid"], run) is None
+    assert run.left > 0  # it stopped by itself
+    found = space.split(run.best_x)
+    finest = 2.0**-search.FINEST
+    assert np.hypot(*(found.base - c.base).T).max() < 2 * search.SPACING * finest
+    assert np.abs(np.sin((found.yaw - c.yaw) / 2)).max() < 2 * search.STEPS["yaw"] * finest
+    assert np.abs(found.pitch - c.pitch).max() < 2 * search.STEPS["pitch"] * finest
+    lifted = candidates.above_ground(space, run.best_x) - above
+    assert np.abs(lifted).max() < 2 * search.STEPS["height"] * finest
+
+
+def test_grids_of_a_unit_leave_the_others_alone(problem, start):
+    space, members = problem.space, problem.layout.members()
+    index = candidates.coordinates(space)
+    for block in search._blocks(members):
+        for level in (0, 2):
+            x = search._grid(space, start, block, level)
+            assert np.array_equal(x[0], start)
+            assert len(np.unique(x, axis=0)) == len(x) > 10
+            others = [s for s in range(len(problem.layout)) if s not in block.sensors]
+            for part in (index.yaw[others], index.pitch[others], index.rise[others]):
+                assert np.allclose(x[:, part], start[part], atol=1e-6)
+            assert np.allclose(candidates.project(space, x), x, atol=1e-4)
+
+
+# ── Candidates ──────────────────────────────────────────────────────────────
+
+
+def test_sensors_hang_where_they_are_asked_to(problem, start):
+    space = problem.space
+    asked = np.array([[3.0, 7.0], [12.0, 8.0], [3.0, 3.0], [9.5, 9.5]])
+    x = candidates.hang(space, np.tile(start, (4, 1)), 1, (2, 3), asked)
+    for row, heights in zip(x, asked, strict=True):
+        assert np.allclose(candidates.above_ground(space, row)[2:4], heights, atol=1e-4)
+        layout = space.layout(row)
+        assert space.violations(layout) == []
+        assert np.allclose(np.asarray(layout.poses)[2:4, 2], heights, atol=1e-3)
+
+
+def test_limits_are_those_of_the_constraints(scene):
+    constraints = Constraints(heights=(4.0, 9.0))
+    space = Space(scene, crew(scene), constraints)
+    heights, pitches = candidates.limits(space, space.start(space.given)[0])
+    assert np.allclose(heights, [[4.0, 9.0]] * 5, atol=1e-4)
+    camera, lidar = (np.array(constraints.pitch[kind]) for kind in ("camera", "lidar"))
+    assert np.allclose(pitches, [camera, lidar, camera, camera, camera], atol=1e-5)
+
+
+def test_few_feet_of_a_lattice_are_far_apart(problem, monkeypatch):
+    monkeypatch.setattr(candidates, "SPACING", 3.0)
+    every, few = candidates.lattice(problem.space, 10**6), candidates.lattice(problem.space, 12)
+    assert len(few) == 12 < len(every)
+    gaps = np.hypot(*np.moveaxis(few[:, None] - few, -1, 0)) + 99 * np.eye(12)
+    assert gaps.min() > 5.0
+    reach = np.hypot(*np.moveaxis(every[:, None] - few, -1, 0)).min(1)
+    assert reach.max() <= gaps.min() + 1e-9  # none is left further out than the chosen stand apart
+
+
+def test_units_that_must_stay_have_their_feet_among_the_candidates(scene):
+    space = Space(scene, crew(scene), Constraints(places="keep"))
+    feet = candidates.lattice(space, 1)
+    for u in range(3):
+        assert space.unit_can_stand(u, feet).any()
+
+
+# ── Tally ───────────────────────────────────────────────────────────────────
+
+
+def other_traffic(scene):
+    traffic = random_traffic(scene.intersection, 5, 20, 20.0, seed=8)
+    return Scene(scene.voxels, traffic, scene.intersection)
+
+
+OBJECTIVES = {
+    "default": (Objective(), False),
+    "N−1, in sight, two scenes": (
+        Objective((0.2, 0.3, 0.5), visibility="line_of_sight", failures=True),
+        True,
+    ),
+    "targets": (Objective(occlusion_reference="targets"), False),
+}
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_bits_add_up_to_the_score(scene, name):
+    """The sum over what each sensor sees is the rough score; and gains are differences of it."""
+    objective, two = OBJECTIVES[name]
+    problem = Problem([scene, Case(other_traffic(scene))] if two else scene, crew(scene), objective)
+    sample = problem.sample(np.random.default_rng(1), 96, 3)
+    tally, x = Tally(problem, sample), problem.space.random(np.random.default_rng(2), 3)
+    stand = candidates.poses(problem.space, x)
+    bits = {s: tally.view(problem, s, stand[:, s]) for s in range(5)}
+    for m, score in enumerate(problem.rough(x, sample)):
+        rows = {s: row[m] for s, row in bits.items()}
+        assert tally.value(rows) == pytest.approx(score, abs=2e-5)
+        for s in rows:
+            rest = {t: row for t, row in rows.items() if t != s}
+            added = tally.value(rows) - tally.value(rest)
+            assert times(rows[s][None], tally.worth(rest, s))[0] == pytest.approx(added, abs=1e-6)
+            assert tally.gains(rest, {s: rows[s][None]})[0] == pytest.approx(added, abs=1e-6)
+            # Submodular: beside fewer others it adds at least as much.
+            fewer = dict(list(rest.items())[::2])
+            assert tally.worth(fewer, s) @ rows[s] >= added - 1e-6
+    rest = {s: bits[s][0] for s in (0, 1, 4)}
+    together = tally.gains(rest, {s: bits[s] for s in (2, 3)})
+    for m in range(3):
+        both = rest | {s: bits[s][m] for s in (2, 3)}
+        assert together[m] == pytest.approx(tally.value(both) - tally.value(rest), abs=1e-6)
+
+
+# ── Greedy ──────────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def held():
+    return {}
+
+
+@pytest.fixture
+def table(problem, held):
+    if not held:
+        made = tables.Table.of(problem, np.random.default_rng(0))
+        for part in range(len(made.parts)):
+            made.look(part)
+        held["full"] = made
+    return held["full"]
+
+
+def gain(table, picks, s, k):
+    """What a candidate adds, from two values."""
+    before, after = table.rows(picks), table.rows(picks | {s: int(k)})
+    return table.tally.value(after) - table.tally.value(before)
+
+
+def may_stand(table, picks, s, k):
+    """The unit's rule, sensor by sensor."""
+    layout, kind = table.problem.layout, table.kind_of(s)
+    unit = layout.sensors[s].unit
+    if not table.stand[unit, kind.foot[k]]:
+        return False
+    for t, j in picks.items():
+        if t != s and layout.sensors[t].unit == unit:
+            other = table.kind_of(t)
+            apart = abs(other.height[j] - kind.height[k])
+            if other.foot[j] != kind.foot[k] or apart > 4.0:
+                return False
+    return True
+
+
+def test_lazy_greedy_takes_what_an_exhaustive_search_would(table):
+    picks, again = greedy.lazy_greedy(table)
+    assert sorted(picks) == list(range(5))
+    so_far, looked = {}, 0
+    for s, k in picks.items():
+        best = 0.0
+        for t in set(picks) - set(so_far):
+            kind = table.kind_of(t)
+            at = [j for j in range(len(kind.foot)) if may_stand(table, so_far, t, j)]
+            gains = table.gains(t, table.rows(so_far))[at]
+            best, looked = max(best, gains.max()), looked + len(at)
+        assert gain(table, so_far, s, k) == pytest.approx(best, abs=2e-6)
+        assert may_stand(table, so_far, s, k)
+        so_far[s] = k
+    assert again < looked / 5
+
+
+def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start):
+    picks, _ = greedy.lazy_greedy(table)
+    x = table.layout(start, picks)
+    assert problem.space.violations(problem.space.layout(x)) == []
+    score = problem.rough(x[None], table.tally.sample)[0]
+    # Single precision may tip a voxel that a ray just touches.
+    assert table.tally.value(table.rows(picks)) == pytest.approx(score, abs=2e-3)
+
+
+def test_exchange_finds_the_best_replacement_there_is(table):
+    """For a unit of one sensor: every candidate tried; for others: never worse, within the rule."""
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        picks = {}
+        for s in range(5):
+            kind = table.kind_of(s)
+            at = [k for k in rng.permutation(len(kind.foot)) if may_stand(table, picks, s, k)]
+            picks[s] = int(at[0])
+        before = table.tally.value(table.rows(picks))
+        rest = {s: k for s, k in picks.items() if s != 4}
+        found = greedy.exchange(table, picks, 2)
+        assert found | rest == found
+        best = max(gain(table, rest, 4, k) for k in range(len(table.kind_of(4).foot)))
+        assert gain(table, rest, 4, found[4]) == pytest.approx(best, abs=2e-6)
+        for u in (0, 1):
+            found = greedy.exchange(table, found, u)
+            assert all(may_stand(table, found, s, k) for s, k in found.items())
+        assert table.tally.value(table.rows(found)) > before
+
+
+def test_exchange_of_two_sensors_tries_every_foot(table):
+    """The bound leaves out no foot at which the greedy filling is better."""
+    picks, _ = greedy.lazy_greedy(table)
+    rest = {s: k for s, k in picks.items() if s not in (2, 3)}
+    values = [
+        table.tally.value(table.rows(greedy._fill(table, rest, (2, 3), int(foot))))
+        for foot in np.flatnonzero(table.stand[1])
+    ]
+    found = greedy.exchange(table, picks, 1)
+    assert table.tally.value(table.rows(found)) >= max(values) - 1e-6
+
+
+def test_finer_moves_are_of_one_unit_and_never_for_the_worse(table, problem, start):
+    space, tally = problem.space, table.tally
+    stand = candidates.poses(space, start[None])[0]
+    rows = {s: tally.view(problem, s, stand[s][None])[0] for s in range(5)}
+    x, moved = start, 0
+    for k in range(6):
+        new, seen = greedy.finer(problem, tally, x, rows, 1, 0.5, np.random.default_rng(k))
+        assert tally.value(seen) >= tally.value(rows)
+        a, b = (candidates.poses(space, row[None])[0] for row in (x, new))
+        assert np.allclose(a[[0, 1, 4]], b[[0, 1, 4]], atol=1e-5)
+        if new is not x:
+            moved += 1
+            assert tally.value(seen) == pytest.approx(
+                problem.rough(new[None], tally.sample)[0], abs=2e-5
+            )
+        x, rows = new, seen
+    assert moved

@@ -1,0 +1,225 @@
+"""What the figures of a search show, read back from them; and its tables."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import FancyArrowPatch
+from rich.console import Console
+from worlds import CAMERA, LIDAR, place_sensors, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import evaluate
+from inspe_jax.placement.optimise import METHODS
+from inspe_jax.placement.result import Result
+from inspe_jax.placement.run import Progress
+from inspe_jax.report.progress import before_after, history_view
+from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=15, voxel=1.0)
+
+
+@pytest.fixture(scope="module")
+def result(scene):
+    start = place_sensors(
+        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-135)]),
+        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
+    )
+    poses = np.array(start.poses)
+    poses[0] = [9.0, -8.0, 8.5, 0, -0.3 + np.radians(4), np.radians(175)]
+    units = (replace(start.units[0], base=(9.0, -8.0, 0.5)), start.units[1])
+    after = replace(start, poses=poses, units=units, name="after")
+    return Result(
+        layout=after,
+        start=start,
+        scores_before=evaluate(scene, start),
+        scores=evaluate(scene, after),
+        objective_before=0.2,
+        objective=0.4,
+        history=(Progress(1.0, 1.0, 0.2, 0.2), Progress(3.0, 10.0, 0.4, 0.4)),
+        evaluations=12.0,
+        seconds=4.0,
+        status="converged",
+        method="first",
+        seed=0,
+        settings={"scenes": [{"name": "test crossing"}]},
+        versions={},
+    )
+
+
+def compare_of(result, scene):
+    return before_after(scene, result.start, result.layout, result.scores_before, result.scores)
+
+
+def maps_of(fig):
+    return [ax for ax in fig.axes if ax.images]
+
+
+def test_both_maps_show_their_scores_on_one_scale(result, scene):
+    left, right = maps_of(compare_of(result, scene))
+    for ax, scores, when in (
+        (left, result.scores_before, "before"),
+        (right, result.scores, "after"),
+    ):
+        (image,) = ax.images
+        assert (image.norm.vmin, image.norm.vmax) == (0, 1)
+        shown = image.get_array().compressed()
+        np.testing.assert_allclose(np.sort(shown), np.sort(scores.seen_share))
+        title = ax.get_title(loc="left")
+        assert title.startswith(when)
+        for value in (scores.surrogate, scores.coverage, scores.occlusion):
+            assert f"{value:.3f}" in title
+    assert left.get_xlim() == right.get_xlim()
+    assert left.get_ylim() == right.get_ylim()
+    assert (result.scores.seen_share != result.scores_before.seen_share).any()
+
+
+def test_an_arrow_leads_from_the_old_place_to_the_new(result, scene):
+    left, right = maps_of(compare_of(result, scene))
+    arrows = [[p for p in ax.patches if isinstance(p, FancyArrowPatch)] for ax in (left, right)]
+    assert not arrows[0]
+    (arrow,) = arrows[1]  # the LiDAR stayed
+    assert arrow._posA_posB == [(9.0, 9.0), (9.0, -8.0)]
+
+
+def test_no_arrows_and_no_key_of_them_where_nothing_moved(result, scene):
+    fig = before_after(
+        scene, result.start, result.start, result.scores_before, result.scores_before
+    )
+    words = [text.get_text() for legend in fig.legends for text in legend.get_texts()]
+    assert "where a unit went" not in words
+    assert "camera, view to 30 m" in words
+
+
+def words_overlap(fig):
+    """Pairs of texts outside the maps whose boxes overlap, and texts that leave the sheet."""
+    canvas = FigureCanvasAgg(fig)
+    canvas.draw()
+    texts = [*fig.texts, *(t for legend in fig.legends for t in legend.get_texts())]
+    for ax in fig.axes:
+        texts += [ax.xaxis.label, ax.yaxis.label, ax.title, ax._left_title]
+        for axis, k in ((ax.xaxis, 0), (ax.yaxis, 1)):  # ticks beyond the limits are not drawn
+            low, high = axis.get_view_interval()
+            texts += [t for t in axis.get_ticklabels() if low <= t.get_position()[k] <= high]
+    sheet = fig.bbox
+    boxes = [
+        (t.get_text(), t.get_window_extent(canvas.get_renderer()))
+        for t in texts
+        if t.get_text() and t.get_visible()
+    ]
+    found = [
+        (a, b)
+        for i, (a, box) in enumerate(boxes)
+        for b, other in boxes[i + 1 :]
+        if box.overlaps(other)
+    ]
+    out = [
+        name
+        for name, box in boxes
+        if box.x0 < 0 or box.y0 < 0 or box.x1 > sheet.x1 or box.y1 > sheet.y1
+    ]
+    return found + out
+
+
+def test_nothing_overlaps(result, scene):
+    assert words_overlap(compare_of(result, scene)) == []
+    every = [replace(result, method=name) for name in METHODS]
+    assert words_overlap(history_view(every)) == []
+
+
+def test_other_sensors_and_other_scenes_are_refused(result, scene):
+    other = place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0]))
+    with pytest.raises(InspeError, match="not of the same sensors"):
+        before_after(scene, result.start, other, result.scores_before, result.scores)
+    with pytest.raises(InspeError, match="scores of another scene"):
+        compare_of(result, world(radius=12, voxel=1.0))
+
+
+def course(*rows):
+    """Of (time, best) pairs; as much work as ten times the time."""
+    return tuple(Progress(t, 10 * t, best, best) for t, best in rows)
+
+
+def test_the_course_is_the_median_within_the_spread(result):
+    """By hand: three seeds, each a staircase."""
+    histories = [
+        course((1, 0.2), (2, 0.5)),
+        course((1, 0.2), (3, 0.3)),
+        course((1.5, 0.2), (2.5, 0.4), (4, 0.9)),
+    ]
+    results = [
+        replace(result, history=history, seed=seed, seconds=5.0, evaluations=60.0)
+        for seed, history in enumerate(histories)
+    ]
+    fig = history_view(results)
+    for ax, unit, end in zip(fig.axes, (1, 10), (5, 60), strict=True):
+        (line,) = ax.lines
+        at = dict(zip((line.get_xdata() / unit).tolist(), line.get_ydata().tolist(), strict=True))
+        assert at == pytest.approx({1.5: 0.2, 2: 0.2, 2.5: 0.4, 3: 0.4, 4: 0.5, end / unit: 0.5})
+        (band,) = (c for c in ax.collections if isinstance(c, PolyCollection))
+        corners = band.get_paths()[0].vertices
+        assert corners[:, 1].min() == pytest.approx(0.2)
+        assert corners[:, 1].max() == pytest.approx(0.9)
+        last = corners[np.isclose(corners[:, 0], end), 1]
+        assert (last.min(), last.max()) == pytest.approx((0.3, 0.9))
+        assert ax.get_xlim() == (0, end)
+
+
+def test_methods_can_be_told_apart_and_are_named_with_their_end(result):
+    results = [replace(result, method=f"m{k}", objective=0.1 * k) for k in range(8)]
+    fig = history_view(results)
+    lines = fig.axes[0].lines
+    assert len({(line.get_color(), str(line.get_linestyle())) for line in lines}) == 8
+    assert len({line.get_color() for line in lines}) == 8
+    words = [text.get_text() for text in fig.legends[0].get_texts()]
+    assert words == [f"m{k}, {0.1 * k:.4f}" for k in range(8)]
+    with pytest.raises(InspeError, match="no result"):
+        history_view([])
+
+
+def printed(table):
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(table)
+    return console.export_text()
+
+
+def row_of(text, start):
+    (line,) = [line for line in text.splitlines() if line.strip().startswith(start)]
+    return line.split()
+
+
+def test_table_of_scores_before_and_after(result):
+    text = printed(before_after_table(result))
+    before, after = result.scores_before.coverage, result.scores.coverage
+    assert row_of(text, "coverage")[2:] == [
+        f"{before:.3f}",
+        f"{after:.3f}",
+        f"{after - before:+.3f}",
+    ]
+    assert row_of(text, "objective")[1:] == ["0.200", "0.400", "+0.200"]
+    same = replace(result, objective=result.scores.surrogate)
+    assert "objective" not in printed(before_after_table(same))
+
+
+def test_table_of_moves(result):
+    """By hand: 17 m south, from 6 m to 8 m above its foot, 50° clockwise past the west, 4° up."""
+    text = printed(moves_table(result.start, result.layout))
+    assert row_of(text, "1")[1:] == ["s0", "17.0", "8.0", "+2.0", "-50", "+4"]
+    assert row_of(text, "2")[1:] == ["s1", "0.0", "5.0", "+0.0", "+0", "+0"]
+
+
+def test_table_of_methods_has_the_best_first(result):
+    rows = [("slow", 0.1), ("slow", 0.4), ("slow", 0.2), ("quick", 0.3)]
+    text = printed(
+        comparison_table(
+            [replace(result, method=m, objective=s, seed=k) for k, (m, s) in enumerate(rows)]
+        )
+    )
+    assert row_of(text, "slow")[1:] == ["3", "0.2000", "0.1000", "0.4000", "12", "4"]
+    assert text.index("quick") < text.index("slow")

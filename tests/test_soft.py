@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 from scipy.stats import spearmanr
-from worlds import CAMERA, LIDAR, place_sensors, random_layout, with_boxes, world
+from worlds import CAMERA, LIDAR, double_precision, place_sensors, random_layout, with_boxes, world
 
 import inspe_jax
 from inspe_jax.errors import InspeError
@@ -19,10 +19,7 @@ from inspe_jax.sensing.visibility import in_view_margins
 @pytest.fixture
 def double():
     """Differences of 1e-6 need double precision; everything follows the type of a float."""
-    switch = getattr(jax, "enable_x64", None)
-    if switch is None:  # older JAX
-        from jax.experimental import enable_x64 as switch
-    with switch(True):
+    with double_precision():
         yield
 
 

@@ -1,8 +1,10 @@
 """Small scenes with known answers, and a segment–triangle oracle, for the tests."""
 
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import shapely
@@ -172,3 +174,12 @@ def embree_line_of_sight(scene: Scene, layout: Layout, frame: int) -> np.ndarray
         )
         clear.append(hit < 0)
     return np.stack(clear)
+
+
+def double_precision() -> AbstractContextManager[None]:
+    """Floats of 64 bits within; the name of the switch changed between versions of JAX."""
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(True)
+    from jax.experimental import enable_x64
+
+    return enable_x64()

@@ -19,7 +19,7 @@ from mounts import (
 )
 from shapely.geometry import MultiPoint
 from shapely.ops import unary_union
-from worlds import world
+from worlds import double_precision, world
 
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.placement.strategies import STRATEGIES, strategy
@@ -311,7 +311,7 @@ def test_jit_vmap_and_double_precision():
     np.testing.assert_allclose(
         jax.jit(jax.vmap(space.poses))(jnp.asarray(x, float)), single, atol=1e-5
     )
-    with jax.enable_x64(True):
+    with double_precision():
         row = jnp.asarray(x[0])
         place = np.zeros(5, int)
         for form in (space.poses, space.project, lambda row: space.from_chart(row, place)):

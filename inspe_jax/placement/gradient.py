@@ -16,6 +16,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.greedy import GREEDY
 from inspe_jax.placement.problem import Problem, take
 from inspe_jax.placement.run import Method, Run, State
@@ -27,8 +28,6 @@ with warnings.catch_warnings():
 
 SOFTNESS = (3.0, 0.3)
 """Softness at the start and at the end of a search [m]."""
-COLUMNS, FRAMES = 768, 6
-"""Size of the sample of one gradient."""
 STARTS = 4
 """Layouts that Adam improves at once."""
 
@@ -82,13 +81,17 @@ def _charted(problem: Problem, x: Float[np.ndarray, "M N"]) -> State:
     v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
     anchor = jnp.asarray(np.stack(v), float)
     state = jax.vmap(_adam.init)(jnp.zeros_like(anchor))
-    leaves = {f"optax {i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
     return {
         "anchor": np.asarray(anchor),
         "z": np.zeros_like(anchor),
         "place": np.stack(place),
-        **leaves,
+        **_kept(state),
     }
+
+
+def _kept(optimiser: Any) -> State:
+    """The optimiser's arrays as a state keeps them; :func:`_optimiser_state` puts them back."""
+    return {f"optax {i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(optimiser))}
 
 
 def _optimiser_state(state: State) -> Any:
@@ -132,8 +135,7 @@ def step_adam(run: Run, state: State) -> State | None:
             jnp.asarray(annealed(state["rate"], done), float),
         )
         state["count"] += 1
-    leaves = {f"optax {i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(optimiser))}
-    return state | leaves | {"z": np.asarray(z)}
+    return state | _kept(optimiser) | {"z": np.asarray(z)}
 
 
 def _charted_loss(problem: Problem) -> Callable[..., Any]:

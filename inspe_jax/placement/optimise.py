@@ -211,11 +211,9 @@ def _result(run: Run, row: Method, status: str, settings: dict[str, Any]) -> Res
     case = problem.cases[0]
 
     def scores(of: Layout) -> Scores:
-        specs = zip(of.sensors, case.specs(of), strict=True)
-        swapped = tuple(replace(sensor, spec=spec) for sensor, spec in specs)
         return evaluate(
             case.scene,
-            replace(of, sensors=swapped),
+            case.layout(of),
             weights=objective.weights,
             occlusion_reference=objective.occlusion_reference,
             visibility=objective.visibility,

@@ -6,7 +6,7 @@ rank candidates by. *Soft*: margins read softly on a sample; what gradients are 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -30,7 +30,6 @@ from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import Spec
 from inspe_jax.sensing.visibility import (
     Ground,
     about_center,
@@ -115,18 +114,19 @@ class Case:
     scene: Scene
     swap: Mapping[str, str] = field(default_factory=dict)
 
-    def specs(self, layout: Layout) -> tuple[Spec, ...]:
-        """The layout's specifications in this case."""
+    def layout(self, layout: Layout) -> Layout:
+        """The layout with the devices that it has in this case."""
         names = {sensor.spec.name for sensor in layout.sensors}
         for name in self.swap:
             if name not in names:
                 raise InspeError(f"swap of '{name}': the layout has {', '.join(sorted(names))}")
-        return tuple(
-            device(self.swap[sensor.spec.name]).spec
+        swapped = (
+            replace(sensor, spec=device(self.swap[sensor.spec.name]).spec)
             if sensor.spec.name in self.swap
-            else sensor.spec
+            else sensor
             for sensor in layout.sensors
         )
+        return replace(layout, sensors=tuple(swapped))
 
 
 Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
@@ -186,15 +186,8 @@ class Problem:
         self.space = Space(first, layout, constraints or Constraints())
 
     def _crew(self, case: Case, failures: tuple[tuple[int, ...], ...]) -> Crew:
-        specs = case.specs(self.layout)
-        groups: dict[object, list[int]] = {}
-        for s, spec in enumerate(specs):
-            groups.setdefault(spec.grid, []).append(s)
-        return Crew(
-            tuple((grid, tuple(index)) for grid, index in groups.items()),  # type: ignore[misc]
-            tuple(spec.reliability for spec in specs),
-            failures,
-        )
+        layout = case.layout(self.layout)
+        return Crew(layout.groups(), tuple(layout.reliability.tolist()), failures)
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, PathPatch
 from matplotlib.path import Path as Outline
@@ -107,15 +108,7 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
         title = f"{layout.name} at {scene.name}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
         frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
-        image = ax.imshow(
-            raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
-            interpolation="nearest", zorder=0.5,
-        )  # fmt: skip
-        draw_regions(ax, scene, lambda _: OUTLINE)
-        draw_users(ax, scene, frame, [USER] * len(CLASSES))
-        for sensor, pose in zip(layout.sensors, poses, strict=True):
-            outline = view_outline(sensor.spec, pose)
-            ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
+        image = draw_seen(ax, scene, layout, poses, raster, extent, frame)
         draw_badges(ax, layout, poses)
         _color_bar(fig, panel, image)
         _list_sensors(panel, layout, poses)
@@ -262,6 +255,31 @@ def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
     ]
     empty = Outline(np.zeros((0, 2)))
     return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
+
+
+def draw_seen(
+    ax: Axes,
+    scene: Scene,
+    layout: Layout,
+    poses: np.ndarray,
+    raster: np.ndarray,
+    extent: tuple[float, float, float, float],
+    frame: int,
+) -> AxesImage:
+    """How often each spot is seen, under one frame's road users and the sensors' views.
+
+    ``raster`` and ``extent`` as :func:`seen_raster` gives them; ``poses`` about the centre.
+    """
+    image = ax.imshow(
+        raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
+        interpolation="nearest", zorder=0.5,
+    )  # fmt: skip
+    draw_regions(ax, scene, lambda _: OUTLINE)
+    draw_users(ax, scene, frame, [USER] * len(CLASSES))
+    for sensor, pose in zip(layout.sensors, poses, strict=True):
+        outline = view_outline(sensor.spec, pose)
+        ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
+    return image
 
 
 def draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]]) -> None:

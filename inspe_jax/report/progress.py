@@ -16,19 +16,13 @@ from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.report.figures import (
     KEYS,
-    OUTLINE,
-    USER,
     draw_badges,
-    draw_regions,
-    draw_users,
+    draw_seen,
     plan_keys,
     seen_raster,
-    view_outline,
-    wedge_look,
 )
 from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.traffic import CLASSES
 from inspe_jax.sensing.layout import Layout
 
 MOVED = 0.5
@@ -81,15 +75,7 @@ def before_after(
             x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
             ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
             frame_map(ax, scene, reach)
-            image = ax.imshow(
-                raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
-                interpolation="nearest", zorder=0.5,
-            )  # fmt: skip
-            draw_regions(ax, scene, lambda _: OUTLINE)
-            draw_users(ax, scene, frame, [USER] * len(CLASSES))
-            for sensor, pose in zip(layout.sensors, poses, strict=True):
-                outline = view_outline(sensor.spec, pose)
-                ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
+            image = draw_seen(ax, scene, layout, poses, raster, extent, frame)
             ax.set_title(_caption(when, of_scores), size=7.5, loc="left", pad=4)
             if k == 1:
                 ax.set(ylabel="")

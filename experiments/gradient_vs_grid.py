@@ -38,7 +38,7 @@ MIXES = {
 }
 GRADIENT = [method.name for method in GRADIENTS]
 FIELDS = ("place", "mix", "method", "seed", "start", "score", "evaluations", "seconds", "compiling")
-WARM = 6.0
+WARM = 14.0
 """Evaluations of the run that compiles a method: enough for each of its parts."""
 
 console = Console()
@@ -51,7 +51,7 @@ def options() -> argparse.Namespace:
     )
     parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
-    parser.add_argument("--seconds", type=float, default=20.0, help="for each search")
+    parser.add_argument("--seconds", type=float, default=12.0, help="for each search")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
     parser.add_argument("--places", default="", help="only these, with commas")

@@ -16,8 +16,8 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from inspe_jax.placement import greedy
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.greedy import GREEDY
 from inspe_jax.placement.problem import Problem, take
 from inspe_jax.placement.run import Method, Run, State
 
@@ -40,16 +40,14 @@ def annealed(ends: Any, done: float) -> float:
 
 # ── Adam ────────────────────────────────────────────────────────────────────
 
-RATE = (0.12, 0.01)
+STEP_COLUMNS, STEP_FRAMES = 384, 3
+"""Size of the sample of one gradient: many rough steps come further than few good ones."""
+RATE = (0.2, 0.01)
 """Length of a step at the start and at the end, in typical steps of each coordinate."""
-POLISH_SOFTNESS, POLISH_RATE = (0.6, 0.1), (0.05, 0.005)
-"""The same for a layout that is good already, as a greedy one."""
 LOOKS = 0.15
 """Share of the budget from one exact score of the best layout to the next."""
 CULLS = (0.15, 0.3, 0.5)
 """Shares of the budget at which the worse half of the layouts gives way to the better."""
-GREEDY_SHARE = 0.6
-"""Share of the budget that greedy placement may take at most before Adam begins."""
 CHUNK = 4
 """Gradient steps between two looks at the budget."""
 SCREENED = 32
@@ -69,8 +67,6 @@ def begin_adam(run: Run) -> State:
         "line": np.arange(STARTS),
         "count": 0,
         "culled": 0,
-        "softness": np.array(SOFTNESS),
-        "rate": np.array(RATE),
         "began": 1.0 - run.left,
         "looked": 1.0 - run.left,
     }
@@ -114,28 +110,38 @@ def step_adam(run: Run, state: State) -> State | None:
         x = _layouts(problem, state)
         run.offer(x[_ranked(run, x, state["count"])[0]])
         state = _charted_again(problem, state, x) | {"looked": done}
-    optimiser = _optimiser_state(state)
-    move = _mover(problem)
-    z, anchor, place, line = (jnp.asarray(state[k]) for k in ("z", "anchor", "place", "line"))
-    together = (line[:, None] == line[None]).astype(z.dtype)
-    for _ in range(CHUNK):
+
+    def now() -> tuple[float, float]:
         done = (1.0 - run.left - began) / (_LAST - began)
-        rng = run.rng(2, state["count"])
-        drawn = [problem.draw(rng, COLUMNS, FRAMES) for _ in line]
-        run.charge(STARTS * run.gradient_cost * problem.share(drawn[0]))
+        return annealed(SOFTNESS, done), annealed(RATE, done)
+
+    return _advance(run, state, now, CHUNK)
+
+
+def _advance(run: Run, state: State, now: Callable[[], tuple[float, float]], count: int) -> State:
+    """So many gradient steps, each on its own samples, of the softness and rate of that moment."""
+    problem, line = run.problem, state["line"]
+    optimiser, move = _optimiser_state(state), _mover(problem)
+    z, anchor, place = (jnp.asarray(state[k]) for k in ("z", "anchor", "place"))
+    together = (line[:, None] == line[None]).astype(z.dtype)
+    mean = together / together.sum(1, keepdims=True)
+    for k in range(state["count"], state["count"] + count):
+        softness, rate = now()
+        rng = run.rng(2, k)
+        drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
+        run.charge(len(line) * run.gradient_cost * problem.share(drawn[0]))
         z, optimiser = move(
             z,
             anchor,
             place,
-            together / together.sum(1, keepdims=True),
+            mean,
             optimiser,
             problem.fields,
             jax.tree.map(lambda *rows: np.stack(rows), *drawn),
-            jnp.asarray(annealed(state["softness"], done), float),
-            jnp.asarray(annealed(state["rate"], done), float),
+            jnp.asarray(softness, float),
+            jnp.asarray(rate, float),
         )
-        state["count"] += 1
-    return state | _kept(optimiser) | {"z": np.asarray(z)}
+    return state | _kept(optimiser) | {"z": np.asarray(z), "count": state["count"] + count}
 
 
 def _charted_loss(problem: Problem) -> Callable[..., Any]:
@@ -155,7 +161,8 @@ def _mover(problem: Problem) -> Callable[..., Any]:
 
     def move(z, anchor, place, mean, optimiser, fields, drawn, softness, rate):  # type: ignore[no-untyped-def]
         slope = mean @ slopes(z, anchor, place, drawn, fields, softness)
-        update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
+        with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
+            update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
         return z - rate * update, optimiser
 
     return jax.jit(move)
@@ -203,40 +210,95 @@ def _charted_again(problem: Problem, state: State, x: Float[np.ndarray, "M N"]) 
     return state | {key: fresh[key] for key in ("anchor", "z", "place")}
 
 
-def begin_greedy_adam(run: Run) -> State:
-    """Before greedy placement."""
-    return {f"greedy {key}": value for key, value in GREEDY.begin(run).items()}
-
-
-def step_greedy_adam(run: Run, state: State) -> State | None:
-    """Greedy placement and exchanges over candidates; from where these end, Adam.
-
-    Candidates find the places, which gradients do not jump between; gradients the poses, which
-    candidates do not resolve.
-    """
-    if "line" in state:
-        return step_adam(run, state)
-    sub = {key.removeprefix("greedy "): value for key, value in state.items()}
-    if sub["phase"] != "move" and 1.0 - run.left < GREEDY_SHARE:
-        sub = GREEDY.step(run, sub) or sub
-        return {f"greedy {key}": value for key, value in sub.items()}
-    done = 1.0 - run.left
-    return _charted(run.problem, np.tile(run.best_x, (STARTS, 1))) | {
-        "line": np.zeros(STARTS, int),
-        "count": 0,
-        "culled": len(CULLS),
-        "softness": np.array(POLISH_SOFTNESS),
-        "rate": np.array(POLISH_RATE),
-        "began": done,
-        "looked": done,
-    }
-
-
 def _offer_best(run: Run, state: State) -> None:
     x = _layouts(run.problem, state)
     _, first = np.unique(state["line"], return_index=True)
     for row in x[first]:
         run.offer(row)
+
+
+# ── Greedy placement, Adam, finer moves ─────────────────────────────────────
+
+BEFORE, UNTIL = 0.5, 0.75
+"""Shares of the budget at which Adam takes over at the latest, and at which it ends."""
+BURST = 24
+"""Gradient steps from one exact score to the next."""
+BURST_SOFTNESS, BURST_RATE = 1.0, 0.3
+"""Softness [m] and length of a step, in typical steps, of the first burst."""
+CALMER = 0.6
+"""What both shrink by where a burst was for nothing."""
+VAIN = 3
+"""Adam ends after so many bursts in a row that were for nothing, or after the first if that was."""
+AFTER = 0.36
+"""Width of the first finer moves after Adam where it found something, in typical steps."""
+_WITHIN = "greedy "  # what a state of greedy placement has before its keys
+
+
+def begin_greedy_adam(run: Run) -> State:
+    """Before greedy placement."""
+    return _within(greedy.begin(run)) | {"polished": -1}
+
+
+def step_greedy_adam(run: Run, state: State) -> State | None:
+    """Greedy placement and exchanges; from where these end, Adam; after it, finer moves.
+
+    Candidates find the places, which gradients do not jump between; gradients the poses, which
+    candidates do not resolve; and the moves, which are judged hard, what the soft score
+    cannot tell. So in every round of greedy placement.
+    """
+    if "line" in state:
+        return _burst(run, state)
+    sub, done = _without(state), 1.0 - run.left
+    late = sub["round"] == 0 and done >= BEFORE
+    if state["polished"] == sub["round"] or not (sub["phase"] == "move" or late):
+        return _beside(state) | _within(greedy.step(run, sub))
+    return (
+        state
+        | _charted(run.problem, run.best_x[None])
+        | {
+            "polished": sub["round"],
+            "line": np.zeros(1, int),
+            "count": state.get("count", 0),
+            "softness": BURST_SOFTNESS,
+            "rate": BURST_RATE,
+            "vain": 0,
+            "gained": False,
+        }
+    )
+
+
+def _burst(run: Run, state: State) -> State:
+    """Some gradient steps and an exact score; from the best so far, and softer if it is no better.
+
+    How soft is soft enough depends on the sensors: cameras are led on by a metre, LiDARs that see
+    nearly all astray. So the exact score decides, and not the budget.
+    """
+    best = run.best
+    state = _advance(run, state, lambda: (state["softness"], state["rate"]), BURST)
+    x = _layouts(run.problem, state)
+    if run.offer(x[0]) > best:
+        state = _charted_again(run.problem, state, x) | {"vain": 0, "gained": True}
+    else:
+        calmer = {key: CALMER * state[key] for key in ("softness", "rate")}
+        calmer["vain"] = state["vain"] + 1
+        state = state | _charted(run.problem, run.best_x[None]) | calmer
+    if state["vain"] < (VAIN if state["gained"] else 1) and 1.0 - run.left < UNTIL:
+        return state
+    ended = {"polished": state["polished"], "count": state["count"]}
+    width = AFTER if state["gained"] else greedy.WIDTH
+    return ended | _within(greedy.moving(_without(state), run.best_x, run.best, width))
+
+
+def _within(sub: State) -> State:
+    return {_WITHIN + key: value for key, value in sub.items()}
+
+
+def _beside(state: State) -> State:
+    return {key: value for key, value in state.items() if not key.startswith(_WITHIN)}
+
+
+def _without(state: State) -> State:
+    return {k.removeprefix(_WITHIN): v for k, v in state.items() if k.startswith(_WITHIN)}
 
 
 # ── jaxopt: one sample a round, and a solver that trusts it ──────────────────
@@ -358,7 +420,7 @@ GRADIENTS: tuple[Method, ...] = (
     ),
     Method(
         "greedy-adam",
-        "greedy placement over candidate poses, then Adam from there",
+        "greedy placement over candidate poses, Adam from there, then finer moves",
         begin_greedy_adam,
         step_greedy_adam,
     ),

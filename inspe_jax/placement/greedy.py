@@ -164,6 +164,7 @@ def finer(
     own = [index.base[u], index.arm[u], index.height[[u]]]
     own += [part[list(members)].ravel() for part in index[3:]]
     at = np.concatenate(own)
+    at = at[space.scale[at] > 0]
     length = width * 10 ** rng.uniform(-1, 0, (TRIES, 1))
     moves = rng.normal(size=(TRIES, len(at))) * (rng.uniform(size=(TRIES, len(at))) < 0.5)
     tried = np.tile(x, (TRIES, 1))
@@ -231,10 +232,13 @@ def _table(run: Run, state: State) -> Table:
 
 
 def _look(run: Run, state: State) -> State:
-    table = _table(run, state)
-    _charge(run, table.tally, table.look(state["part"]))
-    done = state["part"] + 1 == len(table.parts)
-    return state | {"part": state["part"] + 1, "phase": "place" if done else "look"}
+    table, part = _table(run, state), state["part"] + 1
+    _charge(run, table.tally, table.look(part - 1))
+    # A first layout soon: as soon as some candidates of every kind have been looked at.
+    if state["round"] == 0 and part == len(table.kinds) < len(table.parts):
+        picks, _ = lazy_greedy(table)
+        run.offer(table.layout(run.start, picks))
+    return state | {"part": part, "phase": "place" if part == len(table.parts) else "look"}
 
 
 def _place(run: Run, state: State) -> State:
@@ -244,16 +248,22 @@ def _place(run: Run, state: State) -> State:
     x = table.layout(run.start, picks)
     value = run.offer(x)
     whole = len(picks) == len(run.problem.layout)
+    picked = np.array([picks.get(s, -1) for s in range(len(run.problem.layout))])
+    state = moving(state, x, value, WIDTH) | {"picks": picked}
+    return state | {"phase": "exchange" if whole else "move"}
+
+
+def moving(state: State, x: Float[np.ndarray, " N"], value: float, width: float) -> State:
+    """Before the first finer moves of a round, from a layout and its exact score."""
     return state | {
         "x": x,
         "now": x,
         "value": value,
-        "picks": np.array([picks.get(s, -1) for s in range(len(run.problem.layout))]),
         "unit": 0,
         "moved": 0,
         "pass": 0,
-        "width": WIDTH,
-        "phase": "exchange" if whole else "move",
+        "width": width,
+        "phase": "move",
     }
 
 

@@ -34,7 +34,7 @@ DEFAULT_SECONDS = 60.0
 """Budget where none is given [s]."""
 STARTS = ("given", "random")
 """Starts beside the strategies' names."""
-WARMING = 6.0
+WARMING = 14.0
 """Budget of the run that compiles a method before it is compared [evaluations]."""
 LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
 """What a method's outcome depends on; a result says which versions it had."""

@@ -22,7 +22,7 @@ HEIGHTS, YAWS = 3, 8
 """Heights and yaws of candidates at each foot."""
 PITCHES = {"camera": (-25.0, -10.0), "lidar": (0.0,)}
 """… and their pitches [degrees]."""
-CHUNK = 256
+CHUNK = 128
 """Candidates looked at in one step."""
 Picks = dict[int, int]
 """The candidate of each placed sensor."""
@@ -80,14 +80,20 @@ class Table:
             at = np.flatnonzero(stand[[layout.sensors[t].unit for t in sensors]].any(0))
             steps = _steps(problem, s, heights[s], pitches[s], shift)
             product = np.meshgrid(at, *steps, indexing="ij")
-            foot, height, yaw, pitch = (part.ravel() for part in product)
+            # In random order, so that the first chunk is a sample of all.
+            order = rng.permutation(product[0].size)
+            foot, height, yaw, pitch = (part.ravel()[order] for part in product)
             kinds.append(Kind(tuple(sensors), foot, height, yaw, pitch))
         return cls(problem, tally, feet, stand, kinds)
 
     @property
     def parts(self) -> list[Kind]:
-        """The kind of each chunk of candidates, in the order in which they are looked at."""
-        return [kind for kind in self.kinds for _ in range(kind.parts)]
+        """The kind of each chunk of candidates, in the order in which they are looked at.
+
+        The first chunk of every kind comes first.
+        """
+        first = [kind for kind in self.kinds if kind.parts]
+        return first + [kind for kind in self.kinds for _ in range(kind.parts - 1)]
 
     def look(self, part: int) -> int:
         """See what the candidates of one chunk see; gives their number."""

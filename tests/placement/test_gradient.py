@@ -1,0 +1,104 @@
+"""The gradient methods: that they climb, that a seed repeats, that a checkpoint goes on."""
+
+import io
+
+import numpy as np
+import pytest
+from mounts import assert_mountable, lanes_of
+
+from inspe_jax.placement.gradient import GRADIENTS, annealed
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.run import BudgetSpent, Run
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.layout import Layout
+
+METHODS = {method.name: method for method in GRADIENTS}
+BUDGET = {"adam": 40, "greedy-adam": 60, "lbfgsb": 60, "projected-gradient": 300}
+"""Exact scores' work in which each takes several of its steps."""
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Two cameras on one unit and one on another, turned away from the junction."""
+    scene = build_scene(built_in("four_way"), radius=40, voxel=1.0, frames=8, density=20)
+    whole = strategy(scene, "Cam-d1")
+    poses = np.asarray(whole.poses)[:3] + [0, 0, 0, 0, 0, 2.0]
+    return Problem(scene, Layout(poses, whole.sensors[:3], whole.units[:2], "away"))
+
+
+def go(problem, name, seed=0, state=None, run=None, steps=10**9):
+    """A method from its start or a state: the run, and every state on the way."""
+    method = METHODS[name]
+    if run is None:
+        start = problem.space.start(problem.layout)[0]
+        run = Run(problem, start, seed=seed, evaluations=BUDGET[name])
+        run.offer(run.start)
+    states = []
+    try:
+        state = method.begin(run) if state is None else state
+        states.append(state)
+        while state is not None and len(states) <= steps:
+            state = method.step(run, state)
+            states.append(state)
+    except BudgetSpent:
+        pass
+    return run, states
+
+
+@pytest.fixture(scope="module")
+def ran(problem):
+    return {name: go(problem, name) for name in METHODS}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_it_climbs_to_a_layout_that_can_be_mounted(problem, ran, name):
+    run, _ = ran[name]
+    assert run.best > run.history[0].score + 0.05
+    found = problem.space.layout(run.best_x)
+    assert problem.exact_of(found) == pytest.approx(run.best, abs=1e-6)
+    scene = problem.cases[0].scene
+    assert_mountable(scene, found, lanes_of(scene.intersection))
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_seed_repeats_and_another_does_not(problem, ran, name):
+    first = [row.score for row in ran[name][0].history]
+    assert [row.score for row in go(problem, name)[0].history] == first
+    assert [row.score for row in go(problem, name, seed=1)[0].history] != first
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ran, name):
+    """From half way, through a file: no pickle, numbers and strings as they were."""
+    whole, states = ran[name]
+    half = len(states) // 2
+    part, (*_, state) = go(problem, name, steps=half)
+    file = io.BytesIO()
+    np.savez(file, **state)
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as held:
+        read = {k: held[k] for k in held.files}
+    state = {k: v.item() if v.ndim == 0 else v for k, v in read.items()}
+    again = Run(problem, part.start, seed=0, evaluations=BUDGET[name])
+    again.best, again.best_x = part.best, part.best_x
+    again.take_up(part.seconds, part.evaluations, part.history)
+    go(problem, name, state=state, run=again)
+    assert [row.score for row in again.history] == [row.score for row in whole.history]
+
+
+def test_greedy_adam_goes_through_all_its_parts(ran):
+    """Placement, gradient steps from there, and finer moves after them."""
+    _, states = ran["greedy-adam"]
+    parts = ["adam" if "line" in s else s["greedy phase"] for s in states if s]
+    order = list(dict.fromkeys(parts))
+    assert order[0] == "look"
+    assert order.index("adam") > 0
+    assert "move" in order[order.index("adam") :]
+
+
+def test_softness_falls_geometrically():
+    assert annealed((3.0, 0.3), 0.0) == 3.0
+    assert annealed((3.0, 0.3), 0.5) == pytest.approx(np.sqrt(0.9))
+    assert annealed((3.0, 0.3), 2.0) == pytest.approx(0.3)

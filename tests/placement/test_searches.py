@@ -1,0 +1,31 @@
+"""Whole searches by every method, and whether what they find can be mounted."""
+
+import pytest
+from mounts import assert_mountable, lanes_of
+
+from inspe_jax.placement.optimise import METHODS, compare
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene
+
+SEEDS = 13
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["t_junction", "roundabout"])
+def test_what_every_search_finds_can_be_mounted(name):
+    """104 searches a place, from random starts: with the other place, more than 200.
+
+    Units of a camera and a LiDAR, and of one sensor; the rules are read from the map's polygons
+    by shapely, not by the search's own code.
+    """
+    scene = build_scene(built_in(name), radius=40, voxel=1.0, frames=8, density=10)
+    layout = strategy(scene, "Cam-d1/L-d1")
+    results = compare(scene, layout, evaluations=40, seeds=SEEDS, start="random")
+    assert len(results) == SEEDS * len(METHODS) >= 104
+    lanes = lanes_of(scene.intersection)
+    for result in results:
+        assert_mountable(scene, result.start, lanes)
+        assert_mountable(scene, result.layout, lanes)
+        assert result.objective >= result.objective_before
+    assert sum(result.objective > result.objective_before for result in results) > SEEDS

@@ -1,5 +1,6 @@
 """Cost against score over how many of which devices: which mix is worth its money."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -7,18 +8,21 @@ from itertools import product
 import numpy as np
 
 from inspe_jax.errors import InspeError
+from inspe_jax.files import write_text
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.optimise import optimise
+from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
 from inspe_jax.placement.problem import Case, Objective
-from inspe_jax.placement.result import Result
+from inspe_jax.placement.result import Result, csv_text, prepare_folder
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
-from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout import Layout, save_layout
 
 MOST = 200
 """Mixes searched at most."""
+SCORES = ("coverage", "occlusion", "information_gain", "surrogate")
+"""The scores that are saved of each mix, beside its objective."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -36,7 +40,12 @@ class Mix:
     @property
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera-midday"."""
-        return " + ".join(f"{n} {name}" for name, n in self.counts.items() if n)
+        return called(self.counts)
+
+
+def called(counts: Mapping[str, int]) -> str:
+    """A mix in words."""
+    return " + ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
 def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
@@ -72,69 +81,129 @@ def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
             site.lidar(post, foot) if spec.kind == "lidar" else site.camera(post, foot, site.center)
         )
         views.append((view, spec))
-    return join("mix", scene.intersection, views)
+    return join(called(counts), scene.intersection, views)
 
 
 def pareto(
     scene: Scene | Case | Sequence[Scene | Case],
-    ranges: Mapping[str, tuple[int, int]],
+    counts: Mapping[str, Sequence[int]],
     *,
-    method: str = "greedy-adam",
+    method: str = DEFAULT_METHOD,
     seconds: float | None = None,
     evaluations: float | None = None,
     seed: int = 0,
     objective: Objective | None = None,
     constraints: Constraints | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[Mapping[str, int], float, float], None] | None = None,
 ) -> list[Mix]:
     """The best score found for every mix of devices, cheapest first.
 
-    ``ranges`` gives the least and the most of each device; each mix gets a search of its own
-    with the given budget. ``objective.budget`` leaves out what costs more; ``objective.prices``
-    gives prices that the catalogue has not. ``progress(done, total)`` after each mix.
+    ``counts`` says how many of each device to try, as ``{"hesai-xt32": range(5)}``; each mix gets
+    a search of its own with the given budget. ``objective.budget`` leaves out what costs more;
+    ``objective.prices`` gives prices that the catalogue has not. ``progress`` is called with the
+    mix searched, the share of all work done and the best score of that mix. Ctrl-C ends with the
+    mixes so far, the last one as it stands.
 
-    Raises InspeError on an unknown device, one without a price, a bad range, or where no mix is
-    left.
+    Raises InspeError on an unknown device, one without a price, a bad count, too many sensors for
+    the place, or where no mix is left; all before the first search.
     """
     objective = objective or Objective()
+    wanted = mixes(counts, objective)
+    first = scene if isinstance(scene, Scene | Case) else scene[0]
+    place = first.scene if isinstance(first, Case) else first
+    starts = [around(place, row) for _, row in wanted]
+    found: list[Mix] = []
+    for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
+        try:
+            result = optimise(
+                scene,
+                start,
+                method,
+                seconds=seconds,
+                evaluations=evaluations,
+                seed=seed,
+                objective=objective,
+                constraints=constraints,
+                progress=_share(progress, row, k, len(wanted)),
+            )
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            break
+        found.append(Mix(row, cost, result))
+        if result.status == "interrupted":
+            break
+    return [replace(mix, front=_on_front(mix, found)) for mix in found]
+
+
+def save_pareto(found: Sequence[Mix], folder: str | os.PathLike[str]) -> None:
+    """Write what mixes came to, and the layouts of those on the front.
+
+    ``pareto.csv`` has a row a mix, cheapest first, and names the layout's file where there is
+    one. Raises InspeError as :func:`~inspe_jax.placement.result.save_result` does.
+    """
+    place = prepare_folder(folder)
+    rows = []
+    for mix in found:
+        file = "_".join(f"{n}_{name}" for name, n in mix.counts.items() if n) + ".yaml"
+        if mix.front:
+            save_layout(mix.result.layout, place / file)
+        scores = {name: getattr(mix.result.scores, name) for name in SCORES}
+        head = {**mix.counts, "cost_usd": mix.cost, "objective": mix.result.objective}
+        ends = {"front": int(mix.front), "layout": file if mix.front else ""}
+        rows.append({**head, **scores, "seconds": mix.result.seconds, **ends})
+    write_text(place / "pareto.csv", csv_text(rows))
+
+
+def mixes(
+    counts: Mapping[str, Sequence[int]], objective: Objective
+) -> list[tuple[float, dict[str, int]]]:
+    """Cost [US dollars] and counts of every mix within the budget, cheapest first.
+
+    Raises InspeError as :func:`pareto` does.
+    """
     objective.check()
-    price = {name: objective.price_of(name) for name in ranges}
-    for name, (low, high) in ranges.items():
-        if not 0 <= low <= high:
-            raise InspeError(f"{name}: from {low} to {high}: the least, then the most, from 0")
-    counts = [
-        dict(zip(ranges, row, strict=True))
-        for row in product(*(range(low, high + 1) for low, high in ranges.values()))
+    if not counts:
+        raise InspeError("no device to choose from: name at least one, and how many of it")
+    price = {name: objective.price_of(name) for name in counts}
+    for name, several in counts.items():
+        if not len(several) or min(several) < 0:
+            raise InspeError(f"{name}: how many of it: numbers from 0, at least one of them")
+    rows = [
+        dict(zip(counts, row, strict=True))
+        for row in product(*(sorted(set(several)) for several in counts.values()))
         if sum(row)
     ]
     costed = sorted(
-        ((sum(price[name] * n for name, n in row.items()), row) for row in counts),
+        ((sum(price[name] * n for name, n in row.items()), row) for row in rows),
         key=lambda pair: pair[0],
     )
-    limit = float("inf") if objective.budget is None else objective.budget
-    costed = [(cost, row) for cost, row in costed if cost <= limit]
     if not costed:
-        raise InspeError(f"no mix of {', '.join(ranges)} is within the budget, or all are empty")
-    if len(costed) > MOST:
-        raise InspeError(f"{len(costed)} mixes are more than the {MOST} that are searched at most")
-    first = scene if isinstance(scene, Scene | Case) else scene[0]
-    place = first.scene if isinstance(first, Case) else first
-    found = []
-    for cost, row in costed:
-        result = optimise(
-            scene,
-            around(place, row),
-            method,
-            seconds=seconds,
-            evaluations=evaluations,
-            seed=seed,
-            objective=objective,
-            constraints=constraints,
+        raise InspeError("every mix is empty: allow at least one sensor")
+    limit = float("inf") if objective.budget is None else objective.budget
+    within = [(cost, row) for cost, row in costed if cost <= limit]
+    if not within:
+        raise InspeError(
+            f"no mix is within the budget of {limit:,.0f} US dollars; the cheapest costs "
+            f"{costed[0][0]:,.0f}"
         )
-        found.append(Mix(row, cost, result))
-        if progress:
-            progress(len(found), len(costed))
-    return [replace(mix, front=_on_front(mix, found)) for mix in found]
+    if len(within) > MOST:
+        raise InspeError(
+            f"{len(within)} mixes, and at most {MOST} are searched; allow fewer counts, "
+            "such as 0, 4 and 8"
+        )
+    return within
+
+
+def _share(
+    progress: Callable[[Mapping[str, int], float, float], None] | None,
+    row: Mapping[str, int],
+    k: int,
+    total: int,
+) -> Callable[[float, float], None] | None:
+    if progress is None:
+        return None
+    return lambda done, best: progress(row, (k + done) / total, best)
 
 
 def _on_front(mix: Mix, others: Sequence[Mix]) -> bool:

@@ -88,7 +88,7 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
     save_layout(result.layout, place / "layout.yaml")
     save_layout(result.start, place / "start.yaml")
     write_text(place / "result.json", json.dumps(_record(result), indent=2) + "\n")
-    write_text(place / "history.csv", _csv([asdict(row) for row in result.history]))
+    write_text(place / "history.csv", csv_text([asdict(row) for row in result.history]))
 
 
 def load_result(folder: str | os.PathLike[str]) -> Result:
@@ -128,9 +128,9 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
     save_layout(best.layout, place / "layout.yaml")
     ends = ("status", "objective_before", "objective", "evaluations", "seconds")
     rows = [_of(result) | {name: getattr(result, name) for name in ends} for result in results]
-    write_text(place / "compare.csv", _csv(rows))
+    write_text(place / "compare.csv", csv_text(rows))
     steps = [_of(result) | asdict(row) for result in results for row in result.history]
-    write_text(place / "history.csv", _csv(steps))
+    write_text(place / "history.csv", csv_text(steps))
 
 
 def _of(result: Result) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def _scores(record: dict[str, Any]) -> Scores:
     return Scores(**record)
 
 
-def _csv(rows: Sequence[dict[str, Any]]) -> str:
+def csv_text(rows: Sequence[dict[str, Any]]) -> str:
     """Rows as CSV; every result has at least one exact score."""
     text = io.StringIO()
     table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")

@@ -19,8 +19,8 @@ SOFTNESS = 0.2
 """Softness of the slopes [m]: they are those of the score averaged over about so much."""
 POSITION_STEP = 0.1
 """Slopes along x, y and z are given for a shift of this much [m]."""
-LIMITS = dict(position=(0.0, 2.0), angle=(0.0, np.radians(30.0)), samples=(1, 10_000))
-"""Allowed installation errors [m, rad] and number of random ones."""
+LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""))
+"""Allowed installation errors [m, degrees] and number of random ones, with their units."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,13 @@ def tolerance(
 
     Raises InspeError where an option is out of range, or as :func:`inspe_jax.evaluate` does.
     """
-    for name, value in dict(position=position, angle=angle, samples=samples).items():
-        low, high = LIMITS[name]
-        if not low <= value <= high:
-            raise InspeError(f"{name} {value:g} is out of range: between {low:g} and {high:g}")
+    given = dict(position=position, angle=float(np.degrees(angle)), samples=samples)
+    for name, value in given.items():
+        low, high, unit = LIMITS[name]
+        if not low <= round(value, 9) <= high:
+            raise InspeError(
+                f"{name} {value:g}{unit} is out of range: between {low}{unit} and {high}{unit}"
+            )
     if not softness > 0:
         raise InspeError(f"softness {softness:g} m: more than 0; the exact score has no slope")
     problem = Problem(scene, layout, objective)

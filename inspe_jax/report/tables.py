@@ -1,6 +1,7 @@
 """Scores, scenes, layouts and catalogues as tables for people, and scores as a record for JSON."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -14,7 +15,9 @@ from rich.text import Text
 from inspe_jax import __version__
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores
+from inspe_jax.placement.pareto import Mix
 from inspe_jax.placement.result import Result
+from inspe_jax.placement.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
@@ -36,6 +39,7 @@ METRICS: dict[str, str] = {
 _SAME = 1e-5  # objectives and scores sum in different orders, in single precision
 _CHANGE = ("before", "after", "change")
 _MOVES = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
+_TURNS = ("yaw", "pitch")
 _ENDS = ("seeds", "median", "worst", "best", "work", "time\n[s]")
 
 
@@ -124,6 +128,50 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
     return table
 
 
+def pareto_table(found: Sequence[Mix]) -> RenderableType:
+    """What mixes of devices cost and score, cheapest first; those that no other beats in bold."""
+    table = _table("Cost against score", "mix", "cost\n[US$]", *METRICS.values(), "objective", "")
+    for mix in found:
+        scores = [f"{getattr(mix.result.scores, name):.3f}" for name in METRICS]
+        numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
+        words = ("front", "bold") if mix.front else ("", "")
+        table.add_row(Text(mix.name), *numbers, words[0], style=words[1])
+    return table
+
+
+def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
+    """Slopes of each sensor, and the score before and after random installation errors."""
+    step = f"per {100 * POSITION_STEP:g} cm"
+    heads = [f"{name}\n{step}" for name in "xyz"] + [f"{name}\nper 1°" for name in _TURNS]
+    slopes = _table(f"What P_sm of {layout.name} gains", "#", "sensor", *heads)
+    for k, row in enumerate(found.slopes):
+        values = (row.x, row.y, row.z, row.yaw, row.pitch)
+        slopes.add_row(str(k + 1), Text(row.sensor), *(f"{value:+.5f}" for value in values))
+    settings = found.settings
+    errors = f"{settings['position']:g} m and {settings['angle_deg']:g}°"
+    left = _table(f"After errors of {errors} (standard deviation)", "installed", "P_sm", "change")
+    for name, value in {
+        "as planned": found.score,
+        f"mean of {settings['samples']} installations": found.mean,
+        "95 of 100 reach": found.low,
+    }.items():
+        left.add_row(name, f"{value:.4f}", f"{value - found.score:+z.4f}")
+    return Group(slopes, "", left)
+
+
+def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str, Any]:
+    """A tolerance as a JSON-serialisable record; slopes per 10 cm and per degree."""
+    return {
+        "score": found.score,
+        "mean": found.mean,
+        "low": found.low,
+        "left": found.left.tolist(),
+        "slopes": [asdict(row) for row in found.slopes],
+        "settings": _plain(found.settings),
+        **_origin(scene, layout),
+    }
+
+
 def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any]:
     """Scores as a JSON-serialisable record, every number exactly as scored.
 
@@ -145,6 +193,13 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
             for part, unit, device in _members(scores, layout)
         ],
         "settings": _plain(scores.settings),
+        **_origin(scene, layout),
+    }
+
+
+def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
+    """What a record is of, and which versions made it."""
+    return {
         "scene": {
             "name": scene.name,
             "source": scene.intersection.source,
@@ -265,7 +320,19 @@ def built_ins_table() -> RenderableType:
 
 
 _PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view"}
-_NAMES = {"metric", "method", "symbol", "region", "scene", "device", "kind", "name", "centre [m]"}
+_NAMES = {
+    "mix",
+    "P_sm",
+    "metric",
+    "method",
+    "symbol",
+    "region",
+    "scene",
+    "device",
+    "kind",
+    "name",
+    "centre [m]",
+}
 _NAMES |= {"pixels,\nchannels"}
 
 

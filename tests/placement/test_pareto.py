@@ -1,0 +1,140 @@
+"""Cost against score: which mixes are tried, which are on the front, what is written."""
+
+import csv
+
+import pytest
+from mounts import assert_mountable, lanes_of
+
+from inspe_jax.errors import InspeError
+from inspe_jax.placement import pareto as module
+from inspe_jax.placement.pareto import around, mixes, pareto, save_pareto
+from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.layout import load_layout
+
+CAMERA, LIDAR = "paper-camera-midday", "velodyne-vlp-16"
+PRICED = Objective(prices={CAMERA: 1000.0})
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=3, density=20)
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    """Cameras alone, a LiDAR, and a mix."""
+    counts = {CAMERA: (0, 1, 2), LIDAR: (0, 1)}
+    told = []
+    mixed = pareto(
+        scene, counts, method="random", evaluations=6, objective=PRICED,
+        progress=lambda row, done, best: told.append((dict(row), done, best)),
+    )  # fmt: skip
+    return mixed, told
+
+
+def test_every_mix_is_searched_cheapest_first(found):
+    mixed, told = found
+    assert [(mix.counts[CAMERA], mix.counts[LIDAR]) for mix in mixed] == [
+        (1, 0), (2, 0), (0, 1), (1, 1), (2, 1),
+    ]  # fmt: skip
+    assert [mix.cost for mix in mixed] == [1000, 2000, 4000, 5000, 6000]
+    assert mixed[3].name == f"1 {CAMERA} + 1 {LIDAR}"
+    shares = [done for _, done, _ in told]
+    assert shares == sorted(shares)
+    assert 0.8 < shares[-1] <= 1.0
+    assert [row for row, _, _ in told][-1] == mixed[-1].counts
+
+
+def test_the_front_is_what_no_other_mix_beats(found):
+    """Against its definition: another is no dearer and no worse, and cheaper or better."""
+    mixed, _ = found
+    for mix in mixed:
+        beaten = [
+            other
+            for other in mixed
+            if other.cost <= mix.cost
+            and other.result.objective >= mix.result.objective
+            and (other.cost, other.result.objective) != (mix.cost, mix.result.objective)
+        ]
+        assert mix.front == (not beaten)
+    assert mixed[0].front
+
+
+def test_every_layout_can_be_mounted_and_has_its_sensors(found, scene):
+    lanes = lanes_of(scene.intersection)
+    for mix in found[0]:
+        names = [sensor.spec.name for sensor in mix.result.layout.sensors]
+        assert {name: names.count(name) for name in mix.counts} == dict(mix.counts)
+        assert_mountable(scene, mix.result.layout, lanes)
+
+
+def test_it_is_saved(found, scene, tmp_path):
+    mixed, _ = found
+    save_pareto(mixed, tmp_path / "pareto")
+    with (tmp_path / "pareto" / "pareto.csv").open() as f:
+        rows = list(csv.DictReader(f))
+    assert [float(row["cost_usd"]) for row in rows] == [mix.cost for mix in mixed]
+    assert [float(row["objective"]) for row in rows] == [mix.result.objective for mix in mixed]
+    for row, mix in zip(rows, mixed, strict=True):
+        assert bool(int(row["front"])) == mix.front == bool(row["layout"])
+        if mix.front:
+            again = load_layout(tmp_path / "pareto" / row["layout"])
+            assert len(again) == len(mix.result.layout)
+
+
+def test_a_budget_leaves_out_what_costs_more():
+    objective = Objective(prices={CAMERA: 1000.0}, budget=5000.0)
+    costs = [cost for cost, _ in mixes({CAMERA: range(4), LIDAR: (0, 1)}, objective)]
+    assert costs == [1000, 2000, 3000, 4000, 5000]
+
+
+def test_several_scenes_are_searched_together(scene):
+    (mix,) = pareto(
+        [Case(scene), scene], {LIDAR: [1]}, method="random", evaluations=2, objective=PRICED
+    )
+    assert len(mix.result.settings["scenes"]) == 2
+
+
+def test_ctrl_c_ends_with_the_mixes_so_far(scene, monkeypatch):
+    whole, calls = module.optimise, []
+
+    def interrupted(*arguments, **options):
+        if calls:
+            raise KeyboardInterrupt
+        calls.append(1)
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(module, "optimise", interrupted)
+    (mix,) = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
+    assert mix.counts == {LIDAR: 1}
+    assert mix.front
+    with pytest.raises(KeyboardInterrupt):
+        pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
+
+
+def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
+    start = around(scene, {CAMERA: 3, LIDAR: 2})
+    kinds = [sensor.spec.kind for sensor in start.sensors]
+    assert kinds == ["lidar", "lidar", "camera", "camera", "camera"]
+    assert len({unit.base[:2] for unit in start.units}) == len(start.units) == 5
+
+
+@pytest.mark.parametrize(
+    ("counts", "objective", "message"),
+    [
+        ({}, PRICED, "no device to choose from"),
+        ({"no-such": [1]}, PRICED, "no device 'no-such'"),
+        ({CAMERA: [1]}, Objective(), f"'{CAMERA}' has no list price"),
+        ({CAMERA: []}, PRICED, "how many of it"),
+        ({CAMERA: [-1, 2]}, PRICED, "numbers from 0"),
+        ({CAMERA: [0]}, PRICED, "every mix is empty"),
+        ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
+        ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),
+        ({CAMERA: [99]}, PRICED, "99 sensors, and"),
+    ],
+)
+def test_bad_input(scene, counts, objective, message):
+    with pytest.raises(InspeError, match=message):
+        pareto(scene, counts, method="random", evaluations=2, objective=objective)

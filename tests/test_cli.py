@@ -208,7 +208,47 @@ def test_compare_ranks_methods(inspe, files):
         assert {row["method"] for row in csv.DictReader(f)} == {"random", "grid"}
 
 
-@pytest.mark.parametrize("command", ["scene", "layout", "score", "optimise", "compare"])
+def test_pareto_finds_what_is_worth_its_money(inspe, files):
+    devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera-midday:0-1")
+    prices = ("--price", "paper-camera-midday=1,000")
+    arguments = ("--method", "random", "--evaluations", 3, "--out", "w")
+    status, text, _ = inspe("pareto", "s.npz", *devices, *prices, *arguments)
+    assert status == 0
+    with (files / "w" / "pareto.csv").open() as f:
+        rows = list(csv.DictReader(f))
+    assert [float(row["cost_usd"]) for row in rows] == [1000, 4000, 5000]
+    front = [row for row in rows if row["layout"]]
+    assert search_files(files / "w") == sorted(
+        ["pareto.csv", "pareto.png", *(row["layout"] for row in front)]
+    )
+    for row in front:
+        again = json.loads(inspe("score", "s.npz", f"w/{row['layout']}", "--json", "-")[1])
+        assert again["surrogate"] == pytest.approx(float(row["surrogate"]), abs=1e-4)
+        assert f"{float(row['objective']):.4f}" in text
+
+
+def test_tolerance_prints_and_writes_the_same(inspe, files):
+    arguments = ("--samples", 3, "--position", 0.2, "--angle", 2, "--json")
+    status, text, _ = inspe("tolerance", "s.npz", "layout.yaml", *arguments, "-")
+    assert status == 0
+    record = json.loads(text)
+    assert (record["settings"]["position"], record["settings"]["samples"]) == (0.2, 3)
+    assert record["settings"]["angle_deg"] == pytest.approx(2)
+    assert len(record["left"]) == 3
+    again = json.loads(inspe("score", "s.npz", "layout.yaml", "--json", "-")[1])
+    assert record["score"] == pytest.approx(again["surrogate"], abs=1e-5)
+    status, text, _ = inspe("tolerance", "s.npz", "layout.yaml", *arguments, "t.json")
+    assert status == 0
+    assert json.loads((files / "t.json").read_text()) == record
+    assert f"{record['score']:.4f}" in text
+    assert f"{record['slopes'][0]['yaw']:+.5f}" in text
+    (files / "t.json").unlink()
+
+
+COMMANDS = ["scene", "layout", "score", "optimise", "compare", "pareto", "tolerance"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_examples(inspe, command):
     status, text, _ = inspe(command, "--help")
     assert status == 0
@@ -272,6 +312,21 @@ BAD = [
     (("compare", "s.npz", "--methods", "grid,grid"), "one is named twice"),
     (("compare", "s.npz", "--seeds", 0), "seeds 0: at least 1"),
     (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
+    (("compare", "nosuch", "--seconds", 0), "seconds 0: a budget must be more than 0"),
+    (("pareto", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
+    (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: DEVICE:COUNTS"),
+    (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
+    (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
+    (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is named twice"),
+    (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
+    (("pareto", "s.npz", "--price", "hesai-xt32=-5"), "price of hesai-xt32 -5.0: 0 or more"),
+    (("pareto", "s.npz", "--budget", 100), "the cheapest costs 4,000"),
+    (("pareto", "nosuch"), "no scene 'nosuch'"),
+    (("tolerance", "s.npz", "--angle", 90), "angle 90° is out of range: between 0° and 30°"),
+    (("tolerance", "s.npz", "--position", -1), "position -1 m is out of range: between 0 m and 2"),
+    (("tolerance", "s.npz", "--samples", 0), "samples 0 is out of range: between 1 and 10000"),
+    (("tolerance", "nosuch"), "no scene 'nosuch'"),
+    (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),
 ]
 
 

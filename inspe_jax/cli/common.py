@@ -1,13 +1,15 @@
 """What every command shares: the app, its consoles, arguments, progress, and how errors end."""
 
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from inspe_jax.errors import InspeError, nearest
 
@@ -121,6 +123,37 @@ def progress(what: str) -> Iterator[Any]:
     with Progress(*columns, console=err, transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None]:
+    """A bar with the best score and the time left, on a terminal.
+
+    Gives a callback of the share done, the best score and a word on what is under way; or None.
+    """
+    if not err.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    began = time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[facts]}"))
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task(what, total=1.0, facts="compiling …")
+
+        def tell(done: float, best: float, now: str) -> None:
+            spent = time.monotonic() - began
+            left = f", {spent * (1 - done) / done:.0f} s left" if done > 0.02 else ""
+            name = f"{what}: {now}" if now else what
+            bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
+
+        yield tell
+
+
+def note(notes: Iterable[str]) -> None:
+    """What a person should know, a line each."""
+    for words in notes:
+        err.print(Text.assemble(("Note: ", "yellow"), words), soft_wrap=True)
 
 
 def plain(message: str) -> str:

@@ -1,0 +1,172 @@
+"""Options that several commands share: a record of them, and a decorator that adds it."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import typer
+
+from inspe_jax.errors import InspeError
+
+if TYPE_CHECKING:
+    from inspe_jax.placement.constraints import Constraints
+    from inspe_jax.placement.problem import Objective
+    from inspe_jax.scene.scene import Scene
+
+WeightsOption = Annotated[
+    tuple[float, float, float],
+    typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
+]
+PriceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DEVICE=USD",
+        help="Price of a device that the catalogue has none for, or another; as often as you like.",
+    ),
+]
+MethodOption = Annotated[
+    str | None,
+    typer.Option(
+        help="greedy-adam (if not given), adam, lbfgsb, projected-gradient, grid, random, "
+        "greedy or cma-es."
+    ),
+]
+OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")]
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """What every searching command takes: a budget, an objective and constraints."""
+
+    seconds: Annotated[
+        float | None,
+        typer.Option(help="Wall time of a search [s]; 60 if no budget is given, and 20 where a "
+                     "command runs several."),
+    ] = None  # fmt: skip
+    evaluations: Annotated[
+        float | None,
+        typer.Option(help="Work of a search, in exact scores; a seed then repeats on one machine."),
+    ] = None
+    weights: WeightsOption = (0.3, 0.5, 0.2)
+    also: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SCENE",
+            help="Another scene of the same intersection, with other traffic; as often as you "
+            "like. The mean over the scenes is maximised.",
+        ),
+    ] = None
+    worst: Annotated[
+        bool, typer.Option("--worst", help="Maximise the worst of several scenes, not their mean.")
+    ] = False
+    failures: Annotated[
+        bool, typer.Option("--failures", help="N−1: the mean score when any one unit fails.")
+    ] = False
+    places: Annotated[
+        str, typer.Option(help="Where units may stand: any, areas, poles, or keep where they are.")
+    ] = "any"
+    heights: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="LOW HIGH", help="Heights of sensors above the ground [m]."),
+    ] = (3.0, 12.0)
+
+    def seconds_each(self) -> float | None:
+        """The budget in seconds of each of several searches."""
+        return 20.0 if self.seconds is None and self.evaluations is None else self.seconds
+
+    def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":
+        """What to maximise within what, checked before any scene is read."""
+        from inspe_jax.placement.constraints import Constraints
+        from inspe_jax.placement.problem import Objective
+        from inspe_jax.placement.run import check_budget
+
+        if self.worst and not self.also:
+            raise InspeError("--worst: the worst of several scenes; name more with --also")
+        check_budget(self.seconds_each(), self.evaluations)
+        wanted = Objective(
+            weights=self.weights,
+            over="worst" if self.worst else "mean",
+            failures=self.failures,
+            **objective,
+        )
+        constraints = Constraints(places=self.places, heights=self.heights)
+        wanted.check()
+        constraints.check()
+        return wanted, constraints
+
+
+def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A command whose last argument, ``options``, is this record: its fields become options."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        hints = get_type_hints(record, include_extras=True)
+        own = dict(inspect.signature(command).parameters)
+        del own["options"]
+        added = {
+            f.name: inspect.Parameter(
+                f.name,
+                inspect.Parameter.POSITIONAL_OR_KEYWORD,
+                default=inspect.Parameter.empty if f.default is MISSING else f.default,
+                annotation=hints[f.name],
+            )
+            for f in fields(record)
+        }
+
+        @functools.wraps(command)
+        def called(**given: Any) -> None:
+            command(
+                **{name: given[name] for name in own},
+                options=record(**{name: given[name] for name in added}),
+            )
+
+        # Where the results go comes last in the help.
+        everything = sorted([*own.values(), *added.values()], key=lambda p: p.name == "folder")
+        called.__signature__ = inspect.Signature(everything)  # type: ignore[attr-defined]
+        called.__annotations__ = {p.name: p.annotation for p in everything}
+        return called
+
+    return decorate
+
+
+def scenes(also: list[str] | None) -> "list[Scene]":
+    """The scenes of ``--also``."""
+    from inspe_jax.scene.scene import load_scene
+
+    return [load_scene(other) for other in also or ()]
+
+
+def prices(given: list[str] | None) -> dict[str, float]:
+    """Prices by device from ``DEVICE=USD``. Raises InspeError where one is not that."""
+    found = {}
+    for text in given or ():
+        name, _, number = text.partition("=")
+        try:
+            found[name.strip()] = float(number.replace(",", ""))
+        except ValueError:
+            raise InspeError(f"--price {text}: DEVICE=USD, such as hesai-xt32=5000") from None
+    return found
+
+
+def counts(given: list[str]) -> dict[str, list[int]]:
+    """How many of each device from ``DEVICE:0-4`` or ``DEVICE:0,4,8``."""
+    found: dict[str, list[int]] = {}
+    for text in given:
+        name, _, several = text.rpartition(":")
+        try:
+            low, to, high = several.partition("-")
+            numbers = (
+                list(range(int(low), int(high) + 1)) if to else [int(n) for n in low.split(",")]
+            )
+        except ValueError:
+            numbers = []
+        if not name or not numbers:
+            raise InspeError(
+                f"--device {text}: DEVICE:COUNTS, such as hesai-xt32:0-4 or hesai-xt32:0,2,4"
+            )
+        if name in found:
+            raise InspeError(f"--device {text}: {name} is named twice")
+        found[name] = numbers
+    return found

@@ -24,7 +24,7 @@ from rich.console import Console
 import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.placement.gradient import GRADIENTS
-from inspe_jax.placement.optimise import METHODS
+from inspe_jax.placement.optimise import METHODS, warming
 from inspe_jax.placement.pareto import around
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
@@ -38,8 +38,6 @@ MIXES = {
 }
 GRADIENT = [method.name for method in GRADIENTS]
 FIELDS = ("place", "mix", "method", "seed", "start", "score", "evaluations", "seconds", "compiling")
-WARM = 14.0
-"""Evaluations of the run that compiles a method: enough for each of its parts."""
 
 console = Console()
 
@@ -109,7 +107,7 @@ def cell(
         if not todo:
             continue
         began = time.monotonic()
-        search(problem, METHODS[name], 0, evaluations=WARM)
+        search(problem, METHODS[name], 0, evaluations=warming(problem))
         compiling = time.monotonic() - began
         for seed in todo:
             seconds = 2.0 if given.quick else given.seconds

@@ -15,6 +15,7 @@ import inspe_jax
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.evaluation import Scores, evaluate
 from inspe_jax.files import check_output
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, Keeper, digest
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.gradient import GRADIENTS
@@ -34,8 +35,9 @@ DEFAULT_SECONDS = 60.0
 """Budget where none is given [s]."""
 STARTS = ("given", "random")
 """Starts beside the strategies' names."""
-WARMING = 14.0
-"""Budget of the run that compiles a method before it is compared [evaluations]."""
+WARMING, WARMING_SAMPLES = 14.0, 400.0
+"""Budget of the run that compiles a method before it is compared: in evaluations, and in rough
+scores on a sample, whichever is more. Of a small scene a sample costs no less than all of it."""
 LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
 """What a method's outcome depends on; a result says which versions it had."""
 
@@ -116,13 +118,13 @@ def compare(
     methods: Sequence[str] = tuple(METHODS),
     seconds: float | None = None,
     evaluations: float | None = None,
-    seeds: int = 3,
+    seeds: int | Sequence[int] = 3,
     objective: Objective | None = None,
     constraints: Constraints | None = None,
     start: str | Layout = "given",
     progress: Callable[[str, int, float, float], None] | None = None,
 ) -> list[Result]:
-    """Searches by several methods, each with ``seeds`` seeds from 0, on equal terms.
+    """Searches by several methods on equal terms, each with ``seeds``: how many, from 0, or which.
 
     The other options as in :func:`optimise`. All work on the same compiled scores, and every
     method first runs for a moment that is not counted: none pays for what it or another compiles.
@@ -135,18 +137,21 @@ def compare(
     if len(set(methods)) < len(rows):
         raise InspeError(f"methods {', '.join(methods)}: one is named twice")
     seconds = _seconds(seconds, evaluations)
-    if seeds < 1:
+    several = range(seeds) if isinstance(seeds, int) else seeds
+    if not several:
         raise InspeError(f"seeds {seeds}: at least 1")
+    for seed in several:
+        _check_seed(seed)
     _check_start(start)
     problem = Problem(scene, layout, objective, constraints)
     results: list[Result] = []
     for row in rows:
-        warming = Run(problem, _start(problem, start, 0)[0], evaluations=WARMING)
-        if _drive(warming, row) == "interrupted":
+        trial = Run(problem, _start(problem, start, 0)[0], evaluations=warming(problem))
+        if _drive(trial, row) == "interrupted":
             if not results:
                 raise KeyboardInterrupt
             return results
-        for seed in range(seeds):
+        for seed in several:
             x, notes = _start(problem, start, seed)
             run = Run(
                 problem,
@@ -163,6 +168,12 @@ def compare(
             if status == "interrupted":
                 return results
     return results
+
+
+def warming(problem: Problem) -> float:
+    """What a run may spend in which any method comes to each of its parts [evaluations]."""
+    drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
+    return max(WARMING, WARMING_SAMPLES * problem.share(drawn))
 
 
 # ── One search ──────────────────────────────────────────────────────────────

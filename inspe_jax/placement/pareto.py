@@ -10,7 +10,7 @@ import numpy as np
 from inspe_jax.errors import InspeError
 from inspe_jax.files import write_text
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
+from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.result import Result, csv_text, prepare_folder
 from inspe_jax.placement.site import Site
@@ -99,10 +99,10 @@ def pareto(
     """The best score found for every mix of devices, cheapest first.
 
     ``counts`` says how many of each device to try, as ``{"hesai-xt32": range(5)}``; each mix gets
-    a search of its own with the given budget. ``objective.budget`` leaves out what costs more;
-    ``objective.prices`` gives prices that the catalogue has not. ``progress`` is called with the
-    mix searched, the share of all work done and the best score of that mix. Ctrl-C ends with the
-    mixes so far, the last one as it stands.
+    a search of its own with the given budget, which compiling does not count against.
+    ``objective.budget`` leaves out what costs more; ``objective.prices`` gives prices that the
+    catalogue has not. ``progress`` is called with the mix searched, the share of all work done
+    and the best score of that mix. Ctrl-C ends with the mixes so far, the last one as it stands.
 
     Raises InspeError on an unknown device, one without a price, a bad count, too many sensors for
     the place, or where no mix is left; all before the first search.
@@ -115,13 +115,13 @@ def pareto(
     found: list[Mix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
         try:
-            result = optimise(
+            (result,) = compare(
                 scene,
                 start,
-                method,
+                (method,),
                 seconds=seconds,
                 evaluations=evaluations,
-                seed=seed,
+                seeds=(seed,),
                 objective=objective,
                 constraints=constraints,
                 progress=_share(progress, row, k, len(wanted)),
@@ -200,10 +200,10 @@ def _share(
     row: Mapping[str, int],
     k: int,
     total: int,
-) -> Callable[[float, float], None] | None:
+) -> Callable[[str, int, float, float], None] | None:
     if progress is None:
         return None
-    return lambda done, best: progress(row, (k + done) / total, best)
+    return lambda method, seed, done, best: progress(row, (k + done) / total, best)
 
 
 def _on_front(mix: Mix, others: Sequence[Mix]) -> bool:

@@ -1,11 +1,13 @@
-"""Claim: among candidate poses, greedy finds about 95 % of the optimum or more.
+"""Claim: among candidate poses, greedy finds about 95 % of the optimum; gradients find more.
 
 One instance small enough to be solved: the built-in four-way in coarse voxels, a camera of
 reliability 1 on each of four units, and candidate poses for all of them (feet × heights ×
 yaws × pitches). What each candidate has in view and sees is found on all voxels and frames.
 An integer program (HiGHS) gives the best k of the candidates, and a bound that no k of them
 can exceed; plain greedy, without the exchanges and finer moves of the method of that name,
-is reported as a share of the optimum: 95.7, 99.6 and 94.8 % with seeds 0, 1 and 2.
+is reported as a share of the optimum, and so is every search. Searches have the candidates'
+height and the range of their pitches, and are free in between: with gradients they can come to
+more than 100 %, as the optimum is only that of the candidates.
 """
 
 import time
@@ -19,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 import inspe_jax
-from inspe_jax import Layout, Scene, Sensor
+from inspe_jax import Constraints, Layout, Scene, Sensor
 from inspe_jax.placement.candidates import lattice
 from inspe_jax.placement.discrete import best_subset
 from inspe_jax.placement.greedy import lazy_greedy
@@ -31,6 +33,9 @@ from inspe_jax.placement.tally import Tally
 console = Console()
 ALL = 10**9
 """More columns and frames than there are."""
+HEIGHT = 6.0
+PITCHES = np.radians([-25.0, -12.0])
+"""Height [m] and pitches of all candidates, and the limits of the searches."""
 
 
 def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
@@ -56,9 +61,9 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     feet = lattice(space, 6 if quick else 16)
     stand = np.array([space.unit_can_stand(u, feet) for u in range(len(layout.units))])
     common = np.flatnonzero(stand.all(0))
-    yaws, pitches = np.radians(np.arange(0, 360, 60)), np.radians([-25.0, -12.0])
+    yaws = np.radians(np.arange(0, 360, 60))
     foot, height, yaw, pitch = (
-        part.ravel() for part in np.meshgrid(common, [6.0], yaws, pitches, indexing="ij")
+        part.ravel() for part in np.meshgrid(common, [HEIGHT], yaws, PITCHES, indexing="ij")
     )
     kind = Kind(tuple(range(len(layout))), foot, height, yaw, pitch)
     table = Candidates(problem, tally, feet, stand, [kind])
@@ -89,10 +94,10 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
     start = problem.space.start(problem.layout)[0]
     best = dict(enumerate(found.chosen.tolist()))
     rows = [
-        dict(method=name, start="", score=problem.exact(table.layout(start, chosen)), seconds=took)
+        dict(method=name, seed="", score=problem.exact(table.layout(start, chosen)), seconds=took)
         for name, chosen, took in (
-            ("optimum", best, solved - began),
-            ("greedy, lazily", picks, done - solved),
+            ("optimum of the candidates", best, solved - began),
+            ("plain greedy", picks, done - solved),
         )
     ]
     figures = dict(
@@ -108,6 +113,22 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
     return rows, figures
 
 
+def searches(scene: Scene, layout: Layout, quick: bool) -> list[dict[str, Any]]:
+    """Searches from the given layout, under the candidates' limits: a row each and seed."""
+    limits = Constraints(
+        heights=(HEIGHT, HEIGHT),
+        pitch={"camera": (PITCHES.min(), PITCHES.max()), "lidar": (-0.5, 0.5)},
+    )
+    methods = ("adam", "greedy-adam", "grid") if quick else tuple(inspe_jax.methods())
+    seconds, seeds = (1.0, 1) if quick else (10.0, 5)
+    with console.status("searching") as status:
+        found = inspe_jax.compare(
+            scene, layout, methods, seconds=seconds, seeds=seeds, constraints=limits,
+            progress=lambda name, seed, _, best: status.update(f"{name} {seed}: best {best:.4f}"),
+        )  # fmt: skip
+    return [dict(method=r.method, seed=r.seed, score=r.objective, seconds=r.seconds) for r in found]
+
+
 def main() -> None:
     """Solve, compare, print and write."""
     options = arguments(__doc__)
@@ -117,17 +138,18 @@ def main() -> None:
         table = candidates(problem, options.quick, options.seed)
     with console.status("solving the integer program"):
         rows, figures = discrete(table, 60.0 if options.quick else 600.0)
+    rows += searches(scene, layout, options.quick)
     optimum = rows[0]["score"]
     for row in rows:
         row["share"] = row["score"] / optimum
 
     shown = Table(
-        "method", "start", "P_sm", "share of\noptimum", "seconds",
+        "method", "seed", "P_sm", "share of\noptimum", "seconds",
         title=f"{figures['cameras']} of {figures['candidates']} candidate poses on {scene.name}",
     )  # fmt: skip
     for row in rows:
         shown.add_row(
-            row["method"], row["start"], f"{row['score']:.4f}", f"{row['share']:.2%}",
+            row["method"], str(row["seed"]), f"{row['score']:.4f}", f"{row['share']:.2%}",
             f"{row['seconds']:.2f}",
         )  # fmt: skip
     console.print(shown)
@@ -143,21 +165,20 @@ def main() -> None:
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:
-    """Each method's score as a share of the optimum."""
-    figure = Figure(figsize=(7.0, 1.1 + 0.4 * len(rows)), layout="constrained")
+    """Each method's score as a share of the optimum: a point a seed, and the median in words."""
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    shares = [[100 * row["share"] for row in rows if row["method"] == name] for name in names]
+    figure = Figure(figsize=(7.0, 1.1 + 0.36 * len(names)), layout="constrained")
     axes = figure.subplots()
-    names = [f"{r['method']}, from {r['start']}" if r["start"] else r["method"] for r in rows]
-    shares = [100 * r["share"] for r in rows]
     axes.axvline(100, color="#666666", lw=1)
-    axes.plot(shares, range(len(rows)), "o", color="#0072B2", ms=8)
-    for y, share in enumerate(shares):
+    for y, values in enumerate(shares):
+        axes.plot(values, [y] * len(values), "o", color="#0072B2", ms=6, alpha=0.6)
         axes.annotate(
-            f"{share:.2f} %", (share, y), (0, 12),
-            textcoords="offset points", ha="center", bbox=dict(fc="white", ec="none", pad=1),
-        )  # fmt: skip
-    axes.set_yticks(range(len(rows)), names)
-    axes.set(xlabel="exact P_sm, share of the best choice of candidates [%]")
-    axes.margins(x=0.15, y=0.4)
+            f"{np.median(values):.1f} %", (1.01, y), xycoords=("axes fraction", "data"), va="center"
+        )
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xlabel="exact P_sm, share of the best choice of candidates [%]; right: median")
+    axes.margins(x=0.05, y=0.08)
     axes.invert_yaxis()
     axes.grid(axis="x", alpha=0.3)
     return figure

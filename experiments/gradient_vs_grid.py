@@ -6,23 +6,28 @@ and get the same seconds; each is compiled before its time begins, and what that
 of its own. Scores are exact, of the whole scene. Prints the median over the seeds for each cell,
 which methods win, and how soon the gradient reaches what the grid ends with.
 
-A run that is stopped goes on from what it has written: rows are appended as they come.
+A run that is stopped goes on from what it has written: rows are appended as they come. To use
+several cores, run it for some places on each, and put their CSVs together; each search then has
+one core.
 """
 
 import argparse
 import csv
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
-from common import MAPS, machine, write_results
+from common import MAPS, machine
 from matplotlib.figure import Figure
 from rich.console import Console
 
 import inspe_jax
 from inspe_jax import Layout, Scene
+from inspe_jax.files import write_text
 from inspe_jax.placement.gradient import GRADIENTS
 from inspe_jax.placement.optimise import METHODS, warming
 from inspe_jax.placement.pareto import around
@@ -36,8 +41,12 @@ MIXES = {
     "lidars": {"paper-lidar-32": 4},
     "both": {"paper-camera-midday": 8, "paper-lidar-32": 4},
 }
+PLACES = (*BUILT_INS, *(f"{town} {junction}" for town, junction in TOWNS))
 GRADIENT = [method.name for method in GRADIENTS]
-FIELDS = ("place", "mix", "method", "seed", "start", "score", "evaluations", "seconds", "compiling")
+FIELDS = (
+    "place", "mix", "method", "seed", "budget", "start", "score", "evaluations", "seconds",
+    "compiling",
+)  # fmt: skip
 
 console = Console()
 
@@ -53,7 +62,14 @@ def options() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
     parser.add_argument("--places", default="", help="only these, with commas")
+    parser.add_argument("--mixes", default=",".join(MIXES), help="with commas")
     found = parser.parse_args()
+    for name, known in (("methods", METHODS), ("mixes", MIXES), ("places", PLACES)):
+        for part in getattr(found, name).split(","):
+            if part and part not in known:
+                parser.error(f"--{name} {part}: some of {', '.join(known)}")
+    if found.quick:
+        found.seconds, found.seeds = 2.0, 1
     found.out.mkdir(parents=True, exist_ok=True)
     return found
 
@@ -100,21 +116,26 @@ def cell(
     place: str, mix: str, scene: Scene, layout: Layout, given: argparse.Namespace, done: set
 ) -> Iterator[tuple[dict[str, Any], list[Progress]]]:
     """Every method and seed on one cell."""
-    problem, seeds = Problem(scene, layout), 1 if given.quick else given.seeds
+    problem = Problem(scene, layout)
     problem.exact(problem.space.start(layout)[0])
     for name in given.methods.split(","):
-        todo = [s for s in range(seeds) if (place, mix, name, str(s)) not in done]
+        todo = [s for s in range(given.seeds) if (place, mix, name, str(s)) not in done]
         if not todo:
             continue
         began = time.monotonic()
         search(problem, METHODS[name], 0, evaluations=warming(problem))
         compiling = time.monotonic() - began
         for seed in todo:
-            seconds = 2.0 if given.quick else given.seconds
-            run, history = search(problem, METHODS[name], seed, seconds=seconds)
-            row = (place, mix, name, seed, history[0].best, run.best, run.evaluations)
+            run, history = search(problem, METHODS[name], seed, seconds=given.seconds)
+            row = (place, mix, name, seed, given.seconds, history[0].best, run.best)
             yield (
-                dict(zip(FIELDS, (*row, history[-1].seconds, compiling), strict=True)),
+                dict(
+                    zip(
+                        FIELDS,
+                        (*row, run.evaluations, history[-1].seconds, compiling),
+                        strict=True,
+                    )
+                ),
                 history,
             )
 
@@ -176,27 +197,28 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
     names = [name for name in METHODS if any(name in by for by in table.values())]
     text = "| cell | start | " + " | ".join(names) + " | grid's end reached |\n"
     text += "|---" * (len(names) + 3) + "|\n"
-    wins = early = 0
+    wins, early = dict.fromkeys(GRADIENT, 0), 0
     for at, by in table.items():
         start = next(row["start"] for row in rows if (row["place"], row["mix"]) == at)
-        ours = max((name for name in by if name in GRADIENT), key=lambda n: by[n][1])
+        most = max(q[1] for q in by.values())
         others = max((by[n][1] for n in by if n not in GRADIENT), default=-np.inf)
-        wins += bool(by[ours][1] >= others)
-        cells = [
-            f"{by[n][1]:.4f} ± {(by[n][2] - by[n][0]) / 2:.4f}" if n in by else "" for n in names
-        ]
-        cells = [
-            f"**{c}**" if n in by and by[n][1] == max(q[1] for q in by.values()) else c
-            for n, c in zip(names, cells, strict=True)
-        ]
-        ratio = np.inf
-        if "grid" in by:
-            end = by["grid"][1]
-            ratio = reached(course[(*at, "grid")], end) / reached(course[(*at, ours)], end)
+        for name in GRADIENT:
+            wins[name] += bool(name in by and by[name][1] >= others)
+        cells = []
+        for name in names:
+            low, middle, high = by.get(name, (np.nan,) * 3)
+            words = f"{middle:.4f} ± {(high - low) / 2:.4f}"
+            cells.append("" if np.isnan(middle) else f"**{words}**" if middle == most else words)
+        sooner = ""
+        if "grid" in by and (ours := [name for name in GRADIENT if name in by]):
+            took = reached(course[(*at, "grid")], by["grid"][1])
+            best = min(ours, key=lambda name: reached(course[(*at, name)], by["grid"][1]))
+            ratio = took / reached(course[(*at, best)], by["grid"][1])
             early += ratio >= 10
-        text += f"| {at[0]}, {at[1]} | {float(start):.3f} | " + " | ".join(cells)
-        text += f" | {ratio:.1f}× sooner by {ours} |\n"
-    text += f"\nBest gradient method at least as good as every baseline: {wins} of {len(table)}.\n"
+            sooner = f"{ratio:.1f}× sooner by {best}"
+        text += f"| {at[0]}, {at[1]} | {float(start):.3f} | {' | '.join(cells)} | {sooner} |\n"
+    text += "\nAt least as good in the median as every search without gradients, of "
+    text += f"{len(table)} cells: " + ", ".join(f"{name} {n}" for name, n in wins.items()) + ".\n"
     text += f"Grid's final score in a tenth of grid's time: {early} of {len(table)}.\n"
     return text
 
@@ -234,27 +256,34 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
 def main() -> None:
     """Run what is missing; then the table and the picture of all there is."""
     given = options()
-    path = given.out / "gradient_vs_grid.csv"
-    courses_path = given.out / "gradient_vs_grid_history.csv"
+    stem = "gradient_vs_grid_quick" if given.quick else "gradient_vs_grid"
+    path, courses_path = given.out / f"{stem}.csv", given.out / f"{stem}_history.csv"
+    for row in read(path):
+        if float(row["budget"]) != given.seconds:
+            raise SystemExit(
+                f"{path} has searches of {row['budget']} s, not {given.seconds:g} s: name another "
+                "folder, or delete it to begin anew"
+            )
     done = {(r["place"], r["mix"], r["method"], r["seed"]) for r in read(path)}
     for place, scene in scenes(given.quick, given.places):
-        for mix, counts in list(MIXES.items())[: 1 if given.quick else None]:
-            layout = around(scene, counts)
+        for mix in given.mixes.split(",")[: 1 if given.quick else None]:
+            jax.clear_caches()  # else the compiled code of many cells exhausts the memory maps
+            layout = around(scene, MIXES[mix])
             for row, history in cell(place, mix, scene, layout, given, done):
                 key = {k: row[k] for k in ("place", "mix", "method", "seed")}
-                append(courses_path, [key | dict(seconds=p.seconds, best=p.best) for p in history])
                 append(path, [row])
+                append(courses_path, [key | dict(seconds=p.seconds, best=p.best) for p in history])
                 console.print(
                     f"{place}, {mix}, {row['method']} {row['seed']}: {row['score']:.4f}",
                     highlight=False,
                 )
     rows, steps = read(path), read(courses_path)
     settings = {k: str(v) for k, v in vars(given).items()} | {"machine": str(machine())}
-    write_results(given.out / "gradient_vs_grid_settings.csv", [settings], settings)
+    write_text(given.out / f"{stem}.json", json.dumps(settings, indent=2) + "\n")
     text = summary(rows, steps)
-    (given.out / "gradient_vs_grid.md").write_text(text, encoding="utf-8")
+    write_text(given.out / f"{stem}.md", text)
     console.print(text, highlight=False)
-    draw(steps, given.out / "gradient_vs_grid.png")
+    draw(steps, given.out / f"{stem}.png")
 
 
 if __name__ == "__main__":

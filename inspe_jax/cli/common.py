@@ -136,14 +136,16 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None
         return
     from rich.progress import BarColumn, Progress, TextColumn
 
-    began = time.monotonic()
+    first: list[tuple[float, float]] = []  # when it was first heard of, and how far it was then
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[facts]}"))
     with Progress(*columns, console=err, transient=True) as bar:
         task = bar.add_task(what, total=1.0, facts="compiling …")
 
         def tell(done: float, best: float, now: str) -> None:
-            spent = time.monotonic() - began
-            left = f", {spent * (1 - done) / done:.0f} s left" if done > 0.02 else ""
+            first.append((time.monotonic(), done)) if not first else None
+            (began, before), now_is = first[0], time.monotonic()
+            gone = done - before  # since then: a search that is taken up again begins half way
+            left = f", {(now_is - began) * (1 - done) / gone:.0f} s left" if gone > 0.02 else ""
             name = f"{what}: {now}" if now else what
             bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
 

@@ -4,6 +4,7 @@ import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -66,8 +67,13 @@ class SearchOptions:
         bool, typer.Option("--failures", help="N−1: the mean score when any one unit fails.")
     ] = False
     places: Annotated[
-        str, typer.Option(help="Where units may stand: any, areas, poles, or keep where they are.")
-    ] = "any"
+        list[str] | None,
+        typer.Option(
+            metavar="[UNIT=]PLACES",
+            help="Where units may stand: any, areas, poles, or keep where they are; of one unit, "
+            "such as 'corner 1=keep', as often as you like.",
+        ),
+    ] = None
     heights: Annotated[
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Heights of sensors above the ground [m]."),
@@ -92,7 +98,7 @@ class SearchOptions:
             failures=self.failures,
             **objective,
         )
-        constraints = Constraints(places=self.places, heights=self.heights)
+        constraints = Constraints(places=_places(self.places or []), heights=self.heights)
         wanted.check()
         constraints.check()
         return wanted, constraints
@@ -138,15 +144,32 @@ def scenes(also: list[str] | None) -> "list[Scene]":
     return [load_scene(other) for other in also or ()]
 
 
+def _places(given: list[str]) -> str | dict[str, str]:
+    """Where units may stand, all of them or by name. Raises InspeError where both are given."""
+    named = dict(text.rsplit("=", 1) for text in given if "=" in text)
+    whole = [text for text in given if "=" not in text]
+    if len(whole) + bool(named) > 1 or len(named) + len(whole) < len(given):
+        raise InspeError(
+            f"--places {' '.join(given)}: once for all units, or once for each of some; "
+            "units that are not named may stand anywhere"
+        )
+    return named or (whole[0] if whole else "any")
+
+
 def prices(given: list[str] | None) -> dict[str, float]:
     """Prices by device from ``DEVICE=USD``. Raises InspeError where one is not that."""
     found = {}
     for text in given or ():
         name, _, number = text.partition("=")
         try:
-            found[name.strip()] = float(number.replace(",", ""))
+            value = float(number.replace(",", ""))
         except ValueError:
-            raise InspeError(f"--price {text}: DEVICE=USD, such as hesai-xt32=5000") from None
+            value = float("nan")
+        if not name.strip() or isnan(value):
+            raise InspeError(f"--price {text}: DEVICE=USD, such as hesai-xt32=5000")
+        if name.strip() in found:
+            raise InspeError(f"--price {text}: {name.strip()} is named twice")
+        found[name.strip()] = value
     return found
 
 

@@ -42,8 +42,10 @@ class Constraints:
     A sensor lower than ``clearance`` may not hang over a lane; the search keeps 0.3 m more beside
     it. ``pitch`` by kind of sensor.
     ``yaw`` by name of sensor: (from, to) counter-clockwise, or any direction where it is not named.
-    ``places``, one of :data:`PLACES`: with "keep" each unit stays on its foot. ``area``, a
-    shapely polygon in world metres, replaces the map's mounting area. ``move``: how far at most a
+    ``places``, one of :data:`PLACES`, for all units or by name of unit, "any" where it is not
+    named: with "poles" a unit is tied to the poles and chooses among them, with "areas" free in
+    the mounting areas, with "keep" it stays on its foot. ``area``, a shapely polygon in world
+    metres, replaces the map's mounting area. ``move``: how far at most a
     unit's foot may go from where the given layout has it.
     """
 
@@ -57,17 +59,18 @@ class Constraints:
         }
     )
     yaw: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    places: str = "any"
+    places: str | Mapping[str, str] = "any"
     area: BaseGeometry | None = None
     move: float | None = None
 
     def check(self) -> None:
         """Raise InspeError where a value is unknown, out of range or at odds with another."""
-        if self.places not in PLACES:
-            raise InspeError(
-                f"places '{self.places}': one of {', '.join(PLACES)}"
-                + nearest(str(self.places), tuple(PLACES))
-            )
+        for places in [self.places] if isinstance(self.places, str) else self.places.values():
+            if places not in PLACES:
+                raise InspeError(
+                    f"places '{places}': one of {', '.join(PLACES)}"
+                    + nearest(str(places), tuple(PLACES))
+                )
         for name in ("heights", "span_heights"):
             low, high = getattr(self, name)
             if not 0 <= low <= high < np.inf:
@@ -97,6 +100,10 @@ class Constraints:
             raise InspeError(f"move {self.move:g} m: 0 or more")
         if self.area is not None and (not self.area.is_valid or self.area.area <= 0):
             raise InspeError("area: not a valid polygon with an area")
+
+    def places_of(self, unit: str) -> str:
+        """Where one unit may stand, one of :data:`PLACES`."""
+        return self.places if isinstance(self.places, str) else self.places.get(unit, "any")
 
 
 class Space:
@@ -138,8 +145,13 @@ class Space:
         for name in options.yaw:
             if name not in names:
                 raise InspeError(f"yaw of '{name}': no such sensor{nearest(name, names)}")
+        units = [unit.name for unit in self.given.units]
+        for name in () if isinstance(options.places, str) else options.places:
+            if name not in units:
+                raise InspeError(f"places of '{name}': no such unit{nearest(name, units)}")
+        self._places = [options.places_of(name) for name in units]
         span = on_span(self.given, self.site)
-        self._kept = span | (options.places == "keep")
+        self._kept = span | (np.array(self._places) == "keep")
         self._limits = Limits.of(
             self._unit,
             Range(*np.where(span[:, None], options.span_heights, options.heights).T),
@@ -149,18 +161,20 @@ class Space:
         )
 
     def _set_places(self) -> None:
-        (areas, poles), move = PLACES[self.constraints.places], self.constraints.move
-        shared = self.site.convex() if areas and move is None else []
-        feet = self.site.poles - self.center[:2] if poles else np.zeros((0, 2))
+        move, kinds = self.constraints.move, [PLACES[name] for name in self._places]
+        shared = self.site.convex() if move is None and any(a for a, _ in kinds) else []
+        feet = self.site.poles - self.center[:2]
         pool = [*shared, *feet[:, None]]
         rows = []
         for u, foot in enumerate(self._feet):
             row: list[int] = []
+            areas, poles = kinds[u]
             if self._kept[u]:
                 self._check_kept(u)
             else:
                 near = np.hypot(*(feet - foot).T) <= (np.inf if move is None else move)
-                row = [*range(len(shared)), *(len(shared) + np.flatnonzero(near))]
+                row = [*range(len(shared))] if areas else []
+                row += [*(len(shared) + np.flatnonzero(near))] if poles else []
                 if areas and move is not None:
                     own = self.site.convex(foot, move)
                     row += range(len(pool), len(pool) + len(own))
@@ -192,7 +206,7 @@ class Space:
             where = f"{self.constraints.move:g} m of its foot"
         return (
             f"{self.place.name}: unit '{self.given.units[u].name}' has nowhere to stand: "
-            f"{what.get(self.constraints.places, 'no pole')} off the driving lanes within {where}; "
+            f"{what.get(self._places[u], 'no pole')} off the driving lanes within {where}; "
             "use places 'keep', a larger move, an area of your own or a map with sidewalks"
         )
 
@@ -383,7 +397,7 @@ class Space:
     def feet(self, spacing: float) -> Float[np.ndarray, "F 2"]:
         """Candidate feet: a lattice over the areas, all poles, and given feet that may stay [m]."""
         single = self._pieces.corners[self._pieces.area == 0, 0]
-        areas, _ = PLACES[self.constraints.places]
+        areas = any(PLACES[name][0] for name in self._places)
         lattice = self.site.lattice(spacing) if areas else np.zeros((0, 2))
         return np.concatenate([lattice, np.unique(single, axis=0)])
 

@@ -51,7 +51,7 @@ def violations(
     names = [f"'{sensor.name}'" for sensor in layout.sensors]
     for u, members in enumerate(layout.members()):
         unit, before = layout.units[u], np.array(given.units[u].base[:2])
-        kept = bool(span[u]) or constraints.places == "keep"
+        kept = bool(span[u]) or constraints.places_of(unit.name) == "keep"
         for wrong in _foot(unit, before, kept, site, constraints):
             yield f"unit '{unit.name}': its foot {wrong}"
         heights = constraints.span_heights if span[u] else constraints.heights
@@ -83,7 +83,7 @@ def _foot(
         yield f"is {moved:.2f} m from where it was, at most {constraints.move:g} m"
     if away > site.radius + TOLERANCE:
         yield f"is {away:.2f} m from the centre, at most {site.radius:g} m"
-    areas, poles = PLACES[constraints.places]
+    areas, poles = PLACES[constraints.places_of(unit.name)]
     if not site.carries(foot, areas=areas, poles=poles, within=TOLERANCE):
         what = " and no ".join(["mounting area"] * areas + ["pole"] * poles)
         yield f"({foot[0]:.2f}, {foot[1]:.2f}) stands on no {what}"

@@ -7,7 +7,6 @@ all, and at last where an edge of its view lies.
 
 import warnings
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import jax
@@ -18,7 +17,7 @@ from jaxtyping import Array, Float
 
 from inspe_jax.placement import greedy
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.problem import Problem, take
+from inspe_jax.placement.problem import Problem, per_problem, take
 from inspe_jax.placement.run import Method, Run, State
 
 with warnings.catch_warnings():
@@ -155,7 +154,7 @@ def _charted_loss(problem: Problem) -> Callable[..., Any]:
     return loss
 
 
-@cache
+@per_problem
 def _mover(problem: Problem) -> Callable[..., Any]:
     slopes = jax.vmap(jax.grad(_charted_loss(problem)), (0, 0, 0, 0, None, None))
 
@@ -220,7 +219,8 @@ def _offer_best(run: Run, state: State) -> None:
 # ── Greedy placement, Adam, finer moves ─────────────────────────────────────
 
 BEFORE, UNTIL = 0.5, 0.75
-"""Shares of the budget at which Adam takes over at the latest, and at which it ends."""
+"""Shares of the budget at which Adam takes over at the latest, and after which it is not given
+more than one burst a round."""
 BURST = 24
 """Gradient steps from one exact score to the next."""
 BURST_SOFTNESS, BURST_RATE = 1.0, 0.3
@@ -240,11 +240,12 @@ def begin_greedy_adam(run: Run) -> State:
 
 
 def step_greedy_adam(run: Run, state: State) -> State | None:
-    """Greedy placement and exchanges; from where these end, Adam; after it, finer moves.
+    """Greedy placement and exchanges; from the best layout so far, Adam; after it, finer moves.
 
     Candidates find the places, which gradients do not jump between; gradients the poses, which
     candidates do not resolve; and the moves, which are judged hard, what the soft score
-    cannot tell. So in every round of greedy placement.
+    cannot tell. So in every round of greedy placement: a later one, with other candidates, begins
+    anew where it places better than all that was found before, and else refines that once more.
     """
     if "line" in state:
         return _burst(run, state)
@@ -380,13 +381,13 @@ def _solve_projected(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     return np.asarray(problem.space.project(z * jnp.asarray(scale, z.dtype)))
 
 
-@cache
+@per_problem
 def _charted_score(problem: Problem) -> Callable[..., Any]:
     """Loss and its slope in charts."""
     return jax.jit(jax.value_and_grad(_charted_loss(problem)))
 
 
-@cache
+@per_problem
 def _projected_solver(problem: Problem) -> Callable[..., Any]:
     """Some iterations from z, on a sample, at a softness."""
     scale = jnp.asarray(_nonzero_scale(problem), float)

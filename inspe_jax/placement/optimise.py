@@ -21,7 +21,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.gradient import GRADIENTS
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.result import Result
-from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget
+from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget, check_seed
 from inspe_jax.placement.search import SEARCHES
 from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.scene.scene import Scene
@@ -89,7 +89,7 @@ def optimise(
     began = time.monotonic()
     row = _method(method)
     seconds = _seconds(seconds, evaluations)
-    _check_seed(seed)
+    check_seed(seed)
     _check_start(start)
     check_output(checkpoint, SUFFIXES)
     problem = Problem(scene, layout, objective, constraints)
@@ -109,7 +109,11 @@ def optimise(
         keeper = Keeper(checkpoint, _search(problem, row, seed, start), run)
     status = _drive(run, row, keeper)
     budget = dict(seconds=seconds, evaluations=evaluations)
-    return _result(run, row, status, dict(budget=budget, start=_called(start)))
+    settings = dict(budget=budget, start=_called(start))
+    try:
+        return _result(run, row, status, settings)
+    except KeyboardInterrupt:  # the search is over, and what it found is not thrown away
+        return _result(run, row, "interrupted", settings)
 
 
 def compare(
@@ -127,7 +131,8 @@ def compare(
     """Searches by several methods on equal terms, each with ``seeds``: how many, from 0, or which.
 
     The other options as in :func:`optimise`. All work on the same compiled scores, and every
-    method first runs for a moment that is not counted: none pays for what it or another compiles.
+    method first runs for a moment, at most for its budget, that is not counted: none pays for
+    what it or another compiles.
     ``progress`` is called with the method, the seed, the share of its budget spent and its best
     score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
     """
@@ -141,32 +146,40 @@ def compare(
     if not several:
         raise InspeError(f"seeds {seeds}: at least 1")
     for seed in several:
-        _check_seed(seed)
+        check_seed(seed)
     _check_start(start)
     problem = Problem(scene, layout, objective, constraints)
     results: list[Result] = []
-    for row in rows:
-        trial = Run(problem, _start(problem, start, 0)[0], evaluations=warming(problem))
-        if _drive(trial, row) == "interrupted":
-            if not results:
-                raise KeyboardInterrupt
-            return results
-        for seed in several:
-            x, notes = _start(problem, start, seed)
-            run = Run(
+    most = np.inf if evaluations is None else evaluations
+    try:
+        for row in rows:
+            trial = Run(
                 problem,
-                x,
-                seed=seed,
-                seconds=seconds,
-                evaluations=evaluations,
-                progress=_naming(progress, row.name, seed),
+                _start(problem, start, several[0])[0],
+                seed=several[0],
+                evaluations=min(warming(problem), most),
             )
-            run.notes += notes
-            status = _drive(run, row)
-            budget = dict(seconds=seconds, evaluations=evaluations)
-            results.append(_result(run, row, status, dict(budget=budget, start=_called(start))))
-            if status == "interrupted":
-                return results
+            if _drive(trial, row) == "interrupted":
+                raise KeyboardInterrupt
+            for seed in several:
+                x, notes = _start(problem, start, seed)
+                run = Run(
+                    problem,
+                    x,
+                    seed=seed,
+                    seconds=seconds,
+                    evaluations=evaluations,
+                    progress=_naming(progress, row.name, seed),
+                )
+                run.notes += notes
+                status = _drive(run, row)
+                budget = dict(seconds=seconds, evaluations=evaluations)
+                results.append(_result(run, row, status, dict(budget=budget, start=_called(start))))
+                if status == "interrupted":
+                    return results
+    except KeyboardInterrupt:
+        if not results:
+            raise
     return results
 
 
@@ -217,8 +230,9 @@ def _result(run: Run, row: Method, status: str, settings: dict[str, Any]) -> Res
     before = run.history[0].score
     if not run.best >= before:
         raise AssertionError(f"{row.name}: {run.best} is worse than the start's {before}")
+    notes = list(run.notes)
     if run.best == before:
-        run.notes.append("nothing better than the start was found; try a larger budget or start")
+        notes.append("nothing better than the start was found; try a larger budget or start")
     case = problem.cases[0]
 
     def scores(of: Layout) -> Scores:
@@ -246,7 +260,7 @@ def _result(run: Run, row: Method, status: str, settings: dict[str, Any]) -> Res
         seed=run.seed,
         settings=settings | _settings(problem),
         versions=_versions(),
-        notes=tuple(run.notes),
+        notes=tuple(notes),
     )
 
 
@@ -274,7 +288,7 @@ def _settings(problem: Problem) -> dict[str, Any]:
             "clearance": limits.clearance,
             "pitch_deg": {k: np.degrees(v).round(6).tolist() for k, v in limits.pitch.items()},
             "yaw_deg": {k: np.degrees(v).round(6).tolist() for k, v in limits.yaw.items()},
-            "places": limits.places,
+            "places": limits.places if isinstance(limits.places, str) else dict(limits.places),
             "area": None if limits.area is None else limits.area.wkt,
             "move": limits.move,
         },
@@ -301,11 +315,6 @@ def _seconds(seconds: float | None, evaluations: float | None) -> float | None:
         seconds = DEFAULT_SECONDS
     check_budget(seconds, evaluations)
     return seconds
-
-
-def _check_seed(seed: int) -> None:
-    if not (isinstance(seed, int) and seed >= 0):
-        raise InspeError(f"seed {seed!r}: a whole number, 0 or more")
 
 
 def _naming(

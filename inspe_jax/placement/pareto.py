@@ -4,14 +4,15 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from math import prod
 
 import numpy as np
 
-from inspe_jax.errors import InspeError
+from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import write_text
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.problem import Case, Objective, total_price
 from inspe_jax.placement.result import Result, csv_text, prepare_folder
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join
@@ -21,6 +22,7 @@ from inspe_jax.sensing.layout import Layout, save_layout
 
 MOST = 200
 """Mixes searched at most."""
+_ADVICE = f"at most {MOST} are searched; allow fewer counts, such as 0, 4 and 8"
 SCORES = ("coverage", "occlusion", "information_gain", "surrogate")
 """The scores that are saved of each mix, beside its objective."""
 
@@ -101,22 +103,22 @@ def pareto(
     ``counts`` says how many of each device to try, as ``{"hesai-xt32": range(5)}``; each mix gets
     a search of its own with the given budget, which compiling does not count against.
     ``objective.budget`` leaves out what costs more; ``objective.prices`` gives prices that the
-    catalogue has not. ``progress`` is called with the mix searched, the share of all work done
-    and the best score of that mix. Ctrl-C ends with the mixes so far, the last one as it stands.
+    catalogue has not; with ``objective.failures`` a mix has two sensors or more. ``progress`` is
+    called with the mix searched, the share of all work done and the best score of that mix.
+    Ctrl-C ends with the mixes so far, the last one as it stands.
 
     Raises InspeError on an unknown device, one without a price, a bad count, too many sensors for
     the place, or where no mix is left; all before the first search.
     """
     objective = objective or Objective()
     wanted = mixes(counts, objective)
-    first = scene if isinstance(scene, Scene | Case) else scene[0]
-    place = first.scene if isinstance(first, Case) else first
-    starts = [around(place, row) for _, row in wanted]
+    cases = [s if isinstance(s, Case) else Case(s) for s in _listed(scene)]
+    starts = [around(cases[0].scene, row) for _, row in wanted]
     found: list[Mix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
         try:
             (result,) = compare(
-                scene,
+                [_with_what_there_is(case, row) for case in cases],
                 start,
                 (method,),
                 seconds=seconds,
@@ -166,20 +168,27 @@ def mixes(
     if not counts:
         raise InspeError("no device to choose from: name at least one, and how many of it")
     price = {name: objective.price_of(name) for name in counts}
+    for name in objective.prices:
+        if name not in counts:
+            raise InspeError(
+                f"price of '{name}', which no mix has{nearest(name, tuple(counts))}; "
+                f"the devices are {', '.join(counts)}"
+            )
     for name, several in counts.items():
         if not len(several) or min(several) < 0:
             raise InspeError(f"{name}: how many of it: numbers from 0, at least one of them")
+    if (total := prod(len(set(several)) for several in counts.values())) > 100 * MOST:
+        raise InspeError(f"{total:,} mixes, and {_ADVICE}")
+    least = 2 if objective.failures else 1  # each sensor is a unit, and one of two may fail
     rows = [
         dict(zip(counts, row, strict=True))
         for row in product(*(sorted(set(several)) for several in counts.values()))
-        if sum(row)
+        if sum(row) >= least
     ]
-    costed = sorted(
-        ((sum(price[name] * n for name, n in row.items()), row) for row in rows),
-        key=lambda pair: pair[0],
-    )
+    costed = sorted(((total_price(price, row), row) for row in rows), key=lambda pair: pair[0])
     if not costed:
-        raise InspeError("every mix is empty: allow at least one sensor")
+        few = "at least two sensors, as one may fail" if least == 2 else "at least one sensor"
+        raise InspeError(f"no mix is left: allow {few}")
     limit = float("inf") if objective.budget is None else objective.budget
     within = [(cost, row) for cost, row in costed if cost <= limit]
     if not within:
@@ -188,11 +197,17 @@ def mixes(
             f"{costed[0][0]:,.0f}"
         )
     if len(within) > MOST:
-        raise InspeError(
-            f"{len(within)} mixes, and at most {MOST} are searched; allow fewer counts, "
-            "such as 0, 4 and 8"
-        )
+        raise InspeError(f"{len(within)} mixes, and {_ADVICE}")
     return within
+
+
+def _listed(scene: Scene | Case | Sequence[Scene | Case]) -> Sequence[Scene | Case]:
+    return [scene] if isinstance(scene, Scene | Case) else scene
+
+
+def _with_what_there_is(case: Case, row: Mapping[str, int]) -> Case:
+    """A case that swaps only devices which a mix has."""
+    return replace(case, swap={name: to for name, to in case.swap.items() if row.get(name)})
 
 
 def _share(

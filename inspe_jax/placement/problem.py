@@ -5,9 +5,9 @@ result reports. *Rough*: hard too, on a sample of columns and frames; what basel
 rank candidates by. *Soft*: margins read softly on a sample; what gradients are of.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, wraps
 from typing import Any, NamedTuple
 
 import jax
@@ -92,7 +92,9 @@ class Objective:
 
     def cost(self, layout: Layout) -> float:
         """What the layout's sensors cost [US dollars]."""
-        return sum(self.price_of(sensor.spec.name) for sensor in layout.sensors)
+        names = [sensor.spec.name for sensor in layout.sensors]
+        count = {name: names.count(name) for name in names}
+        return total_price({name: self.price_of(name) for name in count}, count)
 
     def price(self, layout: Layout) -> float:
         """What the cost takes off the score. Raises InspeError where the budget is exceeded."""
@@ -101,10 +103,15 @@ class Objective:
         cost = self.cost(layout)
         if self.budget is not None and cost > self.budget:
             raise InspeError(
-                f"{layout.name}: the sensors cost {cost:,.0f} US dollars, more than the budget of "
-                f"{self.budget:,.0f}; use fewer or cheaper ones"
+                f"{layout.name}: the sensors cost {cost:,.2f} US dollars, more than the budget of "
+                f"{self.budget:,.2f}; use fewer or cheaper ones"
             )
         return self.price_weight * cost / 1000
+
+
+def total_price(price: Mapping[str, float], count: Mapping[str, int]) -> float:
+    """What so many of each device cost [US dollars], to the cent."""
+    return round(sum(price[name] * n for name, n in count.items()), 2)
 
 
 @dataclass(frozen=True)
@@ -162,7 +169,10 @@ class Problem:
         objective: Objective | None = None,
         constraints: Constraints | None = None,
     ) -> None:
-        """Raises InspeError where scenes do not fit together or an option is out of range."""
+        """Raises InspeError where scenes do not fit together or an option is out of range.
+
+        Constraints are looked at where something is to move: see :attr:`space`.
+        """
         listed = [scenes] if isinstance(scenes, Scene | Case) else list(scenes)
         if not listed:
             raise InspeError("no scene to search on: give at least one")
@@ -183,7 +193,14 @@ class Problem:
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
         self.crews = tuple(self._crew(case, failures) for case in self.cases)
-        self.space = Space(first, layout, constraints or Constraints())
+        self._constraints = constraints or Constraints()
+        self.compiled: dict[Callable[[Problem], Any], Any] = {}
+
+    @cached_property
+    def space(self) -> Space:
+        """Where the sensors may be. Raises InspeError where a constraint is bad, or a unit has
+        nowhere to stand."""
+        return Space(self.cases[0].scene, self.layout, self._constraints)
 
     def _crew(self, case: Case, failures: tuple[tuple[int, ...], ...]) -> Crew:
         layout = case.layout(self.layout)
@@ -320,6 +337,18 @@ class Problem:
             views.append(np.asarray(f))
             seen.append(np.asarray(v))
         return np.concatenate(views, -1), np.concatenate(seen, -1)
+
+
+def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]":
+    """Built once for each problem, and for as long as it lives: functions compiled for it."""
+
+    @wraps(build)
+    def kept(problem: Problem) -> Any:
+        if build not in problem.compiled:
+            problem.compiled[build] = build(problem)
+        return problem.compiled[build]
+
+    return kept
 
 
 def take(fields: tuple[Field, ...], drawn: Drawn) -> tuple[Field, ...]:

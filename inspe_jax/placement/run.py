@@ -119,10 +119,12 @@ class Run:
     def offer(self, x: Float[np.ndarray, " N"]) -> float:
         """The exact score of feasible coordinates, which are kept if they are the best so far.
 
-        Charges one evaluation. Raises BudgetSpent, and InspeError where ``x`` is not feasible.
+        Charges one evaluation. Raises BudgetSpent unless it is the first, the start's, which is
+        found whatever the budget; and InspeError where ``x`` is not feasible.
         """
         x = np.array(x, float)
-        self._check_left()
+        if self.history:
+            self._check_left()
         score = self.problem.exact(x)
         self.evaluations += 1.0
         if score > self.best:
@@ -166,3 +168,9 @@ def check_budget(seconds: float | None, evaluations: float | None) -> None:
             raise InspeError(f"{name} {value:g}: a budget must be more than 0, and finite")
     if seconds is None and evaluations is None:
         raise InspeError("no budget: give seconds, evaluations or both")
+
+
+def check_seed(seed: int) -> None:
+    """Raise InspeError where a seed is not a whole number from 0."""
+    if not (isinstance(seed, int) and seed >= 0):
+        raise InspeError(f"seed {seed!r}: a whole number, 0 or more")

@@ -1,7 +1,7 @@
 """What an installation error costs: slopes by sensor, and the scores that random errors leave."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import jax
@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from inspe_jax.errors import InspeError
 from inspe_jax.placement.problem import Objective, Problem
+from inspe_jax.placement.run import check_seed
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import poses_about_center
@@ -83,6 +84,7 @@ def tolerance(
 
     Raises InspeError where an option is out of range, or as :func:`inspe_jax.evaluate` does.
     """
+    check_seed(seed)
     given = dict(position=position, angle=float(np.degrees(angle)), samples=samples)
     for name, value in given.items():
         low, high, unit = LIMITS[name]
@@ -119,6 +121,7 @@ def tolerance(
             samples=samples,
             seed=seed,
             softness=softness,
+            objective=asdict(problem.objective),
         ),
     )
 

@@ -1,7 +1,6 @@
 """Scores, scenes, layouts and catalogues as tables for people, and scores as a record for JSON."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -160,13 +159,20 @@ def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
 
 
 def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str, Any]:
-    """A tolerance as a JSON-serialisable record; slopes per 10 cm and per degree."""
+    """A tolerance as a JSON-serialisable record."""
     return {
         "score": found.score,
         "mean": found.mean,
         "low": found.low,
         "left": found.left.tolist(),
-        "slopes": [asdict(row) for row in found.slopes],
+        "slopes": [
+            {
+                "sensor": row.sensor,
+                **{f"{axis}_per_10_cm": getattr(row, axis) for axis in "xyz"},
+                **{f"{turn}_per_deg": getattr(row, turn) for turn in _TURNS},
+            }
+            for row in found.slopes
+        ],
         "settings": _plain(found.settings),
         **_origin(scene, layout),
     }

@@ -89,6 +89,31 @@ def test_places(places):
     assert moves.all() if places != "keep" else not moves.any()
 
 
+def test_places_by_unit():
+    """One stays where it is, one is tied to the poles, one free in the areas, one chooses."""
+    names = [unit.name for unit in space_of().given.units]
+    space = space_of(places={names[0]: "keep", names[1]: "poles", names[2]: "areas"})
+    given = np.array([unit.base[:2] for unit in space.given.units])
+    on_pole = []
+    for x in space.random(np.random.default_rng(12), 40):
+        layout = space.layout(x)
+        assert space.violations(layout) == []
+        feet = np.array([unit.base[:2] for unit in layout.units])
+        np.testing.assert_allclose(feet[0], given[0])
+        assert space.site.free.covers(Point(feet[2]))
+        on_pole.append([np.hypot(*(space.site.poles - foot).T).min() < 1e-6 for foot in feet])
+    assert (np.mean(on_pole, 0)[1], np.mean(on_pole, 0)[2]) == (1.0, 0.0)
+    assert 0 < np.mean(on_pole, 0)[3] < 1
+    moves = (space.scale[: 2 * len(given)] > 0).reshape(-1, 2).all(1)
+    assert moves.tolist() == [False] + [True] * (len(given) - 1)
+    # By shapely, too: the second one in the middle of an area and not on a pole.
+    units = list(space.given.units)
+    middle = space.site.free.representative_point().coords[0]
+    units[1] = replace(units[1], base=(*middle, 0.0))
+    wrong = space.violations(replace(space.given, units=tuple(units)))
+    assert any(f"'{names[1]}'" in line and "stands on no pole" in line for line in wrong), wrong
+
+
 def test_a_unit_over_the_centre_keeps_its_foot_and_its_heights():
     space = space_of(layout="Cam-c/L-c")
     for x in space.random(np.random.default_rng(11), 20):
@@ -195,6 +220,8 @@ def test_each_violation_is_named(message):
 
 MESSAGES = [
     (dict(places="anyware"), "places 'anyware': one of any, areas, poles, keep; did you mean any"),
+    (dict(places={"u": "pole"}), "places 'pole': one of any, areas, poles, keep; did you mean"),
+    (dict(places={"v": "poles"}), "places of 'v': no such unit"),
     (dict(heights=(6.0, 3.0)), "heights 6 to 3 m"),
     (dict(heights=(-1.0, 3.0)), "heights -1 to 3 m"),
     (dict(heights=(0.5, 12.0)), "clearance 5 m: 0 to 4.5 m with heights of 0.5 to 12 m"),

@@ -1,6 +1,8 @@
 """The gradient methods: that they climb, that a seed repeats, that a checkpoint goes on."""
 
+import gc
 import io
+import weakref
 
 import numpy as np
 import pytest
@@ -60,6 +62,33 @@ def test_it_climbs_to_a_layout_that_can_be_mounted(problem, ran, name):
     assert problem.exact_of(found) == pytest.approx(run.best, abs=1e-6)
     scene = problem.cases[0].scene
     assert_mountable(scene, found, lanes_of(scene.intersection))
+
+
+def test_a_burst_of_gradients_gains_what_greedy_placement_left(ran):
+    """Every exact score between the state of one burst and of the next is Adam's."""
+    _, states = ran["greedy-adam"]
+    bursts = [state for state in states if "line" in state]
+    assert len(bursts) > 1
+    assert any(state["gained"] for state in bursts)
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if name != "projected-gradient"])
+def test_what_is_compiled_goes_with_its_problem(name):
+    """Thousands of problems can be searched one after another: nothing outside keeps any.
+
+    But JAX's caches keep what jaxopt compiled for projected gradients, until they are cleared.
+    """
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
+    problem = Problem(scene, strategy(scene, "L-c"))
+    run = Run(problem, problem.space.start(problem.layout)[0], evaluations=2000)
+    run.offer(run.start)
+    state = METHODS[name].begin(run)
+    while not problem.compiled:
+        state = METHODS[name].step(run, state)
+    alive = weakref.ref(problem)
+    del problem, run
+    gc.collect()
+    assert alive() is None
 
 
 @pytest.mark.parametrize("name", METHODS)

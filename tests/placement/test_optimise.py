@@ -453,6 +453,50 @@ def test_a_comparison_that_is_stopped_gives_what_it_has(scene, layout, quick):
     ]
 
 
+def test_a_comparison_that_is_stopped_before_a_first_score_gives_what_it_has(
+    scene, layout, quick, monkeypatch
+):
+    """While a later method's start is found, which nothing has been scored of yet."""
+    quick("climb", climb)
+    quick("short", partial(climb, steps=2))
+    whole, calls = module._start, []
+
+    def interrupted(*arguments):
+        calls.append(1)
+        if len(calls) > 2:  # one for what is compiled, one for the search
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    monkeypatch.setattr(module, "_start", interrupted)
+    results = compare(scene, layout, ["climb", "short"], evaluations=4, seeds=1)
+    assert [r.method for r in results] == ["climb"]
+
+
+def test_what_was_found_is_kept_when_it_is_stopped_at_the_last_scores(
+    scene, layout, quick, monkeypatch
+):
+    quick("climb", climb)
+    whole, calls = module.evaluate, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(module, "evaluate", interrupted)
+    result = optimise(scene, layout, "climb", evaluations=4)
+    assert (result.status, len(result.history)) == ("interrupted", 4)
+    assert result.scores.surrogate == pytest.approx(result.objective, abs=1e-6)
+
+
+def test_a_budget_shorter_than_what_comes_before_it_gives_the_start(scene, layout):
+    result = optimise(scene, layout, "random", seconds=1e-6)
+    assert (result.status, result.objective) == ("budget spent", result.objective_before)
+    assert len(result.history) == 1
+    assert any("larger budget" in note for note in result.notes)
+
+
 def test_methods_are_listed_with_a_line_each():
     assert {"adam", "lbfgsb", "projected-gradient", "grid", "random", "greedy", "cma-es"} <= set(
         methods()

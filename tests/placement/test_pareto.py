@@ -1,6 +1,7 @@
 """Cost against score: which mixes are tried, which are on the front, what is written."""
 
 import csv
+from dataclasses import replace
 
 import pytest
 from mounts import assert_mountable, lanes_of
@@ -91,14 +92,27 @@ def test_a_budget_leaves_out_what_costs_more():
 
 
 def test_several_scenes_are_searched_together(scene):
-    (mix,) = pareto(
-        [Case(scene), scene], {LIDAR: [1]}, method="random", evaluations=2, objective=PRICED
-    )
+    (mix,) = pareto([Case(scene), scene], {LIDAR: [1]}, method="random", evaluations=2)
     assert len(mix.result.settings["scenes"]) == 2
 
 
-def test_ctrl_c_ends_with_the_mixes_so_far(scene, monkeypatch):
-    whole, calls = module.optimise, []
+@pytest.mark.parametrize("stop", [1, 2])
+def test_ctrl_c_ends_with_the_mixes_so_far(scene, stop):
+    """In the middle of a search, which is the last of the mixes."""
+
+    def interrupt(row, share, best):
+        if row == {LIDAR: stop} and share * 2 > stop - 1:
+            raise KeyboardInterrupt
+
+    found = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=4, progress=interrupt)
+    assert [dict(mix.counts) for mix in found] == [{LIDAR: n} for n in range(1, stop + 1)]
+    assert found[-1].result.status == "interrupted"
+    assert found[0].front
+
+
+def test_ctrl_c_before_the_first_score_leaves_nothing_or_what_there_is(scene, monkeypatch):
+    """While a mix is compiled."""
+    whole, calls = module.compare, []
 
     def interrupted(*arguments, **options):
         if calls:
@@ -106,12 +120,31 @@ def test_ctrl_c_ends_with_the_mixes_so_far(scene, monkeypatch):
         calls.append(1)
         return whole(*arguments, **options)
 
-    monkeypatch.setattr(module, "optimise", interrupted)
+    monkeypatch.setattr(module, "compare", interrupted)
     (mix,) = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
     assert mix.counts == {LIDAR: 1}
-    assert mix.front
     with pytest.raises(KeyboardInterrupt):
         pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
+
+
+def test_a_mix_that_costs_its_budget_to_the_cent_is_searched(scene):
+    """Seven times 1999.85 is 13998.95; in binary, added up or multiplied, it is not."""
+    priced = Objective(prices={LIDAR: 1999.85}, budget=13998.95)
+    assert [row for _, row in mixes({LIDAR: [7]}, priced)] == [{LIDAR: 7}]
+    assert priced.price(around(scene, {LIDAR: 7})) == 0.0
+
+
+def test_failures_leave_out_mixes_of_one_sensor():
+    rows = [row for _, row in mixes({LIDAR: range(4)}, Objective(failures=True))]
+    assert rows == [{LIDAR: 2}, {LIDAR: 3}]
+
+
+def test_a_swap_of_a_device_that_a_mix_has_not_changes_nothing(scene):
+    night = Case(scene, swap={CAMERA: "paper-camera-night"})
+    found = pareto(
+        night, {CAMERA: (0, 1), LIDAR: [1]}, method="random", evaluations=2, objective=PRICED
+    )
+    assert len(found) == 2
 
 
 def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
@@ -129,7 +162,10 @@ def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
         ({CAMERA: [1]}, Objective(), f"'{CAMERA}' has no list price"),
         ({CAMERA: []}, PRICED, "how many of it"),
         ({CAMERA: [-1, 2]}, PRICED, "numbers from 0"),
-        ({CAMERA: [0]}, PRICED, "every mix is empty"),
+        ({CAMERA: [0]}, PRICED, "no mix is left: allow at least one sensor"),
+        ({CAMERA: [1]}, replace(PRICED, failures=True), "allow at least two sensors"),
+        ({LIDAR: [1]}, Objective(prices={"hesai-xt": 1.0}), "price of 'hesai-xt', which no mix"),
+        ({CAMERA: range(100_000), LIDAR: range(100_000)}, PRICED, "10,000,000,000 mixes, and at"),
         ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
         ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),
         ({CAMERA: [99]}, PRICED, "99 sensors, and"),

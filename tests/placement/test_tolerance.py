@@ -1,7 +1,10 @@
 """Slopes against differences of the exact score; what random errors leave, by hand and by seed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from shapely import Polygon
 
 import inspe_jax
 from inspe_jax.errors import InspeError
@@ -62,6 +65,13 @@ def test_no_error_leaves_the_score_and_errors_repeat(scene):
     assert np.ptp(one.left) > 1e-4
 
 
+def test_where_nothing_may_be_mounted_what_stands_has_its_tolerance(scene):
+    layout = inspe_jax.strategy(scene, "L-c")
+    bare = replace(scene, intersection=replace(scene.intersection, mounting=Polygon()))
+    options = dict(samples=1, position=0.0, angle=0.0)
+    assert tolerance(bare, layout, **options).score == tolerance(scene, layout, **options).score
+
+
 def test_the_objective_is_the_callers(scene):
     layout = inspe_jax.strategy(scene, "Cam-d1")
     found = tolerance(scene, layout, samples=1, objective=Objective(weights=(1.0, 0.0, 0.0)))
@@ -75,6 +85,7 @@ def test_the_objective_is_the_callers(scene):
         (dict(angle=1.0), "angle 57.2958° is out of range: between 0° and 30°"),
         (dict(samples=0), "samples 0 is out of range: between 1 and 10000"),
         (dict(softness=0.0), "softness 0 m: more than 0"),
+        (dict(seed=-1), "seed -1: a whole number, 0 or more"),
     ],
 )
 def test_options_out_of_range(scene, options, message):

@@ -233,11 +233,12 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
     for i, place in enumerate(places):
         for j, mix in enumerate(mixes):
             ax = axes[i, j]
+            all_runs = [runs for at, runs in found.items() if at[:2] == (place, mix)]
+            end = max(t for runs in all_runs for steps in runs.values() for t, _ in steps)
             for k, name in enumerate(METHODS):
                 runs = found.get((place, mix, name))
                 if not runs:
                     continue
-                end = max(t for steps in runs.values() for t, _ in steps)
                 times = np.linspace(0, end, 200)
                 best = [[best_at(steps, t) for t in times] for steps in runs.values()]
                 style = "-" if name in GRADIENT else "--"

@@ -241,7 +241,7 @@ def test_tolerance_prints_and_writes_the_same(inspe, files):
     assert status == 0
     assert json.loads((files / "t.json").read_text()) == record
     assert f"{record['score']:.4f}" in text
-    assert f"{record['slopes'][0]['yaw']:+.5f}" in text
+    assert f"{record['slopes'][0]['yaw_per_deg']:+.5f}" in text
     (files / "t.json").unlink()
 
 

@@ -8,21 +8,21 @@ from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene
 
-SEEDS = 13
+SEEDS = 3
+"""13 make 208 searches, in eight minutes: for when something changes in how sensors may stand."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["t_junction", "roundabout"])
 def test_what_every_search_finds_can_be_mounted(name):
-    """104 searches a place, from random starts: with the other place, more than 200.
+    """Every method from random starts. Units of a camera and a LiDAR, and of one sensor.
 
-    Units of a camera and a LiDAR, and of one sensor; the rules are read from the map's polygons
-    by shapely, not by the search's own code.
+    The rules are read from the map's polygons by shapely, not by the search's own code.
     """
-    scene = build_scene(built_in(name), radius=40, voxel=1.0, frames=8, density=10)
+    scene = build_scene(built_in(name), radius=30, voxel=1.0, frames=4, density=10)
     layout = strategy(scene, "Cam-d1/L-d1")
     results = compare(scene, layout, evaluations=40, seeds=SEEDS, start="random")
-    assert len(results) == SEEDS * len(METHODS) >= 104
+    assert len(results) == SEEDS * len(METHODS)
     lanes = lanes_of(scene.intersection)
     for result in results:
         assert_mountable(scene, result.start, lanes)

@@ -74,7 +74,7 @@ class Constraints:
         for name in ("heights", "span_heights"):
             low, high = getattr(self, name)
             if not 0 <= low <= high < np.inf:
-                raise InspeError(f"{name} {low:g} to {high:g} m: from 0 or more, up to more")
+                raise InspeError(f"{name} {low:g} to {high:g} m: 0 or more, the lower first")
             # Else a sensor could not be raised over a lane within the unit rule; see _heights.
             most = min(high, low + UNIT_HEIGHT)
             if not 0 <= self.clearance <= most:

@@ -64,5 +64,10 @@ def write_results(path: Path, rows: list[dict[str, Any]], settings: dict[str, An
         writer = csv.DictWriter(f, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+    write_settings(path.with_suffix(".json"), settings)
+
+
+def write_settings(path: Path, settings: dict[str, Any]) -> None:
+    """Write settings, versions and the machine as JSON."""
     record = json.dumps(dict(settings=settings, machine=machine()), indent=2, default=str)
-    write_text(path.with_suffix(".json"), record + "\n")
+    write_text(path, record + "\n")

@@ -13,7 +13,6 @@ one core.
 
 import argparse
 import csv
-import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from common import MAPS, machine
+from common import MAPS, write_settings
 from matplotlib.figure import Figure
 from rich.console import Console
 
@@ -279,8 +278,7 @@ def main() -> None:
                     highlight=False,
                 )
     rows, steps = read(path), read(courses_path)
-    settings = {k: str(v) for k, v in vars(given).items()} | {"machine": str(machine())}
-    write_text(given.out / f"{stem}.json", json.dumps(settings, indent=2) + "\n")
+    write_settings(given.out / f"{stem}.json", vars(given))
     text = summary(rows, steps)
     write_text(given.out / f"{stem}.md", text)
     console.print(text, highlight=False)

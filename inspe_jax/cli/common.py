@@ -1,5 +1,6 @@
 """What every command shares: the app, its consoles, arguments, progress, and how errors end."""
 
+import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -142,14 +143,38 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None
         task = bar.add_task(what, total=1.0, facts="compiling …")
 
         def tell(done: float, best: float, now: str) -> None:
-            first.append((time.monotonic(), done)) if not first else None
-            (began, before), now_is = first[0], time.monotonic()
+            if not first:
+                first.append((time.monotonic(), done))
+            began, before = first[0]
+            spent = time.monotonic() - began
             gone = done - before  # since then: a search that is taken up again begins half way
-            left = f", {(now_is - began) * (1 - done) / gone:.0f} s left" if gone > 0.02 else ""
+            left = f", {spent * (1 - done) / gone:.0f} s left" if gone > 0.02 else ""
             name = f"{what}: {now}" if now else what
             bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
 
         yield tell
+
+
+def check_record(path: str | None) -> None:
+    """Raise InspeError where the file of ``--json`` cannot be written; - is stdout."""
+    from inspe_jax.files import check_output
+
+    if path != "-":
+        check_output(path)
+
+
+def show(table: Any, record: dict[str, Any], path: str | None) -> None:
+    """A table, and its record as JSON in the file of ``--json``; for - the record alone."""
+    from inspe_jax.files import write_text
+
+    text = json.dumps(record, indent=2)
+    if path == "-":
+        typer.echo(text)
+        return
+    out.print(table)
+    if path:
+        write_text(path, text + "\n")
+        out.print(f"wrote {path}", highlight=False)
 
 
 def note(notes: Iterable[str]) -> None:

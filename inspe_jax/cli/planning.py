@@ -3,7 +3,6 @@
 Imports stay inside the commands, as of the gradient libraries and matplotlib.
 """
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -17,12 +16,14 @@ from inspe_jax.cli.common import (
     SceneArgument,
     app,
     busy,
+    check_record,
     err,
     note,
     out,
     progress,
     scene_and_layout,
     search_bar,
+    show,
 )
 from inspe_jax.cli.options import (
     MethodOption,
@@ -147,13 +148,11 @@ def tolerance(
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
     """
-    from inspe_jax.files import check_output, write_text
     from inspe_jax.placement.problem import Objective
     from inspe_jax.placement.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
 
-    if record != "-":
-        check_output(record)
+    check_record(record)
     objective = Objective(weights=weights)
     objective.check()
     with busy(f"reading {source}"):
@@ -169,11 +168,4 @@ def tolerance(
             objective=objective,
             progress=report,
         )
-    text = json.dumps(tolerance_record(found, world, placed), indent=2)
-    if record == "-":
-        typer.echo(text)
-        return
-    out.print(tolerance_table(found, placed))
-    if record:
-        write_text(record, text + "\n")
-        out.print(f"wrote {record}", highlight=False)
+    show(tolerance_table(found, placed), tolerance_record(found, world, placed), record)

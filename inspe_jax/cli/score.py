@@ -3,7 +3,6 @@
 Imports stay inside the commands: the map reader and matplotlib load only where they are used.
 """
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,11 +16,13 @@ from inspe_jax.cli.common import (
     SceneArgument,
     app,
     busy,
+    check_record,
     err,
     known,
     out,
     progress,
     scene_and_layout,
+    show,
 )
 from inspe_jax.errors import InspeError
 
@@ -204,14 +205,13 @@ def score(
     - `inspe score j189.npz layout.yaml --json -`
     """
     from inspe_jax.evaluation import evaluate
-    from inspe_jax.files import check_output, write_text
+    from inspe_jax.files import check_output
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scores_record, scores_table
 
     check_output(plot, FORMATS)
-    if record != "-":
-        check_output(record)
+    check_record(record)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors)
     with busy("scoring"):
@@ -222,14 +222,7 @@ def score(
             occlusion_reference=occlusion_reference,
             visibility=visibility,
         )
-    text = json.dumps(scores_record(scores, world, placed), indent=2)
-    if record == "-":
-        typer.echo(text)
-    else:
-        out.print(scores_table(scores, placed))
-        if record:
-            write_text(record, text + "\n")
-            out.print(f"wrote {record}", highlight=False)
+    show(scores_table(scores, placed), scores_record(scores, world, placed), record)
     if plot:
         save_figure(plan_view(world, placed, scores), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)

@@ -108,12 +108,10 @@ def optimise(
     if checkpoint is not None:
         keeper = Keeper(checkpoint, _search(problem, row, seed, start), run)
     status = _drive(run, row, keeper)
-    budget = dict(seconds=seconds, evaluations=evaluations)
-    settings = dict(budget=budget, start=_called(start))
     try:
-        return _result(run, row, status, settings)
+        return _result(run, row, status, start)
     except KeyboardInterrupt:  # the search is over, and what it found is not thrown away
-        return _result(run, row, "interrupted", settings)
+        return _result(run, row, "interrupted", start)
 
 
 def compare(
@@ -173,8 +171,7 @@ def compare(
                 )
                 run.notes += notes
                 status = _drive(run, row)
-                budget = dict(seconds=seconds, evaluations=evaluations)
-                results.append(_result(run, row, status, dict(budget=budget, start=_called(start))))
+                results.append(_result(run, row, status, start))
                 if status == "interrupted":
                     return results
     except KeyboardInterrupt:
@@ -220,7 +217,7 @@ def _drive(run: Run, row: Method, keeper: Keeper | None = None) -> str:
     return status
 
 
-def _result(run: Run, row: Method, status: str, settings: dict[str, Any]) -> Result:
+def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     seconds, problem, objective = run.seconds, run.problem, run.problem.objective
     found, start = problem.space.layout(run.best_x), problem.space.layout(run.start)
     # Faults of ours, not of the user: never hand on what cannot be mounted, or is no better.
@@ -258,7 +255,11 @@ def _result(run: Run, row: Method, status: str, settings: dict[str, Any]) -> Res
         status=status,
         method=row.name,
         seed=run.seed,
-        settings=settings | _settings(problem),
+        settings={
+            "budget": dict(zip(("seconds", "evaluations"), run.limits, strict=True)),
+            "start": begun if isinstance(begun, str) else begun.name,
+            **_settings(problem),
+        },
         versions=_versions(),
         notes=tuple(notes),
     )
@@ -332,10 +333,6 @@ def _check_start(start: str | Layout) -> None:
             f"start '{start}': {', '.join(known)}, or a layout of the same sensors"
             f"{nearest(start, known)}"
         )
-
-
-def _called(start: str | Layout) -> str:
-    return start if isinstance(start, str) else start.name
 
 
 def _start(problem: Problem, start: str | Layout, seed: int) -> Start:

@@ -12,7 +12,7 @@ from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import write_text
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
-from inspe_jax.placement.problem import Case, Objective, total_price
+from inspe_jax.placement.problem import Case, Objective, cases_of, total_price
 from inspe_jax.placement.result import Result, csv_text, prepare_folder
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join
@@ -112,7 +112,7 @@ def pareto(
     """
     objective = objective or Objective()
     wanted = mixes(counts, objective)
-    cases = [s if isinstance(s, Case) else Case(s) for s in _listed(scene)]
+    cases = cases_of(scene)
     starts = [around(cases[0].scene, row) for _, row in wanted]
     found: list[Mix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
@@ -199,10 +199,6 @@ def mixes(
     if len(within) > MOST:
         raise InspeError(f"{len(within)} mixes, and {_ADVICE}")
     return within
-
-
-def _listed(scene: Scene | Case | Sequence[Scene | Case]) -> Sequence[Scene | Case]:
-    return [scene] if isinstance(scene, Scene | Case) else scene
 
 
 def _with_what_there_is(case: Case, row: Mapping[str, int]) -> Case:

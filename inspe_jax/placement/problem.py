@@ -136,6 +136,14 @@ class Case:
         return replace(layout, sensors=tuple(swapped))
 
 
+def cases_of(scenes: Scene | Case | Sequence[Scene | Case]) -> tuple[Case, ...]:
+    """One or several scenes as cases. Raises InspeError where there is none."""
+    listed = [scenes] if isinstance(scenes, Scene | Case) else list(scenes)
+    if not listed:
+        raise InspeError("no scene to search on: give at least one")
+    return tuple(s if isinstance(s, Case) else Case(s) for s in listed)
+
+
 Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 """Columns and frames of every case."""
 
@@ -173,10 +181,7 @@ class Problem:
 
         Constraints are looked at where something is to move: see :attr:`space`.
         """
-        listed = [scenes] if isinstance(scenes, Scene | Case) else list(scenes)
-        if not listed:
-            raise InspeError("no scene to search on: give at least one")
-        self.cases = tuple(s if isinstance(s, Case) else Case(s) for s in listed)
+        self.cases = cases_of(scenes)
         self.layout = layout
         self.objective = objective or Objective()
         self.objective.check()

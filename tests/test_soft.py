@@ -12,8 +12,8 @@ import inspe_jax
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import Prism, cut_margins
 from inspe_jax.numerics import Softness
+from inspe_jax.sensing.in_view import in_view_margins
 from inspe_jax.sensing.sensors import LidarSpec
-from inspe_jax.sensing.visibility import in_view_margins
 
 
 @pytest.fixture

@@ -16,8 +16,9 @@ from worlds import (
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.devices import devices
+from inspe_jax.sensing.in_view import in_view_margins
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.sensing.visibility import in_view, in_view_margins, line_of_sight
+from inspe_jax.sensing.visibility import in_view, line_of_sight
 
 DEVICES = devices()
 

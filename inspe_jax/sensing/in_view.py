@@ -1,0 +1,218 @@
+"""In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from inspe_jax.geometry import Point, ray_cube_margin, rotation
+from inspe_jax.sensing.sensors import RayGrid
+
+TOUCH = 2e-5
+"""A ray this near to a voxel touches it [m]: the rounding of single precision at 100 m."""
+
+
+DEEP = 0.7
+"""Where rays are dense, voxels are this share of half an edge deep in one at least; no margin
+counts as deeper, since which of the rays is deepest changes with every move and means nothing."""
+
+
+@partial(jax.jit, static_argnames=("grid", "half"))
+def in_view_margins(
+    grid: RayGrid, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
+) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
+    """How deep each voxel lies in each sensor's field of view, and how deep its best ray goes [m].
+
+    Coverage's f(V_i) = 1 if some ray passes through the voxel, the other way
+    round: for each voxel the six rays are found that can pass through it if any
+    does (:func:`_candidates`), and the best margin is kept. A voxel is in view where both margins
+    are positive. The first is that of the field of view, from its edge and its reach; the second
+    that of the rays, as if a voxel outside had been moved to the edge: so read softly the first
+    draws the field over voxels far outside it, and the second, which is no larger than a voxel,
+    tells rows apart. ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face
+    they share passes through both, which :data:`TOUCH` makes sure of in single precision.
+    """
+
+    def margins(pose: Float[Array, "6"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+        ray = jnp.minimum(_best_margin(grid, half, pose, centers), DEEP * half)
+        # A ray in the voxel is in the field of view, whatever the rounding.
+        field = jnp.maximum(_field_margin(grid, half, pose, centers), ray)
+        return field, ray - jnp.minimum(field, 0.0)
+
+    return jax.lax.map(margins, poses)
+
+
+def _to_voxels(pose: Float[Array, "6"], centers: Float[Array, "V 3"]) -> Point:
+    """From the sensor to each voxel, world axes."""
+    r = centers - pose[None, :3]  # (V, 3)
+    return r[:, 0], r[:, 1], r[:, 2]
+
+
+@partial(jax.checkpoint, static_argnums=(0, 1))
+def _field_margin(
+    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+) -> Float[Array, " V"]:
+    return grid.field_margin(_to_body(rotation(pose[3:]), _to_voxels(pose, centers))) + half
+
+
+def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
+    """World axes to the body's."""
+    a, b, c = offset
+    x, y, z = (turn[0, m] * a + turn[1, m] * b + turn[2, m] * c for m in range(3))
+    return x, y, z
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _best_margin(
+    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+) -> Float[Array, " V"]:
+    return _best_ray(grid, half, pose, centers)[0]
+
+
+@_best_margin.defjvp
+def _best_margin_jvp(grid, half, primals, tangents):  # type: ignore[no-untyped-def]
+    """A maximum is an envelope: its derivative is that of the ray that won."""
+    (pose, centers), (d_pose, _) = primals, tangents  # the voxels stand still
+    margin, row, column = _best_ray(grid, half, pose, centers)
+
+    @jax.checkpoint  # kept, the intermediates would be 30 numbers a voxel; the winner is two
+    def won(pose, row, column):  # type: ignore[no-untyped-def]
+        return _ray_margin(grid, half, pose, centers, row, column)
+
+    still = jnp.zeros_like(row)
+    return margin, jax.jvp(won, (pose, row, column), (d_pose, still, still))[1]
+
+
+def _best_ray(
+    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
+    """(margin, row, column) of the ray that passes deepest through each voxel."""
+    candidates = _candidates(grid, rotation(pose[3:]), _to_voxels(pose, centers), half)
+    best = jnp.full(len(centers), -jnp.inf, centers.dtype)
+    best_row, best_column = candidates[0]
+    for row, column in candidates:
+        margin = _ray_margin(grid, half, pose, centers, row, column)
+        won = margin > best
+        best = jnp.where(won, margin, best)
+        best_row = jnp.where(won, row, best_row)
+        best_column = jnp.where(won, column, best_column)
+    return best, best_row, best_column
+
+
+def _ray_margin(
+    grid: RayGrid,
+    half: float,
+    pose: Float[Array, "6"],
+    centers: Float[Array, "V 3"],
+    row: Float[Array, " V"],
+    column: Float[Array, " V"],
+) -> Float[Array, " V"]:
+    turn, d = rotation(pose[3:]), grid.direction(row, column)
+    world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
+    return ray_cube_margin(world, grid.reach, _to_voxels(pose, centers), half + TOUCH)
+
+
+def _candidates(
+    grid: RayGrid, turn: Float[Array, "3 3"], offset: Point, half: float
+) -> list[tuple[Float[Array, " V"], Float[Array, " V"]]]:
+    """(row, column) of the rays that can pass through each voxel, if any does.
+
+    The rays nearest to the voxel's centre are not enough: where rows lie
+    further apart than columns, a row may clip one corner of the cube, many
+    columns away from the centre. So walk from the centre to the point of the cube that
+    lies furthest towards the row; the point p where that chord meets the row is in
+    the cube. A row crosses a cube in one interval, so if it holds any ray, it
+    holds the one just before or just after p. Rows: the nearest one and its two
+    neighbours; if a cube reaches further rows than these, it is large against
+    their spacing and the nearest row crosses its middle. Before that, the aim is
+    moved from the centre into the reach and between the edge columns, where the
+    cube is partly beyond them. At the edge of the grid the nearest ray is the
+    edge ray.
+    """
+    q = _to_body(turn, offset)
+
+    def corner(normal: Point, outward: Float[Array, " V"]) -> Point:
+        """The corner of the cube furthest along ``normal``, or against it where outward < 0."""
+        x, y, z = q
+        for k in range(3):
+            side = sum(turn[k, m] * normal[m] for m in range(3)) * outward
+            side = jnp.where(side < 0, -half, half)
+            x, y, z = x + side * turn[k, 0], y + side * turn[k, 1], z + side * turn[k, 2]
+        return x, y, z
+
+    def extreme(normal: Point, outward: float) -> Point:
+        """The corner, or the middle of an edge, whose row is highest (outward = 1) or lowest.
+
+        The corner furthest along the normal at the aim, and from there along the
+        normal at that corner: near the sensor the two differ, and the best may lie
+        between them.
+        """
+        sign = jnp.full_like(q[0], outward)
+        one = corner(normal, sign)
+        two = corner(grid.row_normal(one), sign)
+        middle = _between(one, two, jnp.full_like(q[0], 0.5))
+        best, value = one, grid.row(one) * outward
+        for point in (two, middle):
+            other = grid.row(point) * outward
+            best = tuple(jnp.where(other > value, a, b) for a, b in zip(point, best, strict=True))  # type: ignore[assignment]
+            value = jnp.maximum(value, other)
+        return best
+
+    aim = _within_reach(grid, q, corner)
+    if not grid.wraps:
+        for edge, outward in zip(grid.column_limits, (1.0, -1.0), strict=True):
+            # Left of the first column's plane is inside, right of the last one's; but a field
+            # of view of more than half a turn reaches behind those planes.
+            outside = (grid.column(aim) - edge) * outward < 0
+            beyond = jnp.where(outside, jnp.minimum(grid.beyond_column(aim, edge) * outward, 0), 0)
+            inner = corner(grid.column_normal(aim), jnp.full_like(beyond, outward))
+            gain = grid.beyond_column(inner, edge) * outward - beyond
+            aim = _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
+
+    here = grid.row(aim)
+    nearest = grid.nearest_row(here)
+    normal = grid.row_normal(aim)
+    above, below = extreme(normal, 1.0), extreme(normal, -1.0)
+    found = []
+    for neighbour in (-1, 0, 1):
+        row = grid.row_at(jnp.clip(nearest + neighbour, 0, len(grid.rows) - 1))
+        up = row > here
+        far = tuple(jnp.where(up, a, b) for a, b in zip(above, below, strict=True))
+        start, end = grid.beyond_row(aim, row), grid.beyond_row(far, row)  # type: ignore[arg-type]
+        crossing = start / jnp.where(jnp.abs(start - end) < 1e-9, 1e-9, start - end)
+        p = _between(aim, far, crossing)  # type: ignore[arg-type]
+        before = grid.column_index(grid.column(p))
+        found += [(row, grid.column_at(before)), (row, grid.column_at(before + 1))]
+    return found
+
+
+def _within_reach(grid: RayGrid, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]
+    """The centre; or, beyond the reach, the middle of what is within it towards the near corner."""
+    near = corner(q, -jnp.ones_like(q[0]))
+    far_range, near_range = (
+        jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12)) for x, y, z in (q, near)
+    )
+    beyond = jnp.maximum(far_range - grid.reach, 0.0)
+    meets = beyond / jnp.maximum(far_range - near_range, 1e-9)
+    return _between(q, near, jnp.where(beyond > 0, (1 + meets) / 2, 0.0))
+
+
+def _between(a: Point, b: Point, t: Float[Array, " V"]) -> Point:
+    """a + t·(b − a), t held between 0 and 1."""
+    t = jnp.clip(t, 0.0, 1.0)
+    return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
+
+
+def view_margins(
+    poses: Float[Array, "S 6"],
+    centers: Float[Array, "V 3"],
+    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...],
+    half: float,
+) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
+    """:func:`in_view_margins` of all sensors; ``groups`` says which share a grid of rays."""
+    margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
+    order = np.argsort(np.concatenate([index for _, index in groups]))
+    field, ray = (jnp.concatenate(part)[order] for part in zip(*margins, strict=True))
+    return field, ray

@@ -16,16 +16,12 @@ from inspe_jax.numerics import EXACT, Softness, Width, leave_one_out, step
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
+from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.in_view import view_margins
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import sight
-from inspe_jax.sensing.visibility import (
-    Ground,
-    about_center,
-    check_layout,
-    poses_about_center,
-)
+from inspe_jax.sensing.visibility import check_layout
 
 VISIBILITIES = ("in_view", "line_of_sight")
 """What information gain calls visible: f as in the paper, or f × the share of frames in sight."""

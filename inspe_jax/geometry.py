@@ -248,9 +248,14 @@ def _slab(
 def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:
     """Top [m] of the highest prism that stands on each column; :data:`NEVER` where none does."""
     prism = jax.tree.map(lambda leaf: leaf[:, None], prism)  # (B, 1, …)
-    dx, dy = columns[None, :, 0] - prism.center[..., 0], columns[None, :, 1] - prism.center[..., 1]
+    tops = top_over(prism, columns[None, :, 0], columns[None, :, 1])
+    return jnp.max(tops, axis=0, initial=NEVER)
+
+
+def top_over(prism: Prism, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Top [m] of a prism where it stands on a point in plan, else :data:`NEVER`."""
+    dx, dy = x - prism.center[..., 0], y - prism.center[..., 1]
     cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
-    x, y = jnp.abs(cos * dx + sin * dy), jnp.abs(cos * dy - sin * dx)  # (B, L)
+    x, y = jnp.abs(cos * dx + sin * dy), jnp.abs(cos * dy - sin * dx)
     margin = jnp.minimum(prism.half[..., 0] - x, prism.half[..., 1] - y)
-    stands = prism.valid & (margin > 0)
-    return jnp.max(jnp.where(stands, prism.top, NEVER), axis=0, initial=NEVER)
+    return jnp.where(prism.valid & (margin > 0), prism.top, NEVER)

@@ -29,15 +29,11 @@ from inspe_jax.numerics import Softness, step
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.in_view import view_margins
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.shadows import sight
-from inspe_jax.sensing.visibility import (
-    Ground,
-    about_center,
-    check_layout,
-    poses_about_center,
-)
+from inspe_jax.sensing.visibility import check_layout
 
 COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
 """How the scores of several scenes become one."""

@@ -13,8 +13,8 @@ from inspe_jax.errors import InspeError
 from inspe_jax.placement.problem import Objective, Problem
 from inspe_jax.placement.run import check_seed
 from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.visibility import poses_about_center
 
 SOFTNESS = 0.2
 """Softness of the slopes [m]: they are those of the score averaged over about so much."""

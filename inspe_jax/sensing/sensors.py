@@ -7,17 +7,20 @@ where a point lies among the rows and columns, and which way ray (i, j) points.
 All in the body frame: x forward, y left, z up.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.geometry import Point
+from inspe_jax.numerics import arctan2
 
 _LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
+_ANGLE = 1e-6  # what an angle in single precision may be off by [rad]
 
 
 class Pose(NamedTuple):
@@ -152,6 +155,36 @@ class RayGrid:
         """A direction in which the column coordinate of points grows."""
         raise NotImplementedError
 
+    # For most voxels the ray nearest to the centre tells already whether any passes through.
+
+    def to_ray(self, q: Point) -> tuple[Point, Any]:
+        """From points to a point on a ray near each, and how far off that may be [m]."""
+        raise NotImplementedError
+
+    def between(self, q: Point, half: float, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
+        """Whether cubes about points surely lie between two rows or two columns that follow each
+        other, or beyond an end row, clear of both; false is no answer.
+
+        ``half`` is half a cube's edge [m], ``extent`` how far it reaches along a direction, times
+        the direction's length.
+        """
+        raise NotImplementedError
+
+    def _neighbour(self, row: Float[Array, "*n"]) -> tuple[Any, Any, Any]:
+        """(the nearest row, the next one on the other side, whether there is one)."""
+        index = self.nearest_row(row)
+        nearest = self.row_at(index)
+        index = index + jnp.where(row > nearest, 1, -1)
+        exists = (index >= 0) & (index < len(self.rows))
+        return nearest, self.row_at(jnp.clip(index, 0, len(self.rows) - 1)), exists
+
+    def _nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Coordinate of the nearest column, not wrapped round."""
+        index = jnp.round((column - self.first_column) / self.column_step)
+        if not self.wraps:
+            index = jnp.clip(index, 0, self.column_count - 1)
+        return self.first_column + index * self.column_step
+
 
 @dataclass(frozen=True)
 class SphericalGrid(RayGrid):
@@ -164,12 +197,11 @@ class SphericalGrid(RayGrid):
 
     def row(self, q: Point) -> Float[Array, "*n"]:
         """Elevation."""
-        return jnp.arctan2(q[2], _plan(q))
+        return arctan2(q[2], _plan(q))
 
     def column(self, q: Point) -> Float[Array, "*n"]:
         """Azimuth."""
-        x = jnp.where(jnp.abs(q[0]) + jnp.abs(q[1]) < _LEAST, _LEAST, q[0])
-        return jnp.arctan2(q[1], x)
+        return arctan2(q[1], q[0])
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """Distance above the cone of elevation ``row``."""
@@ -187,6 +219,37 @@ class SphericalGrid(RayGrid):
     def column_normal(self, q: Point) -> Point:
         """Leftward along the parallel."""
         return -q[1], q[0], jnp.zeros_like(q[0])
+
+    def to_ray(self, q: Point) -> tuple[Point, Any]:
+        """Along the meridian to the nearest row and along the parallel to the nearest column.
+
+        Both as if straight: off by no more than the square of the angle, halved, times the range.
+        """
+        elevation, azimuth = self.row(q), self.column(q)
+        up = self.row_at(self.nearest_row(elevation)) - elevation
+        left = self._nearest_column(azimuth) - azimuth
+        plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
+        inward = up * q[2] / plan
+        bend = (jnp.abs(up) + jnp.abs(left)) ** 2 / 2
+        to = -inward * q[0] - left * q[1], -inward * q[1] + left * q[0], up * plan
+        return to, distance * (bend + _ANGLE)
+
+    def between(self, q: Point, half: float, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
+        """Between two cones. A cube's extent across a cone is that across its tangent plane, and
+        what the cone bends away from it."""
+        plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
+        elevation, span = self.row(q), np.sqrt(3.0) * half
+        across = extent((-q[2] * q[0] / plan, -q[2] * q[1] / plan, plan)) / distance
+        bend = span * span / (2.0 * jnp.maximum(plan - span, 1e-3))
+
+        def clear(row: Any) -> Bool[Array, "*n"]:
+            away = jnp.abs(elevation - row)
+            turned = across + away * span + bend * (jnp.abs(q[2]) / distance + away)
+            return distance * (away - away**3 / 6 - _ANGLE) > turned
+
+        nearest, other, exists = self._neighbour(elevation)
+        opposite = (elevation - nearest) * (elevation - other) < 0
+        return clear(nearest) & (~exists | (clear(other) & opposite))
 
 
 @dataclass(frozen=True)
@@ -223,6 +286,34 @@ class PinholeGrid(RayGrid):
     def column_normal(self, q: Point) -> Point:
         """Gradient of y/x, times x²."""
         return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
+
+    def to_ray(self, q: Point) -> tuple[Point, Any]:
+        """Within the plane that is as far ahead as the point."""
+        row = self.row_at(self.nearest_row(self.row(q)))
+        column = self._nearest_column(self.column(q))
+        return (jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]), 0.0
+
+    def between(self, q: Point, half: float, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
+        """Between two planes."""
+        x, y, z = q
+        zero, one = jnp.zeros_like(x), jnp.ones_like(x)
+
+        def clear(gap: Callable[[Any], Any], nearest: Any, other: Any, exists: Any) -> Any:
+            near, far = gap(nearest), gap(other)  # in extents of the cube
+            return (jnp.abs(near) > 1) & (~exists | ((jnp.abs(far) > 1) & (near * far < 0)))
+
+        def above(row: Any) -> Any:
+            return (z - row * x) / extent((-row * one, zero, one))
+
+        def left_of(column: Any) -> Any:
+            return (y - column * x) / extent((-column * one, one, zero))
+
+        column, (first, last) = self._nearest_column(self.column(q)), self.column_limits
+        other = column + jnp.where(self.column(q) > column, 1.0, -1.0) * self.column_step
+        exists = (other > first - self.column_step / 2) & (other < last + self.column_step / 2)
+        either = clear(above, *self._neighbour(self.row(q)))
+        either |= clear(left_of, column, other, exists)
+        return either & (x > 2 * half)
 
 
 def _plan(q: Point) -> Float[Array, "*n"]:

@@ -1,0 +1,147 @@
+"""The voxels in tiles: neighbouring columns together, the levels of a column in one word.
+
+What the exact path goes through. A tile is small enough to be told apart from most
+shadows and fields of view as a whole, and large enough to be worked on at once.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt
+
+from inspe_jax import masks
+from inspe_jax.geometry import NEVER, Prism, top_over
+from inspe_jax.sensing.ground import Ground
+
+SIDE = 16
+"""Edge of a tile, in voxels."""
+CLOSE = 1e-2
+"""What tells whole tiles apart is wider by this [m], more than single precision is off by."""
+
+
+class Tile(NamedTuple):
+    """Columns of voxels that stand together; :class:`Tiles` has a leading axis N of them.
+
+    ``columns`` (2, C) are x and y; ``heights`` (Z, C) of the voxels' centres; ``there`` (C,) are
+    masks of the voxels that there are, the others being padding. The column centres are within
+    ``radius`` of ``center`` (2,), and their voxels' between ``low`` and ``high`` [m].
+    """
+
+    columns: Float[Array, "*N 2 C"]
+    heights: Float[Array, "*N Z C"]
+    there: UInt[Array, "*N C"]
+    center: Float[Array, "*N 2"]
+    radius: Float[Array, "*N"]
+    low: Float[Array, "*N"]
+    high: Float[Array, "*N"]
+
+
+class Tiles(NamedTuple):
+    """All voxels in N tiles of up to C columns and :data:`~inspe_jax.masks.WORD` levels.
+
+    Where there are more levels than bits in a word, the columns are cut into slabs of levels, and
+    the tiles of the lowest come first. ``place`` (L,) is where each column is among the columns of
+    a slab's tiles.
+    """
+
+    tile: Tile
+    place: Int[np.ndarray, " L"]
+    level_count: int
+
+    @property
+    def count(self) -> int:
+        """Number of tiles N."""
+        return len(self.tile.radius)
+
+    def by_column(self, values: Float[np.ndarray, "N C"]) -> Float[np.ndarray, "slabs L"]:
+        """What was found for each tile's columns, for the columns as the scene has them."""
+        slabs = -(-self.level_count // masks.WORD)
+        return np.asarray(values).reshape(slabs, -1)[:, self.place]
+
+    def by_voxel(self, words: UInt[np.ndarray, "N C"]) -> Bool[np.ndarray, " V"]:
+        """Masks of the tiles' columns, for the voxels as the scene has them."""
+        height = self.tile.heights.shape[-2]
+        flags = masks.bits(self.by_column(words)[..., None], height)  # (slabs, L, Z of a slab)
+        flags = flags.swapaxes(0, 1).reshape(len(self.place), -1)
+        return flags[:, : self.level_count].reshape(-1)
+
+
+def tiles_of(ground: Ground, voxel: float) -> Tiles:
+    """Columns sorted into squares of :data:`SIDE` voxels; ``voxel`` is a voxel's edge [m]."""
+    columns, heights = np.asarray(ground.columns), np.asarray(ground.heights)
+    square = np.floor(columns / (voxel * SIDE)).astype(int)
+    _, square = np.unique(square, axis=0, return_inverse=True)
+    square = square.reshape(-1)
+    order = np.argsort(square, kind="stable")
+    sizes = np.bincount(square)
+    # Rank of each column in its square; a square of more than a tile's columns makes several.
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    size = min(SIDE * SIDE, int(sizes.max()))
+    starts = rank % size == 0
+    place = np.empty(len(order), int)
+    place[order] = (np.cumsum(starts) - 1) * size + rank % size
+    number = int(starts.sum())
+    index = np.full(number * size, -1)
+    index[place] = np.arange(len(order))
+    index = index.reshape(number, size)
+    real = index >= 0
+    index = np.where(real, index, index[:, :1])  # padding repeats the first column
+
+    levels = heights.shape[1]
+    slabs = -(-levels // masks.WORD)
+    each = -(-levels // slabs)
+    slab = np.minimum(np.arange(slabs * each), levels - 1).reshape(slabs, each)
+    exists = np.arange(slabs * each).reshape(slabs, each) < levels
+    xy = columns[index].swapaxes(1, 2)  # (N, 2, C)
+    z = heights[index][:, :, slab].transpose(2, 0, 3, 1)  # (slabs, N, Z, C)
+    there = masks.pack(exists[:, None, None] & real[None, :, :, None])[..., 0]  # (slabs, N, C)
+    middle = (xy.min(2) + xy.max(2)) / 2
+    away = np.hypot(*(xy - middle[:, :, None]).swapaxes(0, 1)).max(1)
+
+    def stacked(x: np.ndarray) -> Array:
+        return jnp.asarray(x.reshape(slabs * number, *x.shape[2:]))
+
+    def repeated(x: np.ndarray) -> Array:
+        return stacked(np.broadcast_to(x, (slabs, *x.shape)))
+
+    tile = Tile(
+        columns=repeated(xy),
+        heights=stacked(z),
+        there=stacked(there),
+        center=repeated(middle),
+        radius=repeated(away),
+        low=stacked(z.min((2, 3))),
+        high=stacked(z.max((2, 3))),
+    )
+    return Tiles(tile, place, levels)
+
+
+@jax.jit
+def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
+    """Masks of the voxels of N tiles that are inside a vehicle, in each of T frames."""
+    frames = jnp.arange(len(prisms.top))
+    span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1])  # (T, B)
+
+    def one(tile: Tile) -> Array:
+        away = prisms.center - tile.center
+        near = jnp.hypot(away[..., 0], away[..., 1]) < span + tile.radius + CLOSE
+        near &= prisms.valid & (prisms.top > tile.low)
+
+        def higher(top: Array, index: Array, some: Array) -> Array:
+            prism = jax.tree.map(lambda leaf: leaf[frames, index][:, None], prisms)
+            prism = prism._replace(valid=prism.valid & some[:, None])
+            return jnp.maximum(top, top_over(prism, *tile.columns))
+
+        start = jnp.full((len(frames), tile.columns.shape[1]), NEVER, tile.columns.dtype)
+        top = masks.fold_marked(masks.marks(near.T), higher, start)
+        return levels(tile.heights[:, None] < top, tile.there.dtype) & tile.there
+
+    return jax.lax.map(one, tile)
+
+
+def levels(flags: Bool[Array, "Z ..."], kind: jnp.dtype) -> UInt[Array, "..."]:
+    """A flag for each level as masks of levels."""
+    each = (jnp.where(flags[z], kind.type(1 << z), kind.type(0)) for z in range(len(flags)))
+    return sum(each, jnp.zeros(flags.shape[1:], kind))

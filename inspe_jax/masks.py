@@ -43,13 +43,33 @@ def count(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     return jax.lax.population_count(masks).astype(jnp.int32)
 
 
+def without_one(
+    masks: UInt[Array, "S ..."], groups: tuple[tuple[int, ...], ...]
+) -> UInt[Array, "1+G ..."]:
+    """The union of all rows, and of all but those of each group; each row is in one group."""
+    unions = [jax.lax.reduce_or(masks[jnp.array(group)], (0,)) for group in groups]
+    if not unions:
+        return jax.lax.reduce_or(masks, (0,))[None]
+    once = twice = jnp.zeros_like(masks[0])
+    for union in unions:
+        once, twice = once | union, twice | (once & union)
+    return jnp.stack([once, *(once & ~(union & ~twice) for union in unions)])
+
+
+def tally(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
+    """In how many of F masks each of the first ``n`` bits is set."""
+    one = masks.dtype.type(1)
+    each = [(masks >> masks.dtype.type(z)) & one for z in range(n)]
+    return jnp.stack([bit.astype(jnp.int32).sum(0) for bit in each], -1)
+
+
 def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:
     """Flags as the bits of words along the first axis, W = ⌈B/32⌉."""
     number, rest = len(flags), flags.shape[1:]
     words = -(-number // WORD)
     flags = jnp.pad(flags, [(0, words * WORD - number)] + [(0, 0)] * len(rest))
     bit = jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32)
-    bit = bit.reshape(-1, *(1 for _ in rest))
+    bit = bit.reshape(1, -1, *(1 for _ in rest))
     flags = flags.reshape(words, WORD, *rest)
     return jnp.where(flags, bit, jnp.uint32(0)).sum(1, dtype=jnp.uint32)
 
@@ -80,6 +100,9 @@ def fold_marked(
 
     Takes as many rounds as the fullest row has marks; ``some`` tells the rows that still had one.
     """
+
+    if not len(marked):  # nothing to mark at all
+        return start
 
     def step(state: tuple[Any, Array]) -> tuple[Any, Array]:
         total, marked = state

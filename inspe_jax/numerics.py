@@ -62,6 +62,11 @@ class Softness(NamedTuple):
         (width,) = widths
         return EXACT if width is None else cls(width, RAY_SHARE * jnp.minimum(width, voxel), width)
 
+    @property
+    def exact(self) -> bool:
+        """Whether every margin is read exactly."""
+        return all(width is None for width in self)
+
 
 EXACT = Softness()
 """Every margin read exactly."""

@@ -17,14 +17,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import (
-    Crew,
-    Field,
-    check_entropy,
-    check_options,
-    measure,
-)
+from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.geometry import Prism, solid_top
+from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.numerics import Softness, step
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
@@ -215,7 +210,7 @@ class Problem:
             ground = about_center(case.scene)
             occupancy = _occupancy(ground)
             if self.objective.weights[2] > 0:
-                check_entropy(case.scene, occupancy)
+                check_entropy(case.scene, metrics.entropy(occupancy).sum())
             weight = jnp.asarray(case.scene.voxels.weight, float)
             found.append(Field(ground, weight, occupancy))
         return tuple(found)

@@ -39,9 +39,9 @@ _NOT_A_SCENE = (
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """What the sensors look at. Frozen; arrays in world metres and radians.
+    """What the sensors look at. Frozen; arrays in world metres and radians; equal only to itself.
 
     ``settings`` say how it was made (radius, voxel, density, frames, seed).
     """

@@ -293,7 +293,7 @@ def _sure(
 
     def extent(direction: Point) -> Float[Array, "*n"]:
         turned = (sum(turn[k, m] * direction[m] for m in range(3)) for k in range(3))
-        return (half + SLACK) * sum(jnp.abs(part) for part in turned)
+        return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
 
     miss = (grid.field_margin(q) < -corner) | grid.between(q, half + SLACK, extent)
     return hit, miss

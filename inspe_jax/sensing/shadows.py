@@ -197,10 +197,10 @@ def clear_masks(
 
     def lift(ceiling: Array, prism: Array, some: Array) -> Array:
         of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], casts.shade)  # (T, 1)
-        new = shadow_ceiling(of, dx, dy, sensor[2], spare_own=spare_own)
+        new = shadow_ceiling(of, dx[None], dy[None], sensor[2], spare_own=spare_own)
         return jnp.maximum(ceiling, jnp.where(some[:, None], new, NEVER))
 
     start = jnp.full((len(frames), len(dx)), NEVER, dx.dtype)
     marked = masks.marks(may_shade(sensor, casts, tile))
     ceiling = masks.fold_marked(marked, lift, start)
-    return levels(tile.heights[:, None] > ceiling, tile.there.dtype)
+    return levels(tile.heights[:, None] > ceiling[None], tile.there.dtype)

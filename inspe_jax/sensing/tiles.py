@@ -17,6 +17,8 @@ from inspe_jax.sensing.ground import Ground
 
 SIDE = 16
 """Edge of a tile, in voxels."""
+SHARES = 8
+"""The number of tiles is a multiple of this, so that they can be shared out evenly."""
 CLOSE = 1e-2
 """What tells whole tiles apart is wider by this [m], more than single precision is off by."""
 
@@ -51,14 +53,13 @@ class Tiles(NamedTuple):
     level_count: int
 
     @property
-    def count(self) -> int:
-        """Number of tiles N."""
-        return len(self.tile.radius)
+    def slabs(self) -> int:
+        """Slabs of levels that the columns are cut into."""
+        return -(-self.level_count // masks.WORD)
 
-    def by_column(self, values: Float[np.ndarray, "N C"]) -> Float[np.ndarray, "slabs L"]:
-        """What was found for each tile's columns, for the columns as the scene has them."""
-        slabs = -(-self.level_count // masks.WORD)
-        return np.asarray(values).reshape(slabs, -1)[:, self.place]
+    def by_column(self, values: np.ndarray) -> np.ndarray:
+        """What was found (N, C) for the tiles' columns, for the scene's (slabs, L)."""
+        return np.asarray(values).reshape(self.slabs, -1)[:, self.place]
 
     def by_voxel(self, words: UInt[np.ndarray, "N C"]) -> Bool[np.ndarray, " V"]:
         """Masks of the tiles' columns, for the voxels as the scene has them."""
@@ -82,12 +83,11 @@ def tiles_of(ground: Ground, voxel: float) -> Tiles:
     starts = rank % size == 0
     place = np.empty(len(order), int)
     place[order] = (np.cumsum(starts) - 1) * size + rank % size
-    number = int(starts.sum())
-    index = np.full(number * size, -1)
-    index[place] = np.arange(len(order))
-    index = index.reshape(number, size)
+    number = -(-int(starts.sum()) // SHARES) * SHARES
+    index = np.full((number, size), -1)
+    index.flat[place] = np.arange(len(order))
     real = index >= 0
-    index = np.where(real, index, index[:, :1])  # padding repeats the first column
+    index = np.where(real, index, np.maximum(index[:, :1], 0))  # padding repeats a column
 
     levels = heights.shape[1]
     slabs = -(-levels // masks.WORD)
@@ -125,18 +125,18 @@ def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
     span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1])  # (T, B)
 
     def one(tile: Tile) -> Array:
-        away = prisms.center - tile.center
-        near = jnp.hypot(away[..., 0], away[..., 1]) < span + tile.radius + CLOSE
+        x, y = prisms.center[..., 0] - tile.center[0], prisms.center[..., 1] - tile.center[1]
+        near = jnp.hypot(x, y) < span + tile.radius + CLOSE
         near &= prisms.valid & (prisms.top > tile.low)
 
         def higher(top: Array, index: Array, some: Array) -> Array:
             prism = jax.tree.map(lambda leaf: leaf[frames, index][:, None], prisms)
             prism = prism._replace(valid=prism.valid & some[:, None])
-            return jnp.maximum(top, top_over(prism, *tile.columns))
+            return jnp.maximum(top, top_over(prism, *tile.columns[:, None]))
 
         start = jnp.full((len(frames), tile.columns.shape[1]), NEVER, tile.columns.dtype)
         top = masks.fold_marked(masks.marks(near.T), higher, start)
-        return levels(tile.heights[:, None] < top, tile.there.dtype) & tile.there
+        return levels(tile.heights[:, None] < top[None], tile.there.dtype) & tile.there[None]
 
     return jax.lax.map(one, tile)
 

@@ -1,0 +1,54 @@
+"""Work shared out among this machine's cores.
+
+XLA runs the body of a loop on one core, and what one thread sends to a CPU in turn. Threads
+that each send a part of their own are run side by side.
+"""
+
+import os
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
+
+import jax
+
+Job = tuple[Hashable, Callable[[], Any]]
+"""A job, and what tells the code it needs compiled: jobs of one key need the same."""
+
+_compiled: set[Hashable] = set()
+
+
+@cache
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS or Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(cores(), "inspe_jax")
+
+
+def run(jobs: Sequence[Job]) -> list[Any]:
+    """The jobs' results, finished, worked out on all cores.
+
+    Of jobs whose code is not compiled yet one goes first, so that it is compiled once.
+    """
+
+    def finished(number: int) -> Any:
+        return jax.block_until_ready(jobs[number][1]())
+
+    def side_by_side(numbers: Sequence[int]) -> list[Any]:
+        # Threads do not inherit JAX's settings of this one: in double precision it stays here.
+        if cores() == 1 or len(numbers) < 2 or jax.config.read("jax_enable_x64"):
+            return [finished(n) for n in numbers]
+        return list(_pool().map(finished, numbers))
+
+    first = {key: n for n, (key, _) in reversed(list(enumerate(jobs))) if key not in _compiled}
+    done = dict(zip(first.values(), side_by_side(list(first.values())), strict=True))
+    rest = [n for n in range(len(jobs)) if n not in done]
+    done |= zip(rest, side_by_side(rest), strict=True)
+    _compiled.update(first)
+    return [done[n] for n in range(len(jobs))]

@@ -1,0 +1,332 @@
+"""The three metrics read exactly: voxels counted in bit masks.
+
+The same measures as :func:`inspe_jax.measures.measure` with softness 0, from the same
+geometry. A voxel is a bit, so a union of sensors is OR, and a count is exact in any order:
+tiles are shared out among the cores, and the scores are the same to the last bit.
+"""
+
+from functools import partial
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt
+
+from inspe_jax import masks, metrics
+from inspe_jax.cores import Job, cores, run
+from inspe_jax.geometry import Prism
+from inspe_jax.measures import Crew, Measures
+from inspe_jax.numerics import leave_one_out
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.ground import about_center
+from inspe_jax.sensing.in_view import in_view_masks
+from inspe_jax.sensing.shadows import casts, clear_masks
+from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, solid, tiles_of
+
+FRAMES = 128
+"""Frames that are gone through together: what a tile needs of them stays in a core's cache."""
+
+Groups = tuple[tuple[int, ...], ...]
+
+
+class Share(NamedTuple):
+    """Some of the tiles and some of the frames: what one core goes through.
+
+    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle; ``tiles`` are
+    the numbers of the tiles, ``frames`` those of the frames, past the last where they are padding.
+    """
+
+    tile: Tile
+    prisms: Prism
+    solid: UInt[Array, "n F C"]
+    tiles: slice
+    frames: slice
+
+
+class World(NamedTuple):
+    """What exact scores need of a scene, the same for every layout.
+
+    ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
+    of the voxels that are neither free nor occupied in all frames, and so have entropy;
+    ``uncertain`` says which they are: column among the tiles' columns and level in their slab.
+    """
+
+    tiles: Tiles
+    shares: tuple[Share, ...]
+    frame_count: int
+    weight: Float[Array, " MC"]
+    occupancy: Float[Array, " U"]
+    uncertain: tuple[Int[Array, " U"], Int[Array, " U"]]
+
+
+_worlds: "WeakKeyDictionary[Scene, World]" = WeakKeyDictionary()
+
+
+def world_of(scene: Scene) -> World:
+    """A scene's :class:`World`, made when it is first asked for and kept as long as the scene."""
+    if scene not in _worlds:
+        _worlds[scene] = _make_world(scene)
+    return _worlds[scene]
+
+
+def _make_world(scene: Scene) -> World:
+    ground = about_center(scene)
+    tiles = tiles_of(ground, scene.voxels.size)
+    total = len(ground.prisms.top)
+    size = -(-total // -(-total // FRAMES))  # frames of a share, as even as they come
+    step = min(cores(), SHARES)
+    shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
+    for begin in range(0, total, size):
+        frames = slice(begin, begin + size)
+        prisms = jax.tree.map(lambda leaf: _padded(leaf[frames], size), ground.prisms)  # noqa: B023
+        inside = solid(tiles.tile, prisms)
+        counts += np.asarray(_by_level(inside, counts.shape[-1]))
+        for first in range(step):
+            some = slice(first, None, step)
+            tile = jax.tree.map(lambda leaf: leaf[some], tiles.tile)  # noqa: B023
+            shares.append(Share(tile, prisms, inside[some], some, frames))
+
+    counts = counts.reshape(-1, counts.shape[-1])
+    column, level = np.nonzero((counts > 0) & (counts < total))
+    weight = np.zeros(tiles.tile.there.size // tiles.slabs)
+    weight[tiles.place] = scene.voxels.column_weight
+    return World(
+        tiles,
+        tuple(shares),
+        total,
+        jnp.asarray(weight, float),
+        jnp.asarray(counts[column, level] / total, float),
+        (jnp.asarray(column), jnp.asarray(level)),
+    )
+
+
+def _padded(leaf: Array, size: int) -> Array:
+    return jnp.pad(leaf, [(0, size - len(leaf))] + [(0, 0)] * (leaf.ndim - 1))
+
+
+@partial(jax.jit, static_argnames="levels")
+def _by_level(words: UInt[Array, "N F C"], levels: int) -> Int[Array, "N C Z"]:
+    """In how many frames each level's bit is set."""
+    return jax.lax.map(lambda tile: masks.tally(tile, levels), words)
+
+
+def measure_exactly(
+    world: World,
+    poses: Float[Array, "S 6"],
+    crew: Crew,
+    voxel: float,
+    *,
+    occlusion_reference: str = "roi",
+    visibility: str = "in_view",
+) -> Measures:
+    """The three metrics of poses about the scene's centre, in the paper's order.
+
+    As :func:`~inspe_jax.measures.measure`. Works on all cores, and is not to be traced.
+    """
+    views = _views(world, poses, crew, voxel / 2)
+    watched = _watch_all(
+        world,
+        views,
+        poses[:, :3],
+        crew.failures,
+        occlusion_reference,
+        visibility == "line_of_sight",
+    )
+    tiles = world.tiles
+    return _measures(
+        views,
+        watched,
+        jnp.asarray(tiles.place),
+        world.weight,
+        world.occupancy,
+        world.uncertain,
+        crew=crew,
+        slabs=tiles.slabs,
+        levels=tiles.level_count,
+        frames=world.frame_count,
+    )
+
+
+def _views(
+    world: World, poses: Float[Array, "S 6"], crew: Crew, half: float
+) -> UInt[Array, "S N C"]:
+    """Masks of what each sensor has in view."""
+    tile = world.tiles.tile
+    grids = {s: grid for grid, sensors in crew.groups for s in sensors}
+    jobs: list[Job] = []
+    for s, pose in enumerate(poses):
+        work = partial(in_view_masks, grids[s], pose, tile, half)
+        jobs.append(((in_view_masks, grids[s], half, tile.heights.shape), work))
+    return jnp.stack(run(jobs))
+
+
+class Watched(NamedTuple):
+    """Voxels counted over the frames.
+
+    |V_orig| − |V_occ| in row 0 of ``seen``, less what is lost without group g in row 1 + g, and
+    |V_orig| likewise in ``original``; in how many frames each voxel of a column is seen, summed
+    over the column (``columns``), and in how many each sensor sees it (``sights``, or None).
+    """
+
+    seen: Int[Array, "1+G T"]
+    original: Int[Array, "1+G T"]
+    columns: Int[Array, "N C"]
+    sights: Int[Array, "S N C Z"] | None
+
+
+def _watch_all(
+    world: World,
+    views: UInt[Array, "S N C"],
+    sensors: Float[Array, "S 3"],
+    failures: Groups,
+    reference: str,
+    sighted: bool,
+) -> Watched:
+    """Go through the frames, tile by tile."""
+    jobs: list[Job] = []
+    for share in world.shares:
+        options = dict(failures=failures, reference=reference, sighted=sighted)
+        few = views[:, share.tiles]
+        work = partial(_watch, share.tile, few, share.solid, share.prisms, sensors, **options)
+        jobs.append(((_watch, *options.values(), few.shape, share.prisms.top.shape), work))
+    found: list[Watched] = run(jobs)
+
+    rows = 1 + len(failures)
+    seen = np.zeros((2, rows, world.shares[-1].frames.stop), np.int64)
+    columns = np.zeros(views.shape[1:], np.int64)
+    sights = (
+        np.zeros((*views.shape, world.tiles.tile.heights.shape[1]), np.int32) if sighted else None
+    )
+    for share, part in zip(world.shares, found, strict=True):
+        seen[:, :, share.frames] += np.stack([part.seen, part.original])
+        columns[share.tiles] += part.columns
+        if sights is not None and part.sights is not None:
+            sights[:, share.tiles] += part.sights
+    seen = seen[..., : world.frame_count]
+    return Watched(*jax.tree.map(jnp.asarray, (seen[0], seen[1], columns, sights)))
+
+
+@partial(jax.jit, static_argnames=("failures", "reference", "sighted"))
+def _watch(
+    tile: Tile,
+    views: UInt[Array, "S n C"],
+    solid: UInt[Array, "n F C"],
+    prisms: Prism,
+    sensors: Float[Array, "S 3"],
+    *,
+    failures: Groups,
+    reference: str,
+    sighted: bool,
+) -> Watched:
+    """Go through some of the tiles and of the frames.
+
+    In a tile only the sensors that have some of it in view are gone through, one group after the
+    other. What ``once`` has is seen by a sensor, what ``twice`` has by two groups; so a group alone
+    sees what it sees of the rest, and that is lost without it.
+    """
+    count, frames = len(sensors), len(prisms.top)
+    spare_own = reference == "targets"
+    cast = jax.vmap(casts, (0, None))(sensors, prisms)
+    # Sensors group by group; without failures all are one.
+    order = jnp.array([s for members in failures for s in members] or range(count))
+    group_of = {s: number for number, members in enumerate(failures) for s in members}
+    group = jnp.array([group_of.get(s, 0) for s in range(count)])
+
+    def step(kept: Array, part: tuple[Tile, Array, Array]) -> tuple[Array, tuple]:
+        tile, views, solid = part
+        has = (views != 0).any(1)[order]
+        listed = order[jnp.argsort(~has, stable=True)]
+        number = has.sum()
+        counted = solid if reference == "targets" else tile.there[None] & ~solid
+
+        def opens(i: Array) -> Array:
+            """Whether the sensor is the first of its group."""
+            return (i == 0) | (group[listed[i]] != group[listed[i - 1]])
+
+        def look(i: Array, state: tuple) -> tuple:
+            once, twice, before, kept, sights = state
+            s = listed[i]
+            clear = clear_masks(
+                sensors[s], jax.tree.map(lambda leaf: leaf[s], cast), tile, spare_own=spare_own
+            )
+            visible = views[s][None] & clear
+            before = jnp.where(opens(i), once, before)
+            if failures:
+                kept = kept.at[i].set(visible)
+            if sighted:
+                sights = sights.at[s].set(masks.tally(visible, len(tile.heights)))
+            return once | visible, twice | (before & visible), before, kept, sights
+
+        none = jnp.zeros((frames, views.shape[1]), views.dtype)
+        sights = jnp.zeros((count, views.shape[1], len(tile.heights)) if sighted else (0,), int)
+        once, twice, _, kept, sights = jax.lax.fori_loop(
+            0, number, look, (none, none, none, kept, sights)
+        )
+
+        def lose(i: Array, state: tuple) -> tuple:
+            lost, taken = state
+            taken = jnp.where(opens(i), jnp.zeros_like(taken), taken)
+            alone = kept[i] & ~twice & counted & ~taken
+            return lost.at[group[listed[i]]].add(masks.count(alone).sum(1)), taken | alone
+
+        lost = jnp.zeros((len(failures), frames), int)
+        if failures:
+            lost, _ = jax.lax.fori_loop(0, number, lose, (lost, none))
+        seen = masks.count(once & counted).sum(1)
+        covered = masks.without_one(views, failures)  # (1 + G, C)
+        if reference == "covered":
+            original = jax.lax.map(lambda row: masks.count(row[None] & counted).sum(1), covered)
+        else:
+            original = jnp.broadcast_to(masks.count(counted).sum(1), (1 + len(failures), frames))
+        rows = jnp.concatenate([seen[None], seen[None] - lost])
+        return kept, (rows, original, masks.count(once).sum(0), sights)
+
+    kept = jnp.zeros((count if failures else 0, frames, views.shape[2]), views.dtype)
+    by_tile = (tile, views.swapaxes(0, 1), solid)
+    seen, original, columns, sights = jax.lax.scan(step, kept, by_tile)[1]
+    return Watched(
+        seen.sum(0), original.sum(0), columns, sights.swapaxes(0, 1) if sighted else None
+    )
+
+
+@partial(jax.jit, static_argnames=("crew", "slabs", "levels", "frames"))
+def _measures(
+    views: UInt[Array, "S N C"],
+    watched: Watched,
+    place: Int[Array, " L"],
+    weight: Float[Array, " MC"],
+    occupancy: Float[Array, " U"],
+    uncertain: tuple[Int[Array, " U"], Int[Array, " U"]],
+    *,
+    crew: Crew,
+    slabs: int,
+    levels: int,
+    frames: int,
+) -> Measures:
+    """From masks and counts to the metrics."""
+    covered = masks.without_one(views, crew.failures)
+    counts = masks.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
+    shares = counts.astype(float) / levels
+    by_level = masks.tally(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(-1)
+    seen = watched.columns.reshape(slabs, -1).sum(0)[place]
+
+    column, level = uncertain
+    if watched.sights is None:
+        words = views.reshape(len(views), -1)[:, column]
+        q = ((words >> level.astype(words.dtype)[None]) & words.dtype.type(1)).astype(float)
+    else:
+        at = watched.sights.reshape(len(views), -1, watched.sights.shape[-1])
+        q = at[:, column, level].astype(float) / frames
+    resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
+    return Measures(
+        metrics.coverage(shares, weight),
+        metrics.occlusion(watched.seen.T.astype(float), watched.original.T.astype(float)),
+        metrics.information_gain(resolved, occupancy),
+        column_coverage=shares[0][place],
+        level_coverage=by_level[:levels].astype(float) / len(place),
+        information_gain_literal=metrics.information_gain_literal(resolved[0], occupancy),
+        entropy=metrics.entropy(occupancy).sum(),
+        seen_share=seen.astype(float) / (frames * levels),
+    )

@@ -1,0 +1,176 @@
+"""The three metrics as functions of pose, margins read softly or hard: what gradients are of.
+
+Every voxel, frame and sensor is a number here, so this also reads hard, and is what the
+exact path (:mod:`inspe_jax.exact`) is tested against.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from inspe_jax import metrics
+from inspe_jax.geometry import Prism, solid_top
+from inspe_jax.numerics import EXACT, Softness, Width, leave_one_out, step
+from inspe_jax.sensing.ground import Ground
+from inspe_jax.sensing.in_view import view_margins
+from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.sensing.shadows import sight
+
+
+class Field(NamedTuple):
+    """What is scored: the scene's arrays, or a sample of them.
+
+    ``weight`` (V,) of the voxels' regions; ``occupancy`` (V,) is p̂, or None to take it from the
+    frames of ``ground``.
+    """
+
+    ground: Ground
+    weight: Float[Array, " V"]
+    occupancy: Float[Array, " V"] | None = None
+
+
+class Crew(NamedTuple):
+    """The sensors' fixed side: ``groups`` of one ray grid, ``reliability`` (S,), and the
+    ``failures``, groups of sensors that are left out in turn."""
+
+    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]
+    reliability: tuple[float, ...]
+    failures: tuple[tuple[int, ...], ...] = ()
+
+
+class Measures(NamedTuple):
+    """C, O and IG: of all sensors in row 0, of all but failure g in row 1 + g.
+
+    ``column_coverage`` and ``level_coverage`` are the shares in view of each column's and of each
+    level's voxels; ``seen_share`` is the share of frames and levels in which each column is seen;
+    ``information_gain_literal`` is IG to the letter, ``entropy`` is H(Ω), what there is to gain.
+    """
+
+    coverage: Float[Array, " 1+G"]
+    occlusion: Float[Array, " 1+G"]
+    information_gain: Float[Array, " 1+G"]
+    column_coverage: Float[Array, " L"]
+    level_coverage: Float[Array, " Z"]
+    information_gain_literal: Float[Array, ""]
+    entropy: Float[Array, ""]
+    seen_share: Float[Array, " L"]
+
+
+def measure(
+    field: Field,
+    poses: Float[Array, "S 6"],
+    crew: Crew,
+    voxel: float,
+    softness: Softness = EXACT,
+    *,
+    occlusion_reference: str = "roi",
+    visibility: str = "in_view",
+) -> Measures:
+    """The three metrics as functions of pose (about the scene's centre), in the paper's order.
+
+    ``voxel`` is the edge of a voxel [m]. Differentiable in the poses where ``softness`` is not 0.
+    """
+    ground = field.ground
+    in_field, on_ray = view_margins(poses, ground.centers, crew.groups, voxel / 2)
+    f = step(in_field, softness.field) * step(on_ray, softness.ray)  # (S, V)
+    seen = watch(
+        ground,
+        poses[:, :3],
+        f,
+        softness.shadow,
+        failures=crew.failures,
+        reference=occlusion_reference,
+        share_sight=visibility == "line_of_sight",
+    )
+    occupancy = seen.occupancy if field.occupancy is None else field.occupancy
+    q = f * (seen.sight_share * jnp.asarray(crew.reliability, float)[:, None])
+    covered, resolved = leave_one_out(f, crew.failures), leave_one_out(q, crew.failures)
+    by_column = covered[0].reshape(ground.heights.shape)
+    return Measures(
+        metrics.coverage(covered, field.weight),
+        seen.occlusion,
+        metrics.information_gain(resolved, occupancy),
+        column_coverage=by_column.mean(1),
+        level_coverage=by_column.mean(0),
+        information_gain_literal=metrics.information_gain_literal(resolved[0], occupancy),
+        entropy=metrics.entropy(occupancy).sum(),
+        seen_share=seen.seen_share.reshape(ground.heights.shape).mean(1),
+    )
+
+
+class Seen(NamedTuple):
+    """What :func:`watch` gathers over the frames; row 0 is all sensors, 1 + g all but a failure."""
+
+    occlusion: Float[Array, " 1+G"]
+    occupancy: Float[Array, " V"]
+    seen_share: Float[Array, " V"]
+    sight_share: Float[Array, "S V"]
+
+
+BLOCK = 1024
+"""Columns watched at a time: what they need stays in a core's cache through all frames."""
+
+
+@partial(jax.jit, static_argnames=("failures", "reference", "share_sight"))
+def watch(
+    ground: Ground,
+    sensors: Float[Array, "S 3"],
+    f: Float[Array, "S V"],
+    width: Width = None,
+    *,
+    failures: tuple[tuple[int, ...], ...],
+    reference: str,
+    share_sight: bool,
+) -> Seen:
+    """Go through the frames once for each block of columns.
+
+    Gives O, the occupancy p̂, and the share of frames in which each voxel is
+    seen; with ``share_sight`` also that in which each sensor has each voxel in
+    line of sight, else 1.
+    """
+    (length, levels), frames = ground.heights.shape, len(ground.prisms.top)
+
+    def block(part: tuple[Array, ...]) -> tuple[tuple, tuple]:
+        there, columns, heights, f = part  # (C, 1), (C, 2), (C, Z), (C, S, Z)
+        f = f.swapaxes(0, 1)  # (S, C, Z)
+        flat = (len(sensors), -1)
+        covered = leave_one_out(f.reshape(flat), failures)
+
+        @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
+        def look(prisms: Prism) -> tuple[tuple, tuple]:
+            spare_own = reference == "targets"
+            clear = sight(sensors, prisms, columns, heights, width, spare_own=spare_own)
+            solid = there * step(solid_top(columns, prisms)[:, None] - heights)
+            visible = leave_one_out((f * clear).reshape(flat), failures)
+            free, inside = (there - solid).ravel(), solid.ravel()
+            terms = metrics.occlusion_terms(visible, covered, free, inside, reference)
+            gathered = (inside, visible[0], clear.reshape(flat) if share_sight else jnp.ones(()))
+            return gathered, terms
+
+        def frame(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
+            gathered, terms = look(prisms)
+            return jax.tree.map(jnp.add, sums, gathered), terms
+
+        zeros = jnp.zeros_like(covered[0])
+        start = (zeros, zeros, jnp.zeros(f.shape).reshape(flat) if share_sight else jnp.zeros(()))
+        return jax.lax.scan(frame, start, ground.prisms)
+
+    def blocks(x: Array) -> Array:
+        """(L, …) as (N, C, …), padded with zeros."""
+        count = -(-length // BLOCK)
+        x = jnp.pad(x, [(0, count * BLOCK - length)] + [(0, 0)] * (x.ndim - 1))
+        return x.reshape(count, BLOCK, *x.shape[1:])
+
+    by_column = f.reshape(-1, length, levels).swapaxes(0, 1)
+    parts = (jnp.ones((length, 1)), ground.columns, ground.heights, by_column)
+    sums, terms = jax.lax.map(block, tuple(map(blocks, parts)))
+    seen, original = (term.sum(0) for term in terms)  # (T, 1 + G), over the blocks
+    occupancy, seen_share = (s.reshape(-1)[: length * levels] / frames for s in sums[:2])
+    sight_share = jnp.ones_like(f)
+    if share_sight:
+        total = sums[2].swapaxes(0, 1).reshape(len(sensors), -1)  # (S, N·C·Z)
+        sight_share = total[:, : length * levels] / frames
+    return Seen(metrics.occlusion(seen, original), occupancy, seen_share, sight_share)

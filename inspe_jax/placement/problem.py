@@ -18,8 +18,9 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
+from inspe_jax.exact import measure_exactly, world_of
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.measures import Crew, Field, measure
+from inspe_jax.measures import Crew, Field, Measures, measure
 from inspe_jax.numerics import Softness, step
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
@@ -219,22 +220,27 @@ class Problem:
         self, poses: Float[Array, "S 6"], fields: tuple[Field, ...], softness: float | Array = 0.0
     ) -> Float[Array, ""]:
         """The objective of poses about the centre, on these fields."""
-        options = self.objective
-        scores = []
+        measures = []
         for case, part, crew in zip(self.cases, fields, self.crews, strict=True):
             voxel = case.scene.voxels.size
-            m = measure(
-                part,
-                poses,
-                crew,
-                voxel,
-                Softness.of(softness, voxel),
-                occlusion_reference=options.occlusion_reference,
-                visibility=options.visibility,
+            width = Softness.of(softness, voxel)
+            measures.append(measure(part, poses, crew, voxel, width, **self._options))
+        return self._combined(measures)
+
+    @property
+    def _options(self) -> dict[str, str]:
+        options = self.objective
+        return dict(occlusion_reference=options.occlusion_reference, visibility=options.visibility)
+
+    def _combined(self, measures: Sequence[Measures]) -> Float[Array, ""]:
+        """The objective of what was measured on every case."""
+        scores = []
+        for m in measures:
+            p = metrics.surrogate(
+                m.coverage, m.occlusion, m.information_gain, self.objective.weights
             )
-            p = metrics.surrogate(m.coverage, m.occlusion, m.information_gain, options.weights)
-            scores.append(p[1:].mean() if options.failures else p[0])
-        return COMBINATIONS[options.over](jnp.stack(scores)) - self.price
+            scores.append(p[1:].mean() if self.objective.failures else p[0])
+        return COMBINATIONS[self.objective.over](jnp.stack(scores)) - self.price
 
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
         """The exact objective of the layout that coordinates give."""
@@ -243,11 +249,14 @@ class Problem:
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors."""
         poses = poses_about_center(self.cases[0].scene, layout)
-        return float(self._exact(poses, self.fields))
-
-    @cached_property
-    def _exact(self) -> Any:
-        return jax.jit(self.value)
+        measures = []
+        for case, crew in zip(self.cases, self.crews, strict=True):
+            world, voxel = world_of(case.scene), case.scene.voxels.size
+            found = measure_exactly(world, poses, crew, voxel, **self._options)
+            if self.objective.weights[2] > 0:
+                check_entropy(case.scene, found.entropy)
+            measures.append(found)
+        return float(self._combined(measures))
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
         """Evenly spread columns and frames of each case from a random first one; all if fewer.

@@ -73,7 +73,7 @@ def world_of(scene: Scene) -> World:
 
 def _make_world(scene: Scene) -> World:
     ground = about_center(scene)
-    tiles = tiles_of(ground, scene.voxels.size)
+    tiles = tiles_of(ground)
     total = len(ground.prisms.top)
     size = -(-total // -(-total // FRAMES))  # frames of a share, as even as they come
     step = min(cores(), SHARES)

@@ -1,6 +1,7 @@
 """In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -307,29 +308,35 @@ def _settle(
     seen: UInt[Array, "N C"],
     unsure: UInt[Array, "N C"],
 ) -> UInt[Array, "N C"]:
-    """``seen`` and those of the unsure voxels that one of the candidate rays passes through."""
+    """``seen`` and those of the unsure voxels that one of the candidate rays passes through.
+
+    :data:`CHUNK` columns at a time, one unsure voxel of each; a column that has no more makes room
+    for the next.
+    """
     columns, heights = tiles.columns.swapaxes(-1, -2), tiles.heights.swapaxes(-1, -2)
     columns, heights = columns.reshape(-1, 2), heights.reshape(seen.size, -1)
     shape, seen, unsure = seen.shape, seen.ravel(), unsure.ravel()
     number = (unsure != 0).sum()
-    at = jnp.nonzero(unsure, size=len(seen) + CHUNK, fill_value=len(seen))[0]
+    queue = jnp.nonzero(unsure, size=len(seen), fill_value=len(seen))[0]
 
-    def chunk(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        begin, seen = state
-        index = jax.lax.dynamic_slice(at, (begin,), (CHUNK,))
-        xy, z = columns.at[index].get(mode="clip"), heights.at[index].get(mode="clip")
+    def more(state: Any) -> Array:
+        begun, _, left, _ = state
+        return (begun < number) | (left != 0).any()
 
-        def level(state: tuple[Array, Array]) -> tuple[Array, Array]:
-            found, left = state
-            height = jnp.take_along_axis(z, masks.lowest(left)[:, None], 1, mode="clip")
-            centers = jnp.concatenate([xy, height], 1)
-            passes = _best_ray(grid, half, pose, centers)[0] > 0
-            return found | jnp.where(passes, left & (~left + 1), 0), left & (left - 1)
+    def look(state: Any) -> Any:
+        begun, column, left, seen = state
+        turn = begun + jnp.cumsum(left == 0) - 1
+        enters = (left == 0) & (turn < number)
+        column = jnp.where(enters, queue.at[turn].get(mode="clip"), column)
+        left = jnp.where(enters, unsure.at[column].get(mode="fill", fill_value=0), left)
 
-        left = unsure.at[index].get(mode="fill", fill_value=0)
-        start = seen.at[index].get(mode="fill", fill_value=0), left
-        found, _ = jax.lax.while_loop(lambda state: (state[1] != 0).any(), level, start)
-        return begin + CHUNK, seen.at[index].set(found, mode="drop")
+        at = columns.at[column].get(mode="clip")
+        height = heights.at[column, masks.lowest(left)].get(mode="clip")
+        passes = _best_ray(grid, half, pose, jnp.column_stack([at, height]))[0] > 0
+        new = jnp.where(passes, left & (~left + 1), 0) | seen.at[column].get(mode="clip")
+        seen = seen.at[jnp.where(left != 0, column, len(seen))].set(new, mode="drop")
+        return begun + enters.sum(), column, left & (left - 1), seen
 
-    start = (jnp.zeros((), number.dtype), seen)
-    return jax.lax.while_loop(lambda state: state[0] < number, chunk, start)[1].reshape(shape)
+    nothing = jnp.zeros(CHUNK, unsure.dtype)
+    start = (jnp.zeros_like(number), jnp.full(CHUNK, len(seen)), nothing, seen)
+    return jax.lax.while_loop(more, look, start)[3].reshape(shape)

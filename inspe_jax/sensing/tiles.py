@@ -15,10 +15,10 @@ from inspe_jax import masks
 from inspe_jax.geometry import NEVER, Prism, top_over
 from inspe_jax.sensing.ground import Ground
 
-SIDE = 16
-"""Edge of a tile, in voxels."""
+COLUMNS = 350
+"""Columns of a tile, more or less."""
 SHARES = 8
-"""The number of tiles is a multiple of this, so that they can be shared out evenly."""
+"""Least number of tiles, a power of two, so that they can be shared out evenly."""
 CLOSE = 1e-2
 """What tells whole tiles apart is wider by this [m], more than single precision is off by."""
 
@@ -69,25 +69,24 @@ class Tiles(NamedTuple):
         return flags[:, : self.level_count].reshape(-1)
 
 
-def tiles_of(ground: Ground, voxel: float) -> Tiles:
-    """Columns sorted into squares of :data:`SIDE` voxels; ``voxel`` is a voxel's edge [m]."""
+def tiles_of(ground: Ground) -> Tiles:
+    """Columns halved by their place, along the longer side, into a power of two of tiles."""
     columns, heights = np.asarray(ground.columns), np.asarray(ground.heights)
-    square = np.floor(columns / (voxel * SIDE)).astype(int)
-    _, square = np.unique(square, axis=0, return_inverse=True)
-    square = square.reshape(-1)
-    order = np.argsort(square, kind="stable")
-    sizes = np.bincount(square)
-    # Rank of each column in its square; a square of more than a tile's columns makes several.
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    size = min(SIDE * SIDE, int(sizes.max()))
-    starts = rank % size == 0
-    place = np.empty(len(order), int)
-    place[order] = (np.cumsum(starts) - 1) * size + rank % size
-    number = -(-int(starts.sum()) // SHARES) * SHARES
-    index = np.full((number, size), -1)
-    index.flat[place] = np.arange(len(order))
-    real = index >= 0
-    index = np.where(real, index, np.maximum(index[:, :1], 0))  # padding repeats a column
+    number = max(SHARES, 2 ** round(np.log2(len(columns) / COLUMNS)))
+    index = np.arange(-(-len(columns) // number) * number)
+    real = index < len(columns)
+    index = np.where(real, index, 0)  # padding repeats a column
+    order = np.arange(len(index))[None]
+    while len(order) < number:
+        xy = columns[index[order]]  # (tiles so far, columns of each, 2)
+        longer = (xy.max(1) - xy.min(1)).argmax(1)
+        along = np.take_along_axis(xy, longer[:, None, None], 2)[:, :, 0]
+        order = np.take_along_axis(order, along.argsort(1, kind="stable"), 1)
+        order = order.reshape(2 * len(order), -1)
+    place = np.empty(order.size, int)
+    place[order.reshape(-1)] = np.arange(order.size)
+    place = place[: len(columns)]
+    index, real = index[order], real[order]  # (N, C)
 
     levels = heights.shape[1]
     slabs = -(-levels // masks.WORD)

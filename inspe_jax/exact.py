@@ -5,6 +5,7 @@ geometry. A voxel is a bit, so a union of sensors is OR, and a count is exact in
 tiles are shared out among the cores, and the scores are the same to the last bit.
 """
 
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -12,16 +13,17 @@ from weakref import WeakKeyDictionary
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax import masks, metrics
 from inspe_jax.cores import Job, cores, run
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew, Measures
+from inspe_jax.measures import Crew, Field, Measures
 from inspe_jax.numerics import leave_one_out
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.ground import about_center
 from inspe_jax.sensing.in_view import in_view_masks
+from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import casts, clear_masks
 from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, solid, tiles_of
 
@@ -31,34 +33,51 @@ FRAMES = 128
 Groups = tuple[tuple[int, ...], ...]
 
 
-class Share(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Share:
     """Some of the tiles and some of the frames: what one core goes through.
 
-    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle; ``tiles`` are
-    the numbers of the tiles, ``frames`` those of the frames, past the last where they are padding.
+    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle. The tiles are
+    every ``step``-th from the ``first``, the frames those from ``begin``; past the last they are
+    padding.
     """
 
     tile: Tile
     prisms: Prism
     solid: UInt[Array, "n F C"]
-    tiles: slice
-    frames: slice
+    first: int = field(metadata={"static": True}, default=0)
+    step: int = field(metadata={"static": True}, default=1)
+    begin: int = field(metadata={"static": True}, default=0)
+
+    @property
+    def tiles(self) -> slice:
+        """The share's tiles among all."""
+        return slice(self.first, None, self.step)
+
+    @property
+    def frames(self) -> slice:
+        """The share's frames among all."""
+        return slice(self.begin, self.begin + len(self.prisms.top))
 
 
-class World(NamedTuple):
-    """What exact scores need of a scene, the same for every layout.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class World:
+    """What exact scores need of a scene, or of a sample of one, the same for every layout.
 
     ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
-    of the voxels that are neither free nor occupied in all frames, and so have entropy;
-    ``uncertain`` says which they are: column among the tiles' columns and level in their slab.
+    of the voxels that may have entropy; ``column`` and ``level`` (U,) say which they are: column
+    among the tiles' columns, level in the slab.
     """
 
     tiles: Tiles
     shares: tuple[Share, ...]
-    frame_count: int
     weight: Float[Array, " MC"]
     occupancy: Float[Array, " U"]
-    uncertain: tuple[Int[Array, " U"], Int[Array, " U"]]
+    column: Int[Array, " U"]
+    level: Int[Array, " U"]
+    frame_count: int = field(metadata={"static": True})
 
 
 _worlds: "WeakKeyDictionary[Scene, World]" = WeakKeyDictionary()
@@ -84,22 +103,48 @@ def _make_world(scene: Scene) -> World:
         inside = solid(tiles.tile, prisms)
         counts += np.asarray(_by_level(inside, counts.shape[-1]))
         for first in range(step):
-            some = slice(first, None, step)
-            tile = jax.tree.map(lambda leaf: leaf[some], tiles.tile)  # noqa: B023
-            shares.append(Share(tile, prisms, inside[some], some, frames))
-
+            tile, own = jax.tree.map(lambda leaf: leaf[first::step], (tiles.tile, inside))  # noqa: B023
+            shares.append(Share(tile, prisms, own, first, step, begin))
     counts = counts.reshape(-1, counts.shape[-1])
     column, level = np.nonzero((counts > 0) & (counts < total))
-    weight = np.zeros(tiles.tile.there.size // tiles.slabs)
-    weight[tiles.place] = scene.voxels.column_weight
     return World(
         tiles,
         tuple(shares),
-        total,
-        jnp.asarray(weight, float),
+        _column_weight(tiles, scene.voxels.column_weight),
         jnp.asarray(counts[column, level] / total, float),
-        (jnp.asarray(column), jnp.asarray(level)),
+        jnp.asarray(column),
+        jnp.asarray(level),
+        total,
     )
+
+
+def world_of_sample(sample: Field) -> World:
+    """The :class:`World` of some columns and frames, in one share.
+
+    Samples of one size make worlds of one shape.
+    """
+    assert sample.occupancy is not None  # that of all frames
+    ground, tiles = sample.ground, tiles_of(sample.ground)
+    levels, height = tiles.level_count, tiles.tile.heights.shape[1]
+    share = Share(tiles.tile, ground.prisms, solid(tiles.tile, ground.prisms))
+    columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
+    level = np.arange(levels)
+    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
+    return World(
+        tiles,
+        (share,),
+        _column_weight(tiles, np.asarray(sample.weight)[::levels]),
+        sample.occupancy,
+        jnp.asarray(column.reshape(-1)),
+        jnp.asarray(np.tile(level % height, len(column))),
+        len(ground.prisms.top),
+    )
+
+
+def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
+    by_place = np.zeros(tiles.tile.there.size // tiles.slabs)
+    by_place[np.asarray(tiles.place)] = weight
+    return jnp.asarray(by_place, float)
 
 
 def _padded(leaf: Array, size: int) -> Array:
@@ -123,30 +168,12 @@ def measure_exactly(
 ) -> Measures:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
-    As :func:`~inspe_jax.measures.measure`. Works on all cores, and is not to be traced.
+    As :func:`~inspe_jax.measures.measure`. Works on all cores; traced, on one.
     """
     views = _views(world, poses, crew, voxel / 2)
-    watched = _watch_all(
-        world,
-        views,
-        poses[:, :3],
-        crew.failures,
-        occlusion_reference,
-        visibility == "line_of_sight",
-    )
-    tiles = world.tiles
-    return _measures(
-        views,
-        watched,
-        jnp.asarray(tiles.place),
-        world.weight,
-        world.occupancy,
-        world.uncertain,
-        crew=crew,
-        slabs=tiles.slabs,
-        levels=tiles.level_count,
-        frames=world.frame_count,
-    )
+    sighted = visibility == "line_of_sight"
+    watched = _watch_all(world, views, poses[:, :3], crew.failures, occlusion_reference, sighted)
+    return _measures(world, views, watched, crew)
 
 
 def _views(
@@ -154,7 +181,14 @@ def _views(
 ) -> UInt[Array, "S N C"]:
     """Masks of what each sensor has in view."""
     tile = world.tiles.tile
-    grids = {s: grid for grid, sensors in crew.groups for s in sensors}
+    if isinstance(poses, jax.core.Tracer):
+        found = [
+            jax.lax.map(lambda pose: in_view_masks(grid, pose, tile, half), poses[jnp.array(index)])  # noqa: B023
+            for grid, index in crew.groups
+        ]
+        order = np.argsort(np.concatenate([index for _, index in crew.groups]))
+        return jnp.concatenate(found)[order]
+    grids = {s: grid for grid, index in crew.groups for s in index}
     jobs: list[Job] = []
     for s, pose in enumerate(poses):
         work = partial(in_view_masks, grids[s], pose, tile, half)
@@ -185,27 +219,31 @@ def _watch_all(
     sighted: bool,
 ) -> Watched:
     """Go through the frames, tile by tile."""
+    options = dict(failures=failures, reference=reference, sighted=sighted)
     jobs: list[Job] = []
     for share in world.shares:
-        options = dict(failures=failures, reference=reference, sighted=sighted)
         few = views[:, share.tiles]
         work = partial(_watch, share.tile, few, share.solid, share.prisms, sensors, **options)
         jobs.append(((_watch, *options.values(), few.shape, share.prisms.top.shape), work))
-    found: list[Watched] = run(jobs)
-
-    rows = 1 + len(failures)
-    seen = np.zeros((2, rows, world.shares[-1].frames.stop), np.int64)
-    columns = np.zeros(views.shape[1:], np.int64)
-    sights = (
-        np.zeros((*views.shape, world.tiles.tile.heights.shape[1]), np.int32) if sighted else None
-    )
-    for share, part in zip(world.shares, found, strict=True):
+    if isinstance(views, jax.core.Tracer):
+        (watched,) = (work() for _, work in jobs)
+        return watched
+    frames = max(share.frames.stop for share in world.shares)
+    seen = np.zeros((2, 1 + len(failures), frames), np.int32)
+    columns = np.zeros(views.shape[1:], np.int32)
+    sights = np.zeros((*views.shape, world.tiles.tile.heights.shape[1]), np.int32)
+    for share, part in zip(world.shares, run(jobs), strict=True):
         seen[:, :, share.frames] += np.stack([part.seen, part.original])
         columns[share.tiles] += part.columns
-        if sights is not None and part.sights is not None:
+        if sighted:
             sights[:, share.tiles] += part.sights
     seen = seen[..., : world.frame_count]
-    return Watched(*jax.tree.map(jnp.asarray, (seen[0], seen[1], columns, sights)))
+    return Watched(
+        jnp.asarray(seen[0]),
+        jnp.asarray(seen[1]),
+        jnp.asarray(columns),
+        jnp.asarray(sights) if sighted else None,
+    )
 
 
 @partial(jax.jit, static_argnames=("failures", "reference", "sighted"))
@@ -291,42 +329,79 @@ def _watch(
     )
 
 
-@partial(jax.jit, static_argnames=("crew", "slabs", "levels", "frames"))
-def _measures(
-    views: UInt[Array, "S N C"],
-    watched: Watched,
-    place: Int[Array, " L"],
-    weight: Float[Array, " MC"],
-    occupancy: Float[Array, " U"],
-    uncertain: tuple[Int[Array, " U"], Int[Array, " U"]],
-    *,
-    crew: Crew,
-    slabs: int,
-    levels: int,
-    frames: int,
-) -> Measures:
+@partial(jax.jit, static_argnames="crew")
+def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew: Crew) -> Measures:
     """From masks and counts to the metrics."""
+    place, slabs, levels = world.tiles.place, world.tiles.slabs, world.tiles.level_count
     covered = masks.without_one(views, crew.failures)
     counts = masks.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
     shares = counts.astype(float) / levels
     by_level = masks.tally(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(-1)
     seen = watched.columns.reshape(slabs, -1).sum(0)[place]
 
-    column, level = uncertain
     if watched.sights is None:
-        words = views.reshape(len(views), -1)[:, column]
-        q = ((words >> level.astype(words.dtype)[None]) & words.dtype.type(1)).astype(float)
+        words = views.reshape(len(views), -1)[:, world.column]
+        one = words.dtype.type(1)
+        q = ((words >> world.level.astype(words.dtype)[None]) & one).astype(float)
     else:
         at = watched.sights.reshape(len(views), -1, watched.sights.shape[-1])
-        q = at[:, column, level].astype(float) / frames
+        q = at[:, world.column, world.level].astype(float) / world.frame_count
     resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
     return Measures(
-        metrics.coverage(shares, weight),
+        metrics.coverage(shares, world.weight),
         metrics.occlusion(watched.seen.T.astype(float), watched.original.T.astype(float)),
-        metrics.information_gain(resolved, occupancy),
+        metrics.information_gain(resolved, world.occupancy),
         column_coverage=shares[0][place],
         level_coverage=by_level[:levels].astype(float) / len(place),
-        information_gain_literal=metrics.information_gain_literal(resolved[0], occupancy),
-        entropy=metrics.entropy(occupancy).sum(),
-        seen_share=seen.astype(float) / (frames * levels),
+        information_gain_literal=metrics.information_gain_literal(resolved[0], world.occupancy),
+        entropy=metrics.entropy(world.occupancy).sum(),
+        seen_share=seen.astype(float) / (world.frame_count * levels),
     )
+
+
+# ── One sensor at many poses ────────────────────────────────────────────────
+
+
+def see(
+    grid: RayGrid,
+    half: float,
+    poses: Float[Array, "K 6"],
+    world: World,
+    *,
+    spare_own: bool = False,
+) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
+    """What one sensor has in view and what it sees in each frame, from each of K poses.
+
+    For a world of one share. With ``spare_own`` a vehicle does not hide its own voxels.
+    """
+    (share,) = world.shares
+    parts = cores() if len(poses) % cores() == 0 else 1
+    jobs: list[Job] = []
+    for part in jnp.split(poses, parts):
+        work = partial(_see, grid, half, part, share, spare_own=spare_own)
+        jobs.append(((_see, grid, half, part.shape, share.solid.shape, spare_own), work))
+    views, seen = (np.concatenate(found) for found in zip(*run(jobs), strict=True))
+    return world.tiles.by_voxel(views), world.tiles.by_voxel(seen)
+
+
+@partial(jax.jit, static_argnames=("grid", "half", "spare_own"))
+def _see(
+    grid: RayGrid, half: float, poses: Float[Array, "K 6"], share: Share, *, spare_own: bool
+) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
+    def one(pose: Array) -> tuple[Array, Array]:
+        views = in_view_masks(grid, pose, share.tile, half)
+        cast = casts(pose[:3], share.prisms)
+
+        def look(part: tuple[Tile, Array]) -> Array:
+            tile, view = part
+            return view[None] & clear_masks(pose[:3], cast, tile, spare_own=spare_own)
+
+        def none(part: tuple[Tile, Array]) -> Array:
+            return jnp.zeros((len(share.prisms.top), len(part[1])), part[1].dtype)
+
+        seen = jax.lax.map(
+            lambda part: jax.lax.cond((part[1] != 0).any(), look, none, part), (share.tile, views)
+        )
+        return views, seen.swapaxes(0, 1)
+
+    return jax.lax.map(one, poses)

@@ -13,11 +13,11 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Lowest first. A module may import its own row and the rows above it in this list.
 LADDER = [
     ("errors",),
-    ("files", "numerics"),
+    ("files", "numerics", "masks", "cores"),
     ("geometry",),
     ("scene",),
     ("sensing",),
-    ("metrics", "evaluation"),
+    ("metrics", "measures", "exact", "evaluation"),
     ("placement",),
     ("report",),
     ("cli",),

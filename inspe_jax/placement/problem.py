@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
+from inspe_jax.cores import Job, cores, run
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
-from inspe_jax.exact import measure_exactly, world_of
+from inspe_jax.exact import World, measure_exactly, see, world_of, world_of_sample
 from inspe_jax.geometry import Prism, solid_top
 from inspe_jax.measures import Crew, Field, Measures, measure
 from inspe_jax.numerics import Softness, step
@@ -26,9 +27,7 @@ from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
-from inspe_jax.sensing.in_view import view_margins
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.shadows import sight
 from inspe_jax.sensing.visibility import check_layout
 
 COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
@@ -140,11 +139,17 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 """Columns and frames of every case."""
 
 
-class Sample(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Sample:
     """Some columns and frames of every case; ``share`` is its cost beside an exact score's."""
 
     fields: tuple[Field, ...]
     share: float
+
+    @cached_property
+    def worlds(self) -> tuple[World, ...]:
+        """The same as masks."""
+        return tuple(world_of_sample(part) for part in self.fields)
 
 
 class Shares(NamedTuple):
@@ -249,13 +254,10 @@ class Problem:
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors."""
         poses = poses_about_center(self.cases[0].scene, layout)
-        measures = []
-        for case, crew in zip(self.cases, self.crews, strict=True):
-            world, voxel = world_of(case.scene), case.scene.voxels.size
-            found = measure_exactly(world, poses, crew, voxel, **self._options)
-            if self.objective.weights[2] > 0:
+        measures = self._exactly(poses, [world_of(case.scene) for case in self.cases])
+        if self.objective.weights[2] > 0:
+            for case, found in zip(self.cases, measures, strict=True):
                 check_entropy(case.scene, found.entropy)
-            measures.append(found)
         return float(self._combined(measures))
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
@@ -288,15 +290,26 @@ class Problem:
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of many layouts, read hard on a sample."""
-        return np.asarray(self._rough(jnp.asarray(x, float), sample.fields))
+        parts = cores() if len(x) % cores() == 0 else 1
+        jobs: list[Job] = []
+        for part in np.split(np.asarray(x, float), parts):
+            work = partial(self._rough, jnp.asarray(part, float), sample.worlds)
+            key = ("rough", id(self), part.shape, *(world.weight.shape for world in sample.worlds))
+            jobs.append((key, work))
+        return np.concatenate(run(jobs))
 
     @cached_property
     def _rough(self) -> Any:
-        @jax.jit
-        def rough(x: Array, fields: tuple[Field, ...]) -> Array:
-            return jax.lax.map(lambda row: self.value(self.space.poses(row), fields), x)
+        def one(row: Array, worlds: tuple[World, ...]) -> Array:
+            return self._combined(self._exactly(self.space.poses(row), worlds))
 
-        return rough
+        return jax.jit(lambda x, worlds: jax.lax.map(lambda row: one(row, worlds), x))
+
+    def _exactly(self, poses: Float[Array, "S 6"], worlds: Sequence[World]) -> list[Measures]:
+        return [
+            measure_exactly(world, poses, crew, case.scene.voxels.size, **self._options)
+            for case, world, crew in zip(self.cases, worlds, self.crews, strict=True)
+        ]
 
     def soft(
         self, x: Float[Array, " N"], fields: tuple[Field, ...], softness: Float[Array, ""]
@@ -330,17 +343,13 @@ class Problem:
         some, IG that of ``entropy``·(1 − ∏(1 − reliability·view)).
         """
         views, seen = [], []
-        for case, part, crew in zip(self.cases, sample.fields, self.crews, strict=True):
+        for case, world, crew in zip(self.cases, sample.worlds, self.crews, strict=True):
             grid = next(grid for grid, index in crew.groups if s in index)
-            f, v = _views(
-                grid,
-                jnp.asarray(poses, float),
-                part,
-                case.scene.voxels.size / 2,
-                self.objective.occlusion_reference == "targets",
-            )
-            views.append(np.asarray(f))
-            seen.append(np.asarray(v))
+            own = self.objective.occlusion_reference == "targets"
+            half = case.scene.voxels.size / 2
+            f, v = see(grid, half, jnp.asarray(poses, float), world, spare_own=own)
+            views.append(f)
+            seen.append(v)
         return np.concatenate(views, -1), np.concatenate(seen, -1)
 
 
@@ -400,22 +409,3 @@ def _free(part: Field, reference: str) -> Float[Array, "T V"]:
         return (solid if reference == "targets" else 1.0 - solid).reshape(-1)
 
     return jax.lax.map(one, part.ground.prisms)
-
-
-@partial(jax.jit, static_argnames=("grid", "half", "spare_own"))
-def _views(grid, poses, part, half, spare_own):  # type: ignore[no-untyped-def]
-    ground = part.ground
-
-    def one(pose: Array) -> tuple[Array, Array]:
-        field, ray = view_margins(pose[None], ground.centers, ((grid, (0,)),), half)
-        f = ((field > 0) & (ray > 0))[0]
-
-        def look(prisms: Prism) -> Array:
-            clear = sight(
-                pose[None, :3], prisms, ground.columns, ground.heights, spare_own=spare_own
-            )
-            return f & (clear.reshape(-1) > 0)
-
-        return f, jax.lax.map(look, ground.prisms)
-
-    return jax.lax.map(one, poses)

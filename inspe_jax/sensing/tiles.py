@@ -4,6 +4,7 @@ What the exact path goes through. A tile is small enough to be told apart from m
 shadows and fields of view as a whole, and large enough to be worked on at once.
 """
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -40,7 +41,9 @@ class Tile(NamedTuple):
     high: Float[Array, "*N"]
 
 
-class Tiles(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Tiles:
     """All voxels in N tiles of up to C columns and :data:`~inspe_jax.masks.WORD` levels.
 
     Where there are more levels than bits in a word, the columns are cut into slabs of levels, and
@@ -49,24 +52,21 @@ class Tiles(NamedTuple):
     """
 
     tile: Tile
-    place: Int[np.ndarray, " L"]
-    level_count: int
+    place: Int[Array, " L"]
+    level_count: int = field(metadata={"static": True})
 
     @property
     def slabs(self) -> int:
         """Slabs of levels that the columns are cut into."""
         return -(-self.level_count // masks.WORD)
 
-    def by_column(self, values: np.ndarray) -> np.ndarray:
-        """What was found (N, C) for the tiles' columns, for the scene's (slabs, L)."""
-        return np.asarray(values).reshape(self.slabs, -1)[:, self.place]
-
-    def by_voxel(self, words: UInt[np.ndarray, "N C"]) -> Bool[np.ndarray, " V"]:
+    def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
         """Masks of the tiles' columns, for the voxels as the scene has them."""
-        height = self.tile.heights.shape[-2]
-        flags = masks.bits(self.by_column(words)[..., None], height)  # (slabs, L, Z of a slab)
-        flags = flags.swapaxes(0, 1).reshape(len(self.place), -1)
-        return flags[:, : self.level_count].reshape(-1)
+        lead, height = words.shape[:-2], self.tile.heights.shape[-2]
+        words = np.asarray(words).reshape(*lead, self.slabs, -1)[..., np.asarray(self.place)]
+        flags = masks.bits(words[..., None], height)  # (…, slabs, L, Z of a slab)
+        flags = flags.swapaxes(-3, -2).reshape(*lead, len(self.place), -1)
+        return flags[..., : self.level_count].reshape(*lead, -1)
 
 
 def tiles_of(ground: Ground) -> Tiles:
@@ -114,7 +114,7 @@ def tiles_of(ground: Ground) -> Tiles:
         low=stacked(z.min((2, 3))),
         high=stacked(z.max((2, 3))),
     )
-    return Tiles(tile, place, levels)
+    return Tiles(tile, jnp.asarray(place), levels)
 
 
 @jax.jit

@@ -15,7 +15,7 @@ from inspe_jax import metrics
 from inspe_jax.geometry import Prism, solid_top
 from inspe_jax.numerics import EXACT, Softness, Width, leave_one_out, step
 from inspe_jax.sensing.ground import Ground
-from inspe_jax.sensing.in_view import view_margins
+from inspe_jax.sensing.in_view import TOGETHER, view_margins
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import sight
 
@@ -150,24 +150,31 @@ def watch(
             gathered = (inside, visible[0], clear.reshape(flat) if share_sight else jnp.ones(()))
             return gathered, terms
 
-        def frame(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
-            gathered, terms = look(prisms)
-            return jax.tree.map(jnp.add, sums, gathered), terms
+        def some(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
+            gathered, terms = jax.vmap(look)(prisms)
+            return jax.tree.map(lambda x, new: x + new.sum(0), sums, gathered), terms
 
         zeros = jnp.zeros_like(covered[0])
         start = (zeros, zeros, jnp.zeros(f.shape).reshape(flat) if share_sight else jnp.zeros(()))
-        return jax.lax.scan(frame, start, ground.prisms)
+        return jax.lax.scan(some, start, prisms)
+
+    # Frames that are gone through together, if that is little: XLA's loops are slow.
+    few = TOGETHER // (len(sensors) * min(length, BLOCK) * levels)
+    together = max(n for n in range(1, frames + 1) if frames % n == 0 and n <= max(few, 1))
+    prisms = jax.tree.map(lambda x: x.reshape(-1, together, *x.shape[1:]), ground.prisms)
 
     def blocks(x: Array) -> Array:
         """(L, …) as (N, C, …), padded with zeros."""
         count = -(-length // BLOCK)
-        x = jnp.pad(x, [(0, count * BLOCK - length)] + [(0, 0)] * (x.ndim - 1))
-        return x.reshape(count, BLOCK, *x.shape[1:])
+        size = -(-length // count)
+        x = jnp.pad(x, [(0, count * size - length)] + [(0, 0)] * (x.ndim - 1))
+        return x.reshape(count, size, *x.shape[1:])
 
     by_column = f.reshape(-1, length, levels).swapaxes(0, 1)
     parts = (jnp.ones((length, 1)), ground.columns, ground.heights, by_column)
     sums, terms = jax.lax.map(block, tuple(map(blocks, parts)))
-    seen, original = (term.sum(0) for term in terms)  # (T, 1 + G), over the blocks
+    # (T, 1 + G), over the blocks
+    seen, original = (term.sum(0).reshape(frames, -1) for term in terms)
     occupancy, seen_share = (s.reshape(-1)[: length * levels] / frames for s in sums[:2])
     sight_share = jnp.ones_like(f)
     if share_sight:

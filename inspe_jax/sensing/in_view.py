@@ -1,7 +1,7 @@
 """In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,10 @@ TOUCH = 2e-5
 
 SLACK = 2e-4
 """Where a few rays tell for sure, they tell by this much [m], ten times the rounding at 100 m."""
+
+TOGETHER = 2**20
+"""Sensors × voxels whose margins are found together: XLA's loops are slower than its arrays, and
+all at once would not fit in memory."""
 
 CHUNK = 256
 """Columns whose unsure voxels are looked at together."""
@@ -44,26 +48,44 @@ def in_view_margins(
     they share passes through both, which :data:`TOUCH` makes sure of in single precision.
     """
 
-    def margins(pose: Float[Array, "6"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
-        ray = jnp.minimum(_best_margin(grid, half, pose, centers), DEEP * half)
+    @partial(jax.vmap, in_axes=(0, None))
+    def margins(stance: Stance, centers: Array) -> tuple[Array, Array]:
+        ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
         # A ray in the voxel is in the field of view, whatever the rounding.
-        field = jnp.maximum(_field_margin(grid, half, pose, centers), ray)
+        field = jnp.maximum(_field_margin(grid, half, stance, centers), ray)
         return field, ray - jnp.minimum(field, 0.0)
 
-    return jax.lax.map(margins, poses)
+    stances = jax.vmap(_stance)(poses)
+    parts = -(-len(poses) * len(centers) // TOGETHER)
+    size = -(-len(centers) // parts)
+    padded = jnp.pad(centers, ((0, parts * size - len(centers)), (0, 0))).reshape(parts, size, 3)
+    found = jax.lax.map(lambda part: margins(stances, part), padded)  # (parts, S, size) each
+    field, ray = (x.swapaxes(0, 1).reshape(len(poses), -1)[:, : len(centers)] for x in found)
+    return field, ray
 
 
-def _to_voxels(pose: Float[Array, "6"], centers: Float[Array, "V 3"]) -> Point:
+class Stance(NamedTuple):
+    """Where a sensor is, and how it is turned from its body to the world: a pose, ready for use."""
+
+    position: Float[Array, "3"]
+    turn: Float[Array, "3 3"]
+
+
+def _stance(pose: Float[Array, "6"]) -> Stance:
+    return Stance(pose[:3], rotation(pose[3:]))
+
+
+def _to_voxels(stance: Stance, centers: Float[Array, "V 3"]) -> Point:
     """From the sensor to each voxel, world axes."""
-    r = centers - pose[None, :3]  # (V, 3)
+    r = centers - stance.position[None]  # (V, 3)
     return r[:, 0], r[:, 1], r[:, 2]
 
 
 @partial(jax.checkpoint, static_argnums=(0, 1))
 def _field_margin(
-    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return grid.field_margin(_to_body(rotation(pose[3:]), _to_voxels(pose, centers))) + half
+    return grid.field_margin(_to_body(stance.turn, _to_voxels(stance, centers))) + half
 
 
 def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
@@ -75,34 +97,34 @@ def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _best_margin(
-    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return _best_ray(grid, half, pose, centers)[0]
+    return _best_ray(grid, half, stance, centers)[0]
 
 
 @_best_margin.defjvp
 def _best_margin_jvp(grid, half, primals, tangents):  # type: ignore[no-untyped-def]
     """A maximum is an envelope: its derivative is that of the ray that won."""
-    (pose, centers), (d_pose, _) = primals, tangents  # the voxels stand still
-    margin, row, column = _best_ray(grid, half, pose, centers)
+    (stance, centers), (d_stance, _) = primals, tangents  # the voxels stand still
+    margin, row, column = _best_ray(grid, half, stance, centers)
 
     @jax.checkpoint  # kept, the intermediates would be 30 numbers a voxel; the winner is two
-    def won(pose, row, column):  # type: ignore[no-untyped-def]
-        return _ray_margin(grid, half, pose, centers, row, column)
+    def won(stance, row, column):  # type: ignore[no-untyped-def]
+        return _ray_margin(grid, half, stance, centers, row, column)
 
     still = jnp.zeros_like(row)
-    return margin, jax.jvp(won, (pose, row, column), (d_pose, still, still))[1]
+    return margin, jax.jvp(won, (stance, row, column), (d_stance, still, still))[1]
 
 
 def _best_ray(
-    grid: RayGrid, half: float, pose: Float[Array, "6"], centers: Float[Array, "V 3"]
+    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
     """(margin, row, column) of the ray that passes deepest through each voxel."""
-    candidates = _candidates(grid, rotation(pose[3:]), _to_voxels(pose, centers), half)
+    candidates = _candidates(grid, stance.turn, _to_voxels(stance, centers), half)
     best = jnp.full(len(centers), -jnp.inf, centers.dtype)
     best_row, best_column = candidates[0]
     for row, column in candidates:
-        margin = _ray_margin(grid, half, pose, centers, row, column)
+        margin = _ray_margin(grid, half, stance, centers, row, column)
         won = margin > best
         best = jnp.where(won, margin, best)
         best_row = jnp.where(won, row, best_row)
@@ -113,14 +135,14 @@ def _best_ray(
 def _ray_margin(
     grid: RayGrid,
     half: float,
-    pose: Float[Array, "6"],
+    stance: Stance,
     centers: Float[Array, "V 3"],
     row: Float[Array, " V"],
     column: Float[Array, " V"],
 ) -> Float[Array, " V"]:
-    turn, d = rotation(pose[3:]), grid.direction(row, column)
+    turn, d = stance.turn, grid.direction(row, column)
     world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
-    return ray_cube_margin(world, grid.reach, _to_voxels(pose, centers), half + TOUCH)
+    return ray_cube_margin(world, grid.reach, _to_voxels(stance, centers), half + TOUCH)
 
 
 def _candidates(
@@ -240,14 +262,15 @@ def in_view_masks(
     Nearly all are told by their nearest ray (:func:`_sure`), level by level in the tiles that the
     field of view touches; the rest, some 2 %, by the six rays of :func:`_candidates`.
     """
-    turn = rotation(pose[3:])
+    stance = _stance(pose)
+    x, y, up = stance.position
 
     def look(tile: Tile) -> tuple[Array, Array]:
-        dx, dy = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
+        dx, dy = tile.columns[0] - x, tile.columns[1] - y
 
         def level(z: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
             seen, unsure = found
-            hit, miss = _sure(grid, half, turn, (dx, dy, tile.heights[z] - pose[2]))
+            hit, miss = _sure(grid, half, stance.turn, (dx, dy, tile.heights[z] - up))
             bit = jnp.ones((), seen.dtype) << z.astype(seen.dtype)
             none = jnp.zeros((), seen.dtype)
             return seen | jnp.where(hit, bit, none), unsure | jnp.where(hit | miss, none, bit)
@@ -258,18 +281,19 @@ def in_view_masks(
 
     def one(tile: Tile) -> tuple[Array, Array]:
         none = jnp.zeros_like(tile.there)
-        return jax.lax.cond(_touches(grid, half, pose, tile), look, lambda _: (none, none), tile)
+        return jax.lax.cond(_touches(grid, half, stance, tile), look, lambda _: (none, none), tile)
 
     seen, unsure = jax.lax.map(one, tiles)
-    return _settle(grid, half, pose, tiles, seen, unsure)
+    return _settle(grid, half, stance, tiles, seen, unsure)
 
 
-def _touches(grid: RayGrid, half: float, pose: Float[Array, "6"], tile: Tile) -> Bool[Array, ""]:
+def _touches(grid: RayGrid, half: float, stance: Stance, tile: Tile) -> Bool[Array, ""]:
     """Whether a tile's voxels may lie in the field of view: the ball about them does."""
     middle = (tile.low + tile.high) / 2
     radius = jnp.hypot(tile.radius, middle - tile.low) + np.sqrt(3.0) * half + SLACK
-    offset = *(tile.center - pose[:2]), middle - pose[2]
-    return grid.field_margin(_to_body(rotation(pose[3:]), offset)) > -radius
+    x, y, z = stance.position
+    offset = tile.center[0] - x, tile.center[1] - y, middle - z
+    return grid.field_margin(_to_body(stance.turn, offset)) > -radius
 
 
 def _sure(
@@ -303,7 +327,7 @@ def _sure(
 def _settle(
     grid: RayGrid,
     half: float,
-    pose: Float[Array, "6"],
+    stance: Stance,
     tiles: Tile,
     seen: UInt[Array, "N C"],
     unsure: UInt[Array, "N C"],
@@ -332,7 +356,7 @@ def _settle(
 
         at = columns.at[column].get(mode="clip")
         height = heights.at[column, masks.lowest(left)].get(mode="clip")
-        passes = _best_ray(grid, half, pose, jnp.column_stack([at, height]))[0] > 0
+        passes = _best_ray(grid, half, stance, jnp.column_stack([at, height]))[0] > 0
         new = jnp.where(passes, left & (~left + 1), 0) | seen.at[column].get(mode="clip")
         seen = seen.at[jnp.where(left != 0, column, len(seen))].set(new, mode="drop")
         return begun + enters.sum(), column, left & (left - 1), seen

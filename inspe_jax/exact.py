@@ -39,8 +39,7 @@ class Share:
     """Some of the tiles and some of the frames: what one core goes through.
 
     ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle. The tiles are
-    every ``step``-th from the ``first``, the frames those from ``begin``; past the last they are
-    padding.
+    every ``step``-th from the ``first``, the frames those from ``begin``.
     """
 
     tile: Tile
@@ -99,7 +98,7 @@ def _make_world(scene: Scene) -> World:
     shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
     for begin in range(0, total, size):
         frames = slice(begin, begin + size)
-        prisms = jax.tree.map(lambda leaf: _padded(leaf[frames], size), ground.prisms)  # noqa: B023
+        prisms = jax.tree.map(lambda leaf: leaf[frames], ground.prisms)  # noqa: B023
         inside = solid(tiles.tile, prisms)
         counts += np.asarray(_by_level(inside, counts.shape[-1]))
         for first in range(step):
@@ -145,10 +144,6 @@ def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array
     by_place = np.zeros(tiles.tile.there.size // tiles.slabs)
     by_place[np.asarray(tiles.place)] = weight
     return jnp.asarray(by_place, float)
-
-
-def _padded(leaf: Array, size: int) -> Array:
-    return jnp.pad(leaf, [(0, size - len(leaf))] + [(0, 0)] * (leaf.ndim - 1))
 
 
 @partial(jax.jit, static_argnames="levels")
@@ -228,8 +223,7 @@ def _watch_all(
     if isinstance(views, jax.core.Tracer):
         (watched,) = (work() for _, work in jobs)
         return watched
-    frames = max(share.frames.stop for share in world.shares)
-    seen = np.zeros((2, 1 + len(failures), frames), np.int32)
+    seen = np.zeros((2, 1 + len(failures), world.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
     sights = np.zeros((*views.shape, world.tiles.tile.heights.shape[1]), np.int32)
     for share, part in zip(world.shares, run(jobs), strict=True):
@@ -237,7 +231,6 @@ def _watch_all(
         columns[share.tiles] += part.columns
         if sighted:
             sights[:, share.tiles] += part.sights
-    seen = seen[..., : world.frame_count]
     return Watched(
         jnp.asarray(seen[0]),
         jnp.asarray(seen[1]),

@@ -161,7 +161,8 @@ def watch(
     # Frames that are gone through together, if that is little: XLA's loops are slow.
     few = TOGETHER // (len(sensors) * min(length, BLOCK) * levels)
     together = max(n for n in range(1, frames + 1) if frames % n == 0 and n <= max(few, 1))
-    prisms = jax.tree.map(lambda x: x.reshape(-1, together, *x.shape[1:]), ground.prisms)
+    split = frames // together, together
+    prisms = jax.tree.map(lambda x: x.reshape(*split, *x.shape[1:]), ground.prisms)
 
     def blocks(x: Array) -> Array:
         """(L, …) as (N, C, …), padded with zeros."""

@@ -110,7 +110,7 @@ def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
     """
     n = y.shape[-1]
     block = max(1, round(n ** (1 / 3)))
-    room = block * block * (-(-n // (block * block)))
+    room = block * block * max(1, -(-n // (block * block)))
     x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - n)])
     y = jnp.pad(y, (0, room - n)).reshape(-1, block, block)
     x = x.reshape(*x.shape[:-1], -1, block, block)

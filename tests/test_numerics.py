@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inspe_jax.errors import InspeError
-from inspe_jax.numerics import EXACT, Softness, any_of, dot, leave_one_out, nonzero, step
+from inspe_jax.numerics import EXACT, Softness, any_of, arctan2, dot, leave_one_out, nonzero, step
 
 EACH = tuple((s,) for s in range(5))
 
@@ -75,3 +75,14 @@ def test_nonzero_keeps_the_side():
     assert nonzero(jnp.array([-1e-9, 0.0, 1e-9, 3.0, -3.0])).tolist() == pytest.approx(
         [-1e-6, 1e-6, 1e-6, 3.0, -3.0]
     )
+
+
+def test_the_angle_is_that_of_the_c_library():
+    """To 2e-7 rad all round, on the axes and diagonals, and at any scale; 0 at the origin."""
+    angle = np.concatenate([np.linspace(-np.pi, np.pi, 20001), np.arange(-4, 5) * np.pi / 4])
+    for scale in (1e-6, 1.0, 1e4):
+        x, y = (scale * f(angle).astype(np.float32) for f in (np.cos, np.sin))
+        found = np.asarray(arctan2(jnp.asarray(y), jnp.asarray(x)))
+        off = np.abs(found - np.arctan2(y.astype(float), x.astype(float)))
+        assert np.minimum(off, 2 * np.pi - off).max() < 4e-7
+    assert arctan2(jnp.zeros(()), jnp.zeros(())) == 0

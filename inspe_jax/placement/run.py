@@ -63,9 +63,9 @@ class Run:
     evaluations; ``notes`` for people.
 
     ``gradient_cost`` is what a method is to charge for the gradient of one layout on a sample,
-    times ``sample.share``. As measured on 125,000 voxels with samples of 768 columns and 6
-    frames, a value and its gradient take as long as 4.3 (4 LiDARs), 5.3 (8 cameras) and 6.2
-    (both) rough scores of that sample: 5.3 on average.
+    times ``sample.share``. As measured on 150,000 voxels with samples of 384 columns and 3 frames,
+    a value and its gradient take as long as 4.8 (4 LiDARs), 5.4 (both) and 5.7 (8 cameras) rough
+    scores of that sample: 5.3 on average.
     """
 
     def __init__(

@@ -180,7 +180,8 @@ def may_shade(sensor: Float[Array, "3"], casts: Casts, tile: Tile) -> Bool[Array
     cos = jnp.sqrt(1.0 - sin * sin)
     between = (casts.x * x + casts.y * y) / away  # cosine of the angle between their bearings
     overlap = between >= cos * casts.cos - sin * casts.sin - CLOSE**2
-    reaches = away - span <= jnp.maximum(sensor[2] - tile.low, 0.0) * casts.fall + CLOSE
+    drop = jnp.maximum(sensor[2] - tile.low, CLOSE)  # more than 0: a prism above it hides all
+    reaches = away - span <= drop * casts.fall + CLOSE
     return (overlap | casts.around | (away <= span)) & (casts.near <= away + span) & reaches
 
 
@@ -204,3 +205,10 @@ def clear_masks(
     marked = masks.marks(may_shade(sensor, casts, tile))
     ceiling = masks.fold_marked(marked, lift, start)
     return levels(tile.heights[:, None] > ceiling[None], tile.there.dtype)
+
+
+@jax.jit
+def sight_masks(sensor: Float[Array, "3"], prisms: Prism, tiles: Tile) -> UInt[Array, "N T C"]:
+    """Masks of the voxels that are in line of sight of one sensor, in T frames of prisms (T, B)."""
+    cast = casts(sensor, prisms)
+    return jax.lax.map(lambda tile: clear_masks(sensor, cast, tile), tiles)

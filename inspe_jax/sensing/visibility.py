@@ -16,21 +16,21 @@ from inspe_jax.errors import InspeError
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.ground import about_center, poses_about_center
-from inspe_jax.sensing.in_view import view_margins
+from inspe_jax.sensing.in_view import in_view_masks
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.shadows import shadow_ceilings
+from inspe_jax.sensing.shadows import sight_masks
+from inspe_jax.sensing.tiles import tiles_of
 
 
 def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
     """Whether some ray of each sensor passes through each voxel; traffic does not matter."""
     check_layout(scene, layout)
-    field, ray = view_margins(
-        poses_about_center(scene, layout),
-        about_center(scene).centers,
-        layout.groups(),
-        scene.voxels.size / 2,
-    )
-    return np.asarray((field > 0) & (ray > 0))
+    tiles, poses = tiles_of(about_center(scene)), poses_about_center(scene, layout)
+    half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
+    for grid, index in layout.groups():
+        for s in index:
+            found[s] = tiles.by_voxel(in_view_masks(grid, poses[s], tiles.tile, half))
+    return found
 
 
 def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:
@@ -45,13 +45,10 @@ def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, 
     if not 0 <= frame <= last:
         raise InspeError(f"frame {frame}: the scene has frames 0 to {last}")
     ground = about_center(scene)
-    prisms = jax.tree.map(lambda leaf: leaf[frame], ground.prisms)
-    ceilings = _ceilings(poses_about_center(scene, layout)[:, :3], prisms, ground.columns)
-    clear = ground.heights[None] > ceilings[:, :, None]
-    return np.asarray(clear.reshape(len(layout), -1))
-
-
-_ceilings = jax.jit(shadow_ceilings)
+    tiles, poses = tiles_of(ground), poses_about_center(scene, layout)
+    prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], ground.prisms)
+    clear = [tiles.by_voxel(sight_masks(pose[:3], prisms, tiles.tile)[:, 0]) for pose in poses]
+    return np.stack(clear)
 
 
 def check_layout(scene: Scene, layout: Layout) -> None:

@@ -1,0 +1,39 @@
+"""Work on all cores: results in order, code compiled once, errors passed on."""
+
+import threading
+
+import pytest
+
+from inspe_jax import cores
+
+
+def test_results_come_in_the_order_of_the_jobs():
+    jobs = [("square", lambda n=n: n * n) for n in range(20)]
+    assert cores.run(jobs) == [n * n for n in range(20)]
+    assert cores.run([]) == []
+
+
+def test_of_jobs_that_need_the_same_code_one_goes_first():
+    """Until the first is done no other of its key begins; once it was, they go side by side."""
+    begun, done = [], threading.Event()
+
+    def job(n):
+        begun.append((n, done.is_set()))
+        if n == 0:
+            done.set()
+
+    key = object()
+    cores.run([(key, lambda n=n: job(n)) for n in range(8)])
+    assert begun[0] == (0, False)
+    assert all(after for _, after in begun[1:])
+
+
+def test_a_job_that_fails_raises_and_its_code_does_not_count_as_compiled():
+    key = object()
+
+    def fail():
+        raise ZeroDivisionError
+
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            cores.run([(key, fail), (key, lambda: None)])

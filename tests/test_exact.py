@@ -1,0 +1,174 @@
+"""Scores counted in bit masks against the same measures with a number for every voxel."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, no_traffic, random_layout, random_traffic, world
+
+from inspe_jax import exact, metrics
+from inspe_jax.measures import Crew, Field, measure
+from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
+from inspe_jax.sensing.tiles import tiles_of
+
+SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
+UNITS = ((0, 2), (1,), (3,))  # as failures: several sensors in a group, not in order
+SCENES = {
+    "plain": dict(),
+    "sloping, off centre": dict(slope=0.08, center=(812.0, -455.0, 31.0)),
+    "more levels than a word has bits": dict(voxel=0.1, radius=10.0, frames=2),
+    "two words of vehicles": dict(count=45, frames=3),
+    "two parts of frames": dict(frames=131, count=3, voxel=1.0),
+    "no vehicle": dict(count=0),
+}
+
+
+def both(scene, layout, failures=(), **options):
+    """(dense, by masks)."""
+    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), failures)
+    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
+    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    dense = jax.jit(lambda poses: measure(field, poses, crew, voxel, **options))(poses)
+    return dense, exact.measure_exactly(exact.world_of(scene), poses, crew, voxel, **options)
+
+
+def assert_same(dense, counted):
+    """Counts are the same; sums of floats in another order to a few roundings.
+
+    H(Ω) is a plain sum of thousands: of n additions, roundings grow as √n · 6e-8.
+    """
+    for name in dense._fields:
+        ours, theirs = getattr(counted, name), getattr(dense, name)
+        rtol = 1e-5 if name == "entropy" else 0
+        np.testing.assert_allclose(ours, theirs, rtol, 2e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_masks_count_what_numbers_add_up_to(name):
+    scene = world(seed=3, **SCENES[name])
+    x, y = scene.voxels.center[:2]
+    layout = random_layout(scene, SPECS, seed=5)
+    if scene.voxels.radius <= 10:  # nearer, so that something is seen
+        poses = np.asarray(layout.poses)
+        poses[:, :2] = [x, y] + (poses[:, :2] - [x, y]) / 2
+        layout = layout.with_poses(poses)
+    dense, counted = both(scene, layout, UNITS)
+    assert 0.05 < float(dense.coverage[0]) < 1
+    assert_same(dense, counted)
+
+
+@pytest.mark.parametrize("reference", metrics.OCCLUSION_REFERENCES)
+@pytest.mark.parametrize("visibility", ["in_view", "line_of_sight"])
+@pytest.mark.parametrize("failures", [(), UNITS], ids=["whole", "failures"])
+def test_every_reading_is_counted_alike(reference, visibility, failures):
+    scene = world(seed=7, count=20)
+    layout = random_layout(scene, SPECS, seed=8, heights=(1.0, 4.0))
+    options = dict(occlusion_reference=reference, visibility=visibility)
+    assert_same(*both(scene, layout, failures, **options))
+
+
+def test_a_sensor_in_every_awkward_place():
+    """In a vehicle, in the plane of a side, at a voxel's centre, above the scene's centre."""
+    scene = world(seed=2, count=15)
+    t = scene.traffic
+    inside = t.center[0, 0] - [0, 0, 0.1]
+    beside = t.center[1, 1, :2] + t.size[1, 1, 1] / 2 * np.array(
+        [-np.sin(t.yaw[1, 1]), np.cos(t.yaw[1, 1])]
+    )
+    voxel = scene.voxels.centers[len(scene.voxels.centers) // 2]
+    layout = random_layout(scene, SPECS, seed=1)
+    poses = np.array(layout.poses)
+    poses[0, :3], poses[1, :3] = inside, (*beside, 1.2)
+    poses[2, :3], poses[3, :3] = voxel, (0.0, 0.0, 3.0)
+    poses[3, 3:] = 0.0
+    assert_same(*both(scene, layout.with_poses(poses)))
+
+
+def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
+    scene = world(seed=4, frames=9)
+    layout = random_layout(scene, SPECS, seed=4)
+    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), UNITS)
+    found = []
+    for number in (1, 2, 8):
+        monkeypatch.setattr(exact, "cores", lambda number=number: number)
+        worlds = exact._make_world(scene)
+        assert len(worlds.shares) == number
+        poses = poses_about_center(scene, layout)
+        found.append(exact.measure_exactly(worlds, poses, crew, scene.voxels.size))
+    for other in found[1:]:
+        for name in other._fields:
+            np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))
+
+
+def test_a_sample_is_counted_as_a_scene_of_its_own():
+    """Some columns and frames, traced, against numbers; p̂ is that of all frames."""
+    scene = world(seed=6, frames=6, count=15)
+    layout = random_layout(scene, SPECS, seed=6)
+    full, levels = about_center(scene), scene.voxels.level_count
+    rng = np.random.default_rng(0)
+    at = np.sort(rng.choice(len(full.columns), 77, replace=False))
+    prisms = jax.tree.map(lambda leaf: leaf[np.array([4, 1])], full.prisms)
+    field = Field(
+        Ground(full.columns[at], full.heights[at], prisms),
+        jnp.asarray(np.repeat(scene.voxels.column_weight[at], levels), float),
+        jnp.asarray(rng.uniform(size=77 * levels), float),
+    )
+    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), UNITS)
+    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
+    sample = exact.world_of_sample(field)
+    traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, crew, voxel))
+    assert_same(measure(field, poses, crew, voxel), traced(poses, sample))
+
+    grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
+    views, seen = exact.see(grid, voxel / 2, s, sample)
+    assert views.shape == (3, 77 * levels)
+    assert seen.shape == (3, 2, 77 * levels)
+    np.testing.assert_array_equal(views[0], views[2])
+    assert not (seen & ~views[:, None]).any()
+    assert seen[0].any()
+    alone = Crew(((grid, (0,)),), (1.0,))
+    one = measure(field, poses[:1], alone, voxel)
+    assert views[0].mean() == pytest.approx(float(one.column_coverage.mean()), abs=1e-6)
+
+
+def test_layouts_of_one_shape_compile_once():
+    scene = world(seed=9)
+    first, second = (random_layout(scene, SPECS, seed=k) for k in (1, 2))
+    both(scene, first)
+    parts = exact.in_view_masks, exact._watch, exact._measures
+    before = [part._cache_size() for part in parts]
+    both(scene, second)
+    assert [part._cache_size() for part in parts] == before
+
+
+def test_a_world_is_kept_as_long_as_its_scene():
+    scene = world(seed=1)
+    made = exact.world_of(scene)
+    assert exact.world_of(scene) is made
+    other = replace(scene, traffic=random_traffic(scene.intersection, 2, 3, 20.0, seed=1))
+    assert exact.world_of(other) is not made
+    kept = len(exact._worlds)
+    del scene, other
+    assert len(exact._worlds) <= kept - 2
+    assert exact.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
+
+
+@pytest.mark.parametrize("voxel", [0.1, 0.5, 2.0])
+def test_tiles_hold_every_voxel_once(voxel):
+    scene = world(voxel=voxel, radius=10.0, slope=0.1)
+    ground, tiles = about_center(scene), tiles_of(about_center(scene))
+    assert tiles.by_voxel(tiles.tile.there).all()
+    assert int(jax.lax.population_count(tiles.tile.there).sum()) == scene.voxels.count
+    numbers = len(tiles.tile.there)
+    assert numbers % 8 == 0
+    # Each within its bounds, and in the place that is said.
+    place = np.asarray(tiles.place)
+    xy = np.asarray(tiles.tile.columns).swapaxes(1, 2)[: numbers // tiles.slabs]
+    np.testing.assert_array_equal(xy.reshape(-1, 2)[place], ground.columns)
+    away = np.hypot(*(xy - np.asarray(tiles.tile.center)[: len(xy), None]).transpose(2, 0, 1))
+    assert (away <= np.asarray(tiles.tile.radius)[: len(xy), None]).all()
+    z = np.asarray(tiles.tile.heights)
+    np.testing.assert_array_equal(z.min((1, 2)), tiles.tile.low)
+    np.testing.assert_array_equal(z.max((1, 2)), tiles.tile.high)

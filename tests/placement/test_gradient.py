@@ -17,7 +17,7 @@ from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import Layout
 
 METHODS = {method.name: method for method in GRADIENTS}
-BUDGET = {"adam": 120, "greedy-adam": 120, "lbfgsb": 150, "projected-gradient": 600}
+BUDGET = {"adam": 120, "greedy-adam": 300, "lbfgsb": 150, "projected-gradient": 600}
 """Exact scores' work in which each takes several of its steps."""
 
 

@@ -183,7 +183,7 @@ def _small(monkeypatch):
     monkeypatch.setattr(search, "PATIENCE", 2)
 
 
-BUDGET = {"grid": 7.0, "random": 7.0, "greedy": 8.0, "cma-es": 8.0}
+BUDGET = {"grid": 30.0, "random": 30.0, "greedy": 80.0, "cma-es": 40.0}
 """Evaluations in which each method comes through all of its kinds of step, but for restarts."""
 
 

@@ -15,7 +15,8 @@ import jax
 Job = tuple[Hashable, Callable[[], Any]]
 """A job, and what tells the code it needs compiled: jobs of one key need the same."""
 
-_compiled: set[Hashable] = set()
+compiled: set[Hashable] = set()
+"""Keys whose code is compiled, of functions that live as long as the process."""
 
 
 @cache
@@ -31,10 +32,11 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), "inspe_jax")
 
 
-def run(jobs: Sequence[Job]) -> list[Any]:
+def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
     """The jobs' results, finished, worked out on all cores.
 
-    Of jobs whose code is not compiled yet one goes first, so that it is compiled once.
+    Of jobs whose key is not ``known`` one goes first, so that its code is compiled once; then it
+    is. Jobs may not call this themselves.
     """
 
     def finished(number: int) -> Any:
@@ -42,13 +44,14 @@ def run(jobs: Sequence[Job]) -> list[Any]:
 
     def side_by_side(numbers: Sequence[int]) -> list[Any]:
         # Threads do not inherit JAX's settings of this one: in double precision it stays here.
-        if cores() == 1 or len(numbers) < 2 or jax.config.read("jax_enable_x64"):
+        double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+        if cores() == 1 or len(numbers) < 2 or double:
             return [finished(n) for n in numbers]
         return list(_pool().map(finished, numbers))
 
-    first = {key: n for n, (key, _) in reversed(list(enumerate(jobs))) if key not in _compiled}
+    first = {key: n for n, (key, _) in reversed(list(enumerate(jobs))) if key not in known}
     done = dict(zip(first.values(), side_by_side(list(first.values())), strict=True))
     rest = [n for n in range(len(jobs)) if n not in done]
     done |= zip(rest, side_by_side(rest), strict=True)
-    _compiled.update(first)
+    known.update(first)
     return [done[n] for n in range(len(jobs))]

@@ -79,14 +79,19 @@ class World:
     frame_count: int = field(metadata={"static": True})
 
 
-_worlds: "WeakKeyDictionary[Scene, World]" = WeakKeyDictionary()
+_worlds: "WeakKeyDictionary[Scene, dict[jnp.dtype, World]]" = WeakKeyDictionary()
 
 
 def world_of(scene: Scene) -> World:
-    """A scene's :class:`World`, made when it is first asked for and kept as long as the scene."""
-    if scene not in _worlds:
-        _worlds[scene] = _make_world(scene)
-    return _worlds[scene]
+    """A scene's :class:`World`, made when it is first asked for and kept as long as the scene.
+
+    One for each precision that JAX is set to.
+    """
+    kept = _worlds.setdefault(scene, {})
+    precision = jnp.zeros((), float).dtype
+    if precision not in kept:
+        kept[precision] = _make_world(scene)
+    return kept[precision]
 
 
 def _make_world(scene: Scene) -> World:
@@ -225,7 +230,8 @@ def _watch_all(
         return watched
     seen = np.zeros((2, 1 + len(failures), world.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
-    sights = np.zeros((*views.shape, world.tiles.tile.heights.shape[1]), np.int32)
+    levels = world.tiles.tile.heights.shape[1] if sighted else 0
+    sights = np.zeros((*views.shape, levels), np.int32)
     for share, part in zip(world.shares, run(jobs), strict=True):
         seen[:, :, share.frames] += np.stack([part.seen, part.original])
         columns[share.tiles] += part.columns

@@ -1,5 +1,8 @@
-"""Strict promotion and no NaN, for every test."""
+"""Strict promotion and no NaN, for every test; what one compiled, others need not."""
 
+import atexit
+import shutil
+import tempfile
 from pathlib import Path
 
 import jax
@@ -9,6 +12,12 @@ from worlds import MAPS
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_nans", True)
+
+# Every search compiles its own functions, and most of them are of the same shapes.
+COMPILED = tempfile.mkdtemp()
+atexit.register(shutil.rmtree, COMPILED, ignore_errors=True)
+jax.config.update("jax_compilation_cache_dir", COMPILED)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,8 @@
 """Work on all cores: results in order, code compiled once, errors passed on."""
 
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -13,13 +15,16 @@ def test_results_come_in_the_order_of_the_jobs():
     assert cores.run([]) == []
 
 
-def test_of_jobs_that_need_the_same_code_one_goes_first():
+def test_of_jobs_that_need_the_same_code_one_goes_first(monkeypatch):
     """Until the first is done no other of its key begins; once it was, they go side by side."""
+    monkeypatch.setattr(cores, "cores", lambda: 4)
+    monkeypatch.setattr(cores, "_pool", lambda: ThreadPoolExecutor(4))
     begun, done = [], threading.Event()
 
     def job(n):
         begun.append((n, done.is_set()))
         if n == 0:
+            time.sleep(0.05)  # the others would begin meanwhile
             done.set()
 
     key = object()
@@ -37,3 +42,4 @@ def test_a_job_that_fails_raises_and_its_code_does_not_count_as_compiled():
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             cores.run([(key, fail), (key, lambda: None)])
+        assert key not in cores.compiled

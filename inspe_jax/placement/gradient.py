@@ -132,12 +132,9 @@ def _advance(run: Run, state: State, now: Callable[[], tuple[float, float]], cou
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
         run.charge(len(line) * run.gradient_cost * problem.share(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
-        slopes = on_all_cores(
-            [
-                (("slope", id(problem)), partial(slope, *row, problem.fields, softness))
-                for row in zip(z, anchor, place, drawn, strict=True)
-            ]
-        )
+        rows = zip(z, anchor, place, drawn, strict=True)
+        jobs = [("slope", partial(slope, *row, problem.fields, softness)) for row in rows]
+        slopes = on_all_cores(jobs, problem.known)
         z, optimiser = move(z, mean @ jnp.stack(slopes), optimiser, rate)
     return state | _kept(optimiser) | {"z": np.asarray(z), "count": state["count"] + count}
 

@@ -5,7 +5,7 @@ result reports. *Rough*: hard too, on a sample of columns and frames; what basel
 rank candidates by. *Soft*: margins read softly on a sample; what gradients are of.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, wraps
 from typing import Any, NamedTuple
@@ -199,6 +199,7 @@ class Problem:
         self.crews = tuple(self._crew(case, failures) for case in self.cases)
         self._constraints = constraints or Constraints()
         self.compiled: dict[Callable[[Problem], Any], Any] = {}
+        self.known: set[Hashable] = set()
 
     @cached_property
     def space(self) -> Space:
@@ -297,9 +298,9 @@ class Problem:
         jobs: list[Job] = []
         for part in np.split(np.asarray(x, float), parts):
             work = partial(self._rough, jnp.asarray(part, float), sample.worlds)
-            key = ("rough", id(self), part.shape, *(world.weight.shape for world in sample.worlds))
+            key = ("rough", part.shape, *(world.weight.shape for world in sample.worlds))
             jobs.append((key, work))
-        return np.concatenate(run(jobs))
+        return np.concatenate(run(jobs, self.known))
 
     @cached_property
     def _rough(self) -> Any:

@@ -257,7 +257,8 @@ def in_view_masks(
     grid: RayGrid, pose: Float[Array, "6"], tiles: Tile, half: float
 ) -> UInt[Array, "N C"]:
     """Masks of the voxels that one sensor has in view: where both of :func:`in_view_margins` are
-    positive, the same voxels.
+    positive. (A voxel that the candidates there miss, columns being many voxels apart, may be told
+    by its nearest ray here.)
 
     Nearly all are told by their nearest ray (:func:`_sure`), level by level in the tiles that the
     field of view touches; the rest, some 2 %, by the six rays of :func:`_candidates`.
@@ -301,20 +302,22 @@ def _sure(
 ) -> tuple[Bool[Array, "*n"], Bool[Array, "*n"]]:
     """(whether a voxel surely is in view, whether it surely is not).
 
-    It is where the line through a point on a ray near its centre meets the cube, by the axes across
-    the line that separate a line from a cube; and not between rows or columns, or so far outside
-    the field of view that no corner is inside.
+    It is where the line through a point p of a ray, near its centre q, meets the cube, by the axes
+    across the line that separate a line from a cube; p must be near beside |q|, so that the line
+    tells directions apart, and what it meets of the cube within the reach. It is not between rows
+    or columns, or so far outside the field of view that no corner is inside.
     """
     q = _to_body(turn, offset)
     to, slack = grid.to_ray(q)
-    p = [offset[k] + sum(turn[k, m] * to[m] for m in range(3)) for k in range(3)]
-    away = [p[k] - offset[k] for k in range(3)]
-    hit = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2]) > 4 * half * half
+    away = [sum(turn[k, m] * to[m] for m in range(3)) for k in range(3)]
+    p = [offset[k] + away[k] for k in range(3)]
+    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    corner = np.sqrt(3.0) * half + SLACK
+    hit = 4 * (to[0] * to[0] + to[1] * to[1] + to[2] * to[2]) <= squared
+    hit &= (squared > 4 * half * half) & (jnp.sqrt(squared) + corner <= grid.reach)
     for k in range(3):
         across = jnp.abs(away[k - 1] * p[k - 2] - away[k - 2] * p[k - 1])
         hit &= across <= (half - SLACK - slack) * (jnp.abs(p[k - 1]) + jnp.abs(p[k - 2]))
-    corner = np.sqrt(3.0) * half + SLACK
-    hit &= jnp.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) + corner <= grid.reach
 
     def extent(direction: Point) -> Float[Array, "*n"]:
         turned = (sum(turn[k, m] * direction[m] for m in range(3)) for k in range(3))

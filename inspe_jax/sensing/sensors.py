@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax.geometry import Point
+from inspe_jax.geometry import FAR, Point
 from inspe_jax.numerics import arctan2
 
 _LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
@@ -158,7 +158,8 @@ class RayGrid:
     # For most voxels the ray nearest to the centre tells already whether any passes through.
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """From points to a point on a ray near each, and how far off that may be [m]."""
+        """From points to a point on a ray near each, and how far off that may be [m]: far, where
+        there is none."""
         raise NotImplementedError
 
     def between(self, q: Point, half: float, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
@@ -224,6 +225,7 @@ class SphericalGrid(RayGrid):
         """Along the meridian to the nearest row and along the parallel to the nearest column.
 
         Both as if straight: off by no more than the square of the angle, halved, times the range.
+        Right above and below there is no meridian.
         """
         elevation, azimuth = self.row(q), self.column(q)
         up = self.row_at(self.nearest_row(elevation)) - elevation
@@ -232,7 +234,7 @@ class SphericalGrid(RayGrid):
         inward = up * q[2] / plan
         bend = (jnp.abs(up) + jnp.abs(left)) ** 2 / 2
         to = -inward * q[0] - left * q[1], -inward * q[1] + left * q[0], up * plan
-        return to, distance * (bend + _ANGLE)
+        return to, jnp.where(plan > 2 * _LEAST, distance * (bend + _ANGLE), FAR)
 
     def between(self, q: Point, half: float, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
         """Between two cones. A cube's extent across a cone is that across its tangent plane, and
@@ -288,10 +290,11 @@ class PinholeGrid(RayGrid):
         return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Within the plane that is as far ahead as the point."""
+        """Within the plane that is as far ahead as the point; none is behind."""
         row = self.row_at(self.nearest_row(self.row(q)))
         column = self._nearest_column(self.column(q))
-        return (jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]), 0.0
+        to = jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]
+        return to, jnp.where(q[0] > 0, 0.0, FAR)
 
     def between(self, q: Point, half: float, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
         """Between two planes."""

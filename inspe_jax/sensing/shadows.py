@@ -161,7 +161,7 @@ def casts(sensor: Float[Array, "3"], prisms: Prism) -> Casts:
     sin = jnp.minimum(span / away, 1.0)
     # Similar triangles: from the sensor over the far edge of the top down to the ground.
     above = sensor[2] - prisms.top
-    fall = jnp.where(above > 0, (away + span) / jnp.maximum(above, CLOSE), FAR)
+    fall = jnp.where(above > CLOSE, (away + span) / jnp.maximum(above, CLOSE), FAR)
     near = jnp.where(prisms.valid, away - span, FAR)
     columns = x / away, y / away, jnp.sqrt(1.0 - sin * sin), sin, away <= span, near, fall
     return Casts(shade(sensor, prisms), *(leaf.T for leaf in columns))

@@ -16,7 +16,7 @@ from worlds import (
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.devices import devices
-from inspe_jax.sensing.in_view import in_view_margins
+from inspe_jax.sensing.in_view import in_view_masks
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.sensing.visibility import in_view, line_of_sight
 
@@ -115,7 +115,7 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
     assert in_view(scene, layout)[1].any()
     for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
         centers = scene.voxels.centers.astype(np.float32)
-        margins = in_view_margins(
+        margins = in_view_masks(
             sensor.spec.grid, pose[None].astype(np.float32), centers, scene.voxels.size / 2
         )
         assert np.isfinite(np.asarray(margins)).all()
@@ -192,7 +192,7 @@ def test_devices_of_one_kind_compile_once(capfd):
     layout = place_sensors(*[(LIDAR, [float(x), 0.0, 5.0, 0.0, 0.0, 0.3 * x]) for x in range(3)])
     assert len(layout.groups()) == 1
     in_view(scene, layout)
-    before = in_view_margins._cache_size()
+    before = in_view_masks._cache_size()
     in_view(scene, layout.with_poses(layout.poses + 0.1))
-    assert in_view_margins._cache_size() == before
+    assert in_view_masks._cache_size() == before
     assert jax.config.jax_debug_nans

@@ -21,7 +21,7 @@ def test_what_every_search_finds_can_be_mounted(name):
     """
     scene = build_scene(built_in(name), radius=30, voxel=1.0, frames=4, density=10)
     layout = strategy(scene, "Cam-d1/L-d1")
-    results = compare(scene, layout, evaluations=50, seeds=SEEDS, start="random")
+    results = compare(scene, layout, evaluations=100, seeds=SEEDS, start="random")
     assert len(results) == SEEDS * len(METHODS)
     lanes = lanes_of(scene.intersection)
     for result in results:

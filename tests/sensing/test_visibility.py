@@ -16,7 +16,7 @@ from worlds import (
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.devices import devices
-from inspe_jax.sensing.in_view import in_view_masks
+from inspe_jax.sensing.in_view import in_view_margins, in_view_masks
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.sensing.visibility import in_view, line_of_sight
 
@@ -115,7 +115,7 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
     assert in_view(scene, layout)[1].any()
     for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
         centers = scene.voxels.centers.astype(np.float32)
-        margins = in_view_masks(
+        margins = in_view_margins(
             sensor.spec.grid, pose[None].astype(np.float32), centers, scene.voxels.size / 2
         )
         assert np.isfinite(np.asarray(margins)).all()

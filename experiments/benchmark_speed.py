@@ -70,8 +70,7 @@ def sensors(scene: Scene, times: int = 1) -> Layout:
 
 def first_version(scene: Scene, layout: Layout) -> Callable[[], Any]:
     """Every prism against every column, a number for every voxel."""
-    each = tuple((s,) for s in range(len(layout)))
-    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), each)
+    crew = Crew.of(layout, tuple((s,) for s in range(len(layout))))
     field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     measured = jax.jit(lambda poses: measure(field, poses, crew, voxel))
@@ -176,7 +175,7 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
 def measured(name: str, seed: int) -> dict[str, Any]:
     """One workload in a process of its own: cold and warm seconds, peak memory."""
     code = (
-        "import sys, json, time; sys.path.insert(0, sys.argv[1]); import benchmark_speed as b; "
+        "import sys, json; sys.path.insert(0, sys.argv[1]); import benchmark_speed as b; "
         "scene = b.workload(sys.argv[2], int(sys.argv[3])); "
         "layout = b.sensors(scene, 2 if sys.argv[2] == 'W3' else 1); "
         "score = lambda: b.inspe_jax.evaluate(scene, layout); "
@@ -246,8 +245,8 @@ def main() -> None:
         f"against every column by {off:.1e}; peak memory of scoring {memory:.2f} GiB",
         highlight=False,
     )
-    others = [measured(n, options.seed) for n in (["quick"] if options.quick else WORKLOADS)]
-    others = [row for row in others if options.quick or row["what"] != "quick"]
+    names = [n for n in WORKLOADS if (n == "quick") == options.quick]
+    others = [measured(n, options.seed) for n in names]
     table = Table("", "voxels", "sensors", "cold [s]", "warm [s]", "× W1", "peak GiB")
     for row in others:
         row["ratio"] = row["warm"] / others[0]["warm"]

@@ -32,6 +32,12 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), "inspe_jax")
 
 
+def shared_out(rows: Any) -> list[Any]:
+    """Rows of an array in a part for each core; in one where they do not go up in equal parts."""
+    size = len(rows) // cores() if len(rows) % cores() == 0 else len(rows)
+    return [rows[begin : begin + size] for begin in range(0, len(rows), size)]
+
+
 def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
     """The jobs' results, finished, worked out on all cores.
 

@@ -88,7 +88,7 @@ def evaluate(
     check_memory(scene.voxels.count, len(layout))
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     each = tuple((s,) for s in range(len(layout)))
-    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), each)
+    crew = Crew.of(layout, each)
     width = Softness.of(softness, voxel)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
     if width.exact and not isinstance(poses, jax.core.Tracer):

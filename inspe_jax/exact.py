@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax import masks, metrics
-from inspe_jax.cores import Job, cores, run
+from inspe_jax.cores import Job, cores, run, shared_out
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Field, Measures
 from inspe_jax.numerics import leave_one_out
@@ -374,9 +374,8 @@ def see(
     For a world of one share. With ``spare_own`` a vehicle does not hide its own voxels.
     """
     (share,) = world.shares
-    parts = cores() if len(poses) % cores() == 0 else 1
     jobs: list[Job] = []
-    for part in jnp.split(poses, parts):
+    for part in shared_out(poses):
         work = partial(_see, grid, half, part, share, spare_own=spare_own)
         jobs.append(((_see, grid, half, part.shape, share.solid.shape, spare_own), work))
     views, seen = (np.concatenate(found) for found in zip(*run(jobs), strict=True))

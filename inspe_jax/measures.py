@@ -16,6 +16,7 @@ from inspe_jax.geometry import Prism, solid_top
 from inspe_jax.numerics import EXACT, Softness, Width, leave_one_out, step
 from inspe_jax.sensing.ground import Ground
 from inspe_jax.sensing.in_view import TOGETHER, view_margins
+from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import sight
 
@@ -39,6 +40,11 @@ class Crew(NamedTuple):
     groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]
     reliability: tuple[float, ...]
     failures: tuple[tuple[int, ...], ...] = ()
+
+    @classmethod
+    def of(cls, layout: Layout, failures: tuple[tuple[int, ...], ...] = ()) -> "Crew":
+        """The sensors of a layout."""
+        return cls(layout.groups(), tuple(layout.reliability.tolist()), failures)
 
 
 class Measures(NamedTuple):

@@ -27,7 +27,7 @@ SCENES = {
 
 def both(scene, layout, failures=(), **options):
     """(dense, by masks)."""
-    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), failures)
+    crew = Crew.of(layout, failures)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = jax.jit(lambda poses: measure(field, poses, crew, voxel, **options))(poses)
@@ -89,7 +89,7 @@ def test_a_sensor_in_every_awkward_place():
 def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
     scene = world(seed=4, frames=9)
     layout = random_layout(scene, SPECS, seed=4)
-    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), UNITS)
+    crew = Crew.of(layout, UNITS)
     found = []
     for number in (1, 2, 8):
         monkeypatch.setattr(exact, "cores", lambda number=number: number)
@@ -115,7 +115,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
         jnp.asarray(np.repeat(scene.voxels.column_weight[at], levels), float),
         jnp.asarray(rng.uniform(size=77 * levels), float),
     )
-    crew = Crew(layout.groups(), tuple(layout.reliability.tolist()), UNITS)
+    crew = Crew.of(layout, UNITS)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     sample = exact.world_of_sample(field)
     traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, crew, voxel))

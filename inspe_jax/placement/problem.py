@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
-from inspe_jax.cores import Job, cores, run
+from inspe_jax.cores import Job, run, shared_out
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.exact import World, measure_exactly, see, world_of, world_of_sample
@@ -196,7 +196,7 @@ class Problem:
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self.crews = tuple(self._crew(case, failures) for case in self.cases)
+        self.crews = tuple(Crew.of(case.layout(layout), failures) for case in self.cases)
         self._constraints = constraints or Constraints()
         self.compiled: dict[Callable[[Problem], Any], Any] = {}
         self.known: set[Hashable] = set()
@@ -206,10 +206,6 @@ class Problem:
         """Where the sensors may be. Raises InspeError where a constraint is bad, or a unit has
         nowhere to stand."""
         return Space(self.cases[0].scene, self.layout, self._constraints)
-
-    def _crew(self, case: Case, failures: tuple[tuple[int, ...], ...]) -> Crew:
-        layout = case.layout(self.layout)
-        return Crew(layout.groups(), tuple(layout.reliability.tolist()), failures)
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
@@ -294,9 +290,8 @@ class Problem:
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of many layouts, read hard on a sample."""
-        parts = cores() if len(x) % cores() == 0 else 1
         jobs: list[Job] = []
-        for part in np.split(np.asarray(x, float), parts):
+        for part in shared_out(np.asarray(x, float)):
             work = partial(self._rough, jnp.asarray(part, float), sample.worlds)
             key = ("rough", part.shape, *(world.weight.shape for world in sample.worlds))
             jobs.append((key, work))

@@ -47,13 +47,17 @@ def without_one(
     masks: UInt[Array, "S ..."], groups: tuple[tuple[int, ...], ...]
 ) -> UInt[Array, "1+G ..."]:
     """The union of all rows, and of all but those of each group; each row is in one group."""
-    unions = [jax.lax.reduce_or(masks[jnp.array(group)], (0,)) for group in groups]
+
+    def union(masks: UInt[Array, "s ..."]) -> UInt[Array, "..."]:
+        return jax.lax.reduce(masks, masks.dtype.type(0), jax.lax.bitwise_or, (0,))
+
+    unions = [union(masks[jnp.array(group)]) for group in groups]
     if not unions:
-        return jax.lax.reduce_or(masks, (0,))[None]
+        return union(masks)[None]
     once = twice = jnp.zeros_like(masks[0])
-    for union in unions:
-        once, twice = once | union, twice | (once & union)
-    return jnp.stack([once, *(once & ~(union & ~twice) for union in unions)])
+    for one in unions:
+        once, twice = once | one, twice | (once & one)
+    return jnp.stack([once, *(once & ~(one & ~twice) for one in unions)])
 
 
 def tally(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:

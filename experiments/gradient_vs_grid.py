@@ -117,26 +117,22 @@ def cell(
     """Every method and seed on one cell."""
     problem = Problem(scene, layout)
     problem.exact(problem.space.start(layout)[0])
-    for name in given.methods.split(","):
-        todo = [s for s in range(given.seeds) if (place, mix, name, str(s)) not in done]
-        if not todo:
-            continue
+    todo = [
+        (seed, name)  # in turns: a machine that is busy for a while then slows all methods alike
+        for seed in range(given.seeds)
+        for name in given.methods.split(",")
+        if (place, mix, name, str(seed)) not in done
+    ]
+    compiling = {}
+    for name in dict.fromkeys(name for _, name in todo):
         began = time.monotonic()
         search(problem, METHODS[name], 0, evaluations=warming(problem))
-        compiling = time.monotonic() - began
-        for seed in todo:
-            run, history = search(problem, METHODS[name], seed, seconds=given.seconds)
-            row = (place, mix, name, seed, given.seconds, history[0].best, run.best)
-            yield (
-                dict(
-                    zip(
-                        FIELDS,
-                        (*row, run.evaluations, history[-1].seconds, compiling),
-                        strict=True,
-                    )
-                ),
-                history,
-            )
+        compiling[name] = time.monotonic() - began
+    for seed, name in todo:
+        run, history = search(problem, METHODS[name], seed, seconds=given.seconds)
+        row = (place, mix, name, seed, given.seconds, history[0].best, run.best)
+        spent = (run.evaluations, history[-1].seconds, compiling[name])
+        yield dict(zip(FIELDS, (*row, *spent), strict=True)), history
 
 
 def append(path: Path, rows: list[dict[str, Any]]) -> None:

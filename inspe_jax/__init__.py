@@ -13,7 +13,7 @@ Conventions, stated once:
 """
 
 from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Contribution, Scores, evaluate
+from inspe_jax.evaluation import Contribution, ManyScores, Scores, evaluate, evaluate_many
 from inspe_jax.numerics import Softness
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import compare, methods, optimise
@@ -47,6 +47,7 @@ __all__ = [
     "Intersection",
     "Layout",
     "LidarSpec",
+    "ManyScores",
     "Objective",
     "Pose",
     "Region",
@@ -64,6 +65,7 @@ __all__ = [
     "device",
     "devices",
     "evaluate",
+    "evaluate_many",
     "in_view",
     "line_of_sight",
     "load_layout",

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
-from inspe_jax.exact import measure_exactly, world_of
+from inspe_jax.exact import measure_exactly, measure_many
 from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
@@ -19,6 +19,7 @@ from inspe_jax.scene.voxels import check_memory
 from inspe_jax.sensing.ground import about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
+from inspe_jax.world import whole_world_of, world_of
 
 VISIBILITIES = ("in_view", "line_of_sight")
 """What information gain calls visible: f as in the paper, or f × the share of frames in sight."""
@@ -127,6 +128,56 @@ def evaluate(
             softness=softness,
         ),
     )
+
+
+@dataclass(frozen=True)
+class ManyScores:
+    """The exact scores of M layouts, (M,) each."""
+
+    coverage: Float[np.ndarray, " M"]
+    occlusion: Float[np.ndarray, " M"]
+    information_gain: Float[np.ndarray, " M"]
+    surrogate: Float[np.ndarray, " M"]
+
+
+def evaluate_many(
+    scene: Scene,
+    layout: Layout,
+    poses: Float[np.ndarray, "M S 6"],
+    *,
+    weights: tuple[float, float, float] = metrics.WEIGHTS,
+    occlusion_reference: str = "roi",
+    visibility: str = "in_view",
+) -> ManyScores:
+    """Exact scores of one layout's sensors at M times S world poses, as :func:`evaluate` has them.
+
+    Faster than one by one: layouts are worked on side by side, and nothing but the scores is found.
+    ``poses`` are x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`.
+    Raises InspeError as that does, and where ``poses`` has another shape.
+    """
+    check_options(weights, occlusion_reference, visibility)
+    poses = np.asarray(poses, float)
+    if poses.ndim != 3 or poses.shape[1:] != (len(layout), 6) or not len(poses):
+        raise InspeError(
+            f"poses of shape {poses.shape}: (M, {len(layout)}, 6) for M times the sensors of "
+            f"{layout.name}, x, y, z, roll, pitch, yaw each"
+        )
+    check_memory(scene.voxels.count, len(layout))
+    for row in poses:
+        check_layout(scene, layout.with_poses(row))
+    shift = np.concatenate([scene.voxels.center, np.zeros(3)])
+    world = whole_world_of(scene)
+    if weights[2] > 0:
+        check_entropy(scene, metrics.entropy(world.occupancy).sum())
+    c, o, ig = measure_many(
+        world,
+        poses - shift,
+        Crew.of(layout),
+        scene.voxels.size,
+        occlusion_reference=occlusion_reference,
+        visibility=visibility,
+    )
+    return ManyScores(c, o, ig, np.asarray(metrics.surrogate(c, o, ig, weights)))
 
 
 def _array(x: Array) -> Any:

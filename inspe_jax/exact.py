@@ -5,156 +5,27 @@ geometry. A voxel is a bit, so a union of sensors is OR, and a count is exact in
 tiles are shared out among the cores, and the scores are the same to the last bit.
 """
 
-from dataclasses import dataclass, field
-from functools import partial
-from typing import NamedTuple
-from weakref import WeakKeyDictionary
+from collections.abc import Callable
+from functools import cache, lru_cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from inspe_jax import masks, metrics
+from inspe_jax import masks, metrics, sharding
 from inspe_jax.cores import Job, cores, run, shared_out
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew, Field, Measures
+from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import leave_one_out
-from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.ground import about_center
 from inspe_jax.sensing.in_view import in_view_masks
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import casts, clear_masks
-from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, solid, tiles_of
-
-FRAMES = 128
-"""Frames that are gone through together: what a tile needs of them stays in a core's cache."""
+from inspe_jax.sensing.tiles import Tile
+from inspe_jax.world import Share, World
 
 Groups = tuple[tuple[int, ...], ...]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Share:
-    """Some of the tiles and some of the frames: what one core goes through.
-
-    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle. The tiles are
-    every ``step``-th from the ``first``, the frames those from ``begin``.
-    """
-
-    tile: Tile
-    prisms: Prism
-    solid: UInt[Array, "n F C"]
-    first: int = field(metadata={"static": True}, default=0)
-    step: int = field(metadata={"static": True}, default=1)
-    begin: int = field(metadata={"static": True}, default=0)
-
-    @property
-    def tiles(self) -> slice:
-        """The share's tiles among all."""
-        return slice(self.first, None, self.step)
-
-    @property
-    def frames(self) -> slice:
-        """The share's frames among all."""
-        return slice(self.begin, self.begin + len(self.prisms.top))
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class World:
-    """What exact scores need of a scene, or of a sample of one, the same for every layout.
-
-    ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
-    of the voxels that may have entropy; ``column`` and ``level`` (U,) say which they are: column
-    among the tiles' columns, level in the slab.
-    """
-
-    tiles: Tiles
-    shares: tuple[Share, ...]
-    weight: Float[Array, " MC"]
-    occupancy: Float[Array, " U"]
-    column: Int[Array, " U"]
-    level: Int[Array, " U"]
-    frame_count: int = field(metadata={"static": True})
-
-
-_worlds: "WeakKeyDictionary[Scene, dict[jnp.dtype, World]]" = WeakKeyDictionary()
-
-
-def world_of(scene: Scene) -> World:
-    """A scene's :class:`World`, made when it is first asked for and kept as long as the scene.
-
-    One for each precision that JAX is set to.
-    """
-    kept = _worlds.setdefault(scene, {})
-    precision = jnp.zeros((), float).dtype
-    if precision not in kept:
-        kept[precision] = _make_world(scene)
-    return kept[precision]
-
-
-def _make_world(scene: Scene) -> World:
-    ground = about_center(scene)
-    tiles = tiles_of(ground)
-    total = len(ground.prisms.top)
-    size = -(-total // -(-total // FRAMES))  # frames of a share, as even as they come
-    step = min(cores(), SHARES)
-    shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
-    for begin in range(0, total, size):
-        frames = slice(begin, begin + size)
-        prisms = jax.tree.map(lambda leaf: leaf[frames], ground.prisms)  # noqa: B023
-        inside = solid(tiles.tile, prisms)
-        counts += np.asarray(_by_level(inside, counts.shape[-1]))
-        for first in range(step):
-            tile, own = jax.tree.map(lambda leaf: leaf[first::step], (tiles.tile, inside))  # noqa: B023
-            shares.append(Share(tile, prisms, own, first, step, begin))
-    counts = counts.reshape(-1, counts.shape[-1])
-    column, level = np.nonzero((counts > 0) & (counts < total))
-    return World(
-        tiles,
-        tuple(shares),
-        _column_weight(tiles, scene.voxels.column_weight),
-        jnp.asarray(counts[column, level] / total, float),
-        jnp.asarray(column),
-        jnp.asarray(level),
-        total,
-    )
-
-
-def world_of_sample(sample: Field) -> World:
-    """The :class:`World` of some columns and frames, in one share.
-
-    Samples of one size make worlds of one shape.
-    """
-    assert sample.occupancy is not None  # that of all frames
-    ground, tiles = sample.ground, tiles_of(sample.ground)
-    levels, height = tiles.level_count, tiles.tile.heights.shape[1]
-    share = Share(tiles.tile, ground.prisms, solid(tiles.tile, ground.prisms))
-    columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
-    level = np.arange(levels)
-    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
-    return World(
-        tiles,
-        (share,),
-        _column_weight(tiles, np.asarray(sample.weight)[::levels]),
-        sample.occupancy,
-        jnp.asarray(column.reshape(-1)),
-        jnp.asarray(np.tile(level % height, len(column))),
-        len(ground.prisms.top),
-    )
-
-
-def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
-    by_place = np.zeros(tiles.tile.there.size // tiles.slabs)
-    by_place[np.asarray(tiles.place)] = weight
-    return jnp.asarray(by_place, float)
-
-
-@partial(jax.jit, static_argnames="levels")
-def _by_level(words: UInt[Array, "N F C"], levels: int) -> Int[Array, "N C Z"]:
-    """In how many frames each level's bit is set."""
-    return jax.lax.map(lambda tile: masks.tally(tile, levels), words)
 
 
 def measure_exactly(
@@ -191,9 +62,22 @@ def _views(
     grids = {s: grid for grid, index in crew.groups for s in index}
     jobs: list[Job] = []
     for s, pose in enumerate(poses):
-        work = partial(in_view_masks, grids[s], pose, tile, half)
+        if world.split is None:
+            work = partial(in_view_masks, grids[s], pose, tile, half)
+        else:
+            work = partial(_split_view(grids[s], half), np.asarray(pose), world.split)
         jobs.append(((in_view_masks, grids[s], half, tile.heights.shape), work))
-    return jnp.stack(run(jobs))
+    return jnp.stack([np.asarray(view) for view in run(jobs)])
+
+
+@cache
+def _split_view(grid: RayGrid, half: float) -> Callable[..., Any]:
+    """:func:`in_view_masks`, every device for its tiles."""
+
+    def view(pose: Array, tile: Tile) -> Array:
+        return in_view_masks(grid, pose, tile, half)
+
+    return sharding.split(view, (sharding.along(None), sharding.along(0)), sharding.along(0))
 
 
 class Watched(NamedTuple):
@@ -220,29 +104,46 @@ def _watch_all(
 ) -> Watched:
     """Go through the frames, tile by tile."""
     options = dict(failures=failures, reference=reference, sighted=sighted)
+    if isinstance(views, jax.core.Tracer):
+        (share,) = world.shares
+        return _watch(share.tile, views, share.solid, share.prisms, sensors, **options)
     jobs: list[Job] = []
     for share in world.shares:
-        few = views[:, share.tiles]
-        work = partial(_watch, share.tile, few, share.solid, share.prisms, sensors, **options)
+        few: Any = views[:, share.tiles]
+        watch: Callable[..., Watched] = partial(_watch, **options)
+        if share.split:
+            few, watch = np.asarray(few), _split_watch(failures, reference, sighted)
+        work = partial(watch, share.tile, few, share.solid, share.prisms, np.asarray(sensors))
         jobs.append(((_watch, *options.values(), few.shape, share.prisms.top.shape), work))
-    if isinstance(views, jax.core.Tracer):
-        (watched,) = (work() for _, work in jobs)
-        return watched
     seen = np.zeros((2, 1 + len(failures), world.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
     levels = world.tiles.tile.heights.shape[1] if sighted else 0
     sights = np.zeros((*views.shape, levels), np.int32)
     for share, part in zip(world.shares, run(jobs), strict=True):
         seen[:, :, share.frames] += np.stack([part.seen, part.original])
-        columns[share.tiles] += part.columns
+        _add(columns[share.tiles], part.columns)
         if sighted:
-            sights[:, share.tiles] += part.sights
+            _add(sights[:, share.tiles], part.sights)
     return Watched(
         jnp.asarray(seen[0]),
         jnp.asarray(seen[1]),
         jnp.asarray(columns),
         jnp.asarray(sights) if sighted else None,
     )
+
+
+def _add(total: np.ndarray, counts: Array) -> None:
+    """Add counts to a total; those of several devices stand one after another."""
+    total += np.asarray(counts).reshape(-1, *total.shape).sum(0)
+
+
+@cache
+def _split_watch(failures: Groups, reference: str, sighted: bool) -> Callable[..., Watched]:
+    """:func:`_watch`, every device for its frames."""
+    watch = partial(_watch, failures=failures, reference=reference, sighted=sighted)
+    whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
+    gives: Any = Watched(second, second, first, first if sighted else None)  # type: ignore[arg-type]
+    return sharding.split(watch, (whole, whole, second, first, whole), gives)
 
 
 @partial(jax.jit, static_argnames=("failures", "reference", "sighted"))
@@ -356,6 +257,47 @@ def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew:
         entropy=metrics.entropy(world.occupancy).sum(),
         seen_share=seen.astype(float) / (world.frame_count * levels),
     )
+
+
+def measure_many(
+    world: World,
+    poses: Float[np.ndarray, "M S 6"],
+    crew: Crew,
+    voxel: float,
+    *,
+    occlusion_reference: str = "roi",
+    visibility: str = "in_view",
+) -> Float[np.ndarray, "3 M"]:
+    """C, O and IG of M layouts, on a world of one share: whole layouts side by side.
+
+    On several devices each has some of the layouts, on one each core.
+    """
+    kind = (crew, voxel, occlusion_reference, visibility)
+    split = sharding.devices() > 1
+    each = sharding.devices() if split else cores()
+    # Some twice, so that they go up in the number of those who work on them.
+    rows = np.resize(poses, (-(-len(poses) // each) * each, *poses.shape[1:]))
+    work, parts = (_split_many(*kind), [rows]) if split else (_many(*kind), shared_out(rows))
+    jobs: list[Job] = [((_many, kind, p.shape), partial(work, p, world)) for p in parts]
+    return np.concatenate(run(jobs))[: len(poses)].T
+
+
+@lru_cache(maxsize=8)
+def _many(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
+    def one(poses: Array, world: World) -> Array:
+        m = measure_exactly(
+            world, poses, crew, voxel, occlusion_reference=reference, visibility=visibility
+        )
+        return jnp.stack([m.coverage[0], m.occlusion[0], m.information_gain[0]])
+
+    return jax.jit(lambda poses, world: jax.lax.map(lambda row: one(row, world), poses))
+
+
+@lru_cache(maxsize=8)
+def _split_many(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
+    """:func:`_many`, every device for its layouts."""
+    whole, first = sharding.along(None), sharding.along(0)
+    return sharding.split(_many(crew, voxel, reference, visibility), (first, whole), first)
 
 
 # ── One sensor at many poses ────────────────────────────────────────────────

@@ -13,11 +13,11 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Lowest first. A module may import its own row and the rows above it in this list.
 LADDER = [
     ("errors",),
-    ("files", "numerics", "masks", "cores"),
+    ("files", "numerics", "masks", "cores", "sharding"),
     ("geometry",),
     ("scene",),
     ("sensing",),
-    ("metrics", "measures", "exact", "evaluation"),
+    ("metrics", "measures", "world", "exact", "evaluation"),
     ("placement",),
     ("report",),
     ("cli",),

@@ -2,12 +2,16 @@
 
 import csv
 import json
+import os
+import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 
 from inspe_jax.cli import main
+from inspe_jax.cli.common import _keep_compiled
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 
@@ -354,3 +358,36 @@ def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
     status, _, error = inspe("scene", "ok.xodr", "--list")
     assert status == 2
     assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "kept"), [((), True), (("--no-cache",), False)], ids=["as it is", "--no-cache"]
+)
+def test_what_is_compiled_is_kept_for_the_next_run(files, tmp_path, options, kept):
+    command = "from inspe_jax.cli import main; main()"
+    own = {key: str(tmp_path) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
+    ran = subprocess.run(
+        [sys.executable, "-c", command, *options, "score", "s.npz", "layout.yaml"],
+        env=os.environ | own,
+        cwd=files,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    found = [path for path in tmp_path.rglob("*-cache") if "inspe_jax" in path.parts]
+    assert bool(found) == kept
+
+
+def test_nowhere_to_keep_what_is_compiled_is_no_error(monkeypatch):
+    def full(*_, **__):
+        raise PermissionError
+
+    monkeypatch.setattr("platformdirs.user_cache_path", full)
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    try:
+        _keep_compiled()
+        assert jax.config.jax_compilation_cache_dir is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)

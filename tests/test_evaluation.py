@@ -18,7 +18,7 @@ from worlds import (
 )
 
 from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import evaluate
+from inspe_jax.evaluation import evaluate, evaluate_many
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import build_voxels
 from inspe_jax.sensing import raycast
@@ -233,3 +233,32 @@ def test_settings_and_seen_share():
     assert scores.seen_share.shape == (len(scene.voxels.columns),)
     assert 0 < scores.seen_share.mean() < scores.coverage + 0.05
     assert jnp.isfinite(scores.information_gain_literal)
+
+
+def test_many_layouts_score_as_they_do_one_by_one():
+    scene = world(seed=6, frames=4)
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=1)
+    poses = np.stack([random_layout(scene, [LIDAR, CAMERA], seed=k).poses for k in range(5)])
+    for options in ({}, dict(visibility="line_of_sight", weights=(0.2, 0.2, 0.6))):
+        many = evaluate_many(scene, layout, poses, **options)
+        for name in ("coverage", "occlusion", "information_gain", "surrogate"):
+            alone = [getattr(evaluate(scene, layout.with_poses(p), **options), name) for p in poses]
+            # The same counts; their sums may be rounded in another order.
+            np.testing.assert_allclose(getattr(many, name), alone, 0, 3e-7)
+        assert np.ptp(many.surrogate) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("poses", "message"),
+    [
+        (np.zeros((2, 6)), r"shape \(2, 6\): \(M, 2, 6\)"),
+        (np.zeros((0, 2, 6)), r"shape \(0, 2, 6\)"),
+        (np.full((1, 2, 6), np.nan), "not finite"),
+        (np.full((1, 2, 6), -9.0), "in the ground"),
+    ],
+)
+def test_poses_of_many_layouts_are_checked(poses, message):
+    scene = world()
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=1)
+    with pytest.raises(InspeError, match=message):
+        evaluate_many(scene, layout, poses)

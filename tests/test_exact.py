@@ -9,6 +9,7 @@ import pytest
 from worlds import CAMERA, LIDAR, no_traffic, random_layout, random_traffic, world
 
 from inspe_jax import exact, metrics
+from inspe_jax import world as made
 from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.tiles import tiles_of
@@ -31,7 +32,7 @@ def both(scene, layout, failures=(), **options):
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = jax.jit(lambda poses: measure(field, poses, crew, voxel, **options))(poses)
-    return dense, exact.measure_exactly(exact.world_of(scene), poses, crew, voxel, **options)
+    return dense, exact.measure_exactly(made.world_of(scene), poses, crew, voxel, **options)
 
 
 def assert_same(dense, counted):
@@ -92,11 +93,11 @@ def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
     crew = Crew.of(layout, UNITS)
     found = []
     for number in (1, 2, 8):
-        monkeypatch.setattr(exact, "cores", lambda number=number: number)
-        worlds = exact._make_world(scene)
-        assert len(worlds.shares) == number
+        monkeypatch.setattr(made, "cores", lambda number=number: number)
+        shared = made._make_world(scene)
+        assert len(shared.shares) == number
         poses = poses_about_center(scene, layout)
-        found.append(exact.measure_exactly(worlds, poses, crew, scene.voxels.size))
+        found.append(exact.measure_exactly(shared, poses, crew, scene.voxels.size))
     for other in found[1:]:
         for name in other._fields:
             np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))
@@ -117,7 +118,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     )
     crew = Crew.of(layout, UNITS)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
-    sample = exact.world_of_sample(field)
+    sample = made.world_of_sample(field)
     traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, crew, voxel))
     assert_same(measure(field, poses, crew, voxel), traced(poses, sample))
 
@@ -145,14 +146,14 @@ def test_layouts_of_one_shape_compile_once():
 
 def test_a_world_is_kept_as_long_as_its_scene():
     scene = world(seed=1)
-    made = exact.world_of(scene)
-    assert exact.world_of(scene) is made
+    first = made.world_of(scene)
+    assert made.world_of(scene) is first
     other = replace(scene, traffic=random_traffic(scene.intersection, 2, 3, 20.0, seed=1))
-    assert exact.world_of(other) is not made
-    kept = len(exact._worlds)
+    assert made.world_of(other) is not first
+    kept = len(made._worlds)
     del scene, other
-    assert len(exact._worlds) <= kept - 2
-    assert exact.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
+    assert len(made._worlds) <= kept - 2
+    assert made.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
 
 
 @pytest.mark.parametrize("voxel", [0.1, 0.5, 2.0])

@@ -69,8 +69,39 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    cache: Annotated[
+        bool,
+        typer.Option(
+            envvar="INSPE_CACHE",
+            help="Keep what is compiled for the next run, in the user's cache folder.",
+        ),
+    ] = True,
 ) -> None:
-    pass
+    if cache:
+        _keep_compiled()
+
+
+COMPILED = 512 * 2**20
+"""Most that what is kept compiled may take up on disk [bytes]; what is used least goes first."""
+
+
+def _keep_compiled() -> None:
+    """Let JAX keep what it compiles from one run to the next.
+
+    In the folder that the user set for JAX, if there is one. Where there is nowhere to write to,
+    every run compiles anew.
+    """
+    import jax
+    from platformdirs import user_cache_path
+
+    if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
+        try:
+            folder = user_cache_path("inspe_jax", appauthor=False, ensure_exists=True)
+        except OSError:
+            return
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_compilation_cache_max_size", COMPILED)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def known(source: str) -> str:

@@ -19,7 +19,7 @@ from inspe_jax import metrics
 from inspe_jax.cores import Job, run, shared_out
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
-from inspe_jax.exact import World, measure_exactly, see, world_of, world_of_sample
+from inspe_jax.exact import measure_exactly, see
 from inspe_jax.geometry import Prism, solid_top
 from inspe_jax.measures import Crew, Field, Measures, measure
 from inspe_jax.numerics import Softness, step
@@ -29,6 +29,7 @@ from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
+from inspe_jax.world import World, world_of, world_of_sample
 
 COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
 """How the scores of several scenes become one."""

@@ -1,0 +1,179 @@
+"""A scene as exact scores go through it: tiles of columns, runs of frames, masks.
+
+Made once for a scene or a sample of one, the same for every layout.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from weakref import WeakKeyDictionary
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt
+
+from inspe_jax import masks, sharding
+from inspe_jax.cores import cores
+from inspe_jax.geometry import Prism
+from inspe_jax.measures import Field
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.ground import about_center
+from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, solid, tiles_of
+
+FRAMES = 128
+"""Frames that are gone through together: what a tile needs of them stays in a core's cache."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Share:
+    """Some of the tiles and some of the frames: what one core goes through.
+
+    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle. The tiles are
+    every ``step``-th from the ``first``, the frames those from ``begin``. Where it is ``split``,
+    every device has some of the frames.
+    """
+
+    tile: Tile
+    prisms: Prism
+    solid: UInt[Array, "n F C"]
+    first: int = field(metadata={"static": True}, default=0)
+    step: int = field(metadata={"static": True}, default=1)
+    begin: int = field(metadata={"static": True}, default=0)
+    split: bool = field(metadata={"static": True}, default=False)
+
+    @property
+    def tiles(self) -> slice:
+        """The share's tiles among all."""
+        return slice(self.first, None, self.step)
+
+    @property
+    def frames(self) -> slice:
+        """The share's frames among all."""
+        return slice(self.begin, self.begin + len(self.prisms.top))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class World:
+    """What exact scores need of a scene, or of a sample of one, the same for every layout.
+
+    ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
+    of the voxels that may have entropy; ``column`` and ``level`` (U,) say which they are: column
+    among the tiles' columns, level in the slab. ``split`` are the tiles, every device having some;
+    None where there is one device.
+    """
+
+    tiles: Tiles
+    shares: tuple[Share, ...]
+    weight: Float[Array, " MC"]
+    occupancy: Float[Array, " U"]
+    column: Int[Array, " U"]
+    level: Int[Array, " U"]
+    frame_count: int = field(metadata={"static": True})
+    split: Tile | None = None
+
+
+_worlds: "WeakKeyDictionary[Scene, dict[jnp.dtype, World]]" = WeakKeyDictionary()
+
+
+def world_of(scene: Scene) -> World:
+    """A scene's :class:`World`, made when it is first asked for and kept as long as the scene.
+
+    One for each precision that JAX is set to.
+    """
+    kept = _worlds.setdefault(scene, {})
+    precision = jnp.zeros((), float).dtype
+    if precision not in kept:
+        kept[precision] = _make_world(scene)
+    return kept[precision]
+
+
+def whole_world_of(scene: Scene) -> World:
+    """A scene's :class:`World` in one share: for what is compiled as a whole."""
+    world, ground = world_of(scene), about_center(scene)
+    share = Share(world.tiles.tile, ground.prisms, solid(world.tiles.tile, ground.prisms))
+    return replace(world, shares=(share,), split=None)
+
+
+def _make_world(scene: Scene) -> World:
+    ground = about_center(scene)
+    tiles = tiles_of(ground)
+    total = len(ground.prisms.top)
+    shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
+    for begin, end, split in _runs(total):
+        prisms = jax.tree.map(lambda leaf: leaf[begin:end], ground.prisms)  # noqa: B023
+        inside = solid(tiles.tile, prisms)
+        counts += np.asarray(_by_level(inside, counts.shape[-1]))
+        if split:
+            whole, own = sharding.put(tiles.tile, None), sharding.put(inside, 1)
+            shares.append(Share(whole, sharding.put(prisms, 0), own, begin=begin, split=True))
+            continue
+        step = min(cores(), SHARES)
+        for first in range(step):
+            tile, own = jax.tree.map(lambda leaf: leaf[first::step], (tiles.tile, inside))  # noqa: B023
+            shares.append(Share(tile, prisms, own, first, step, begin))
+    counts = counts.reshape(-1, counts.shape[-1])
+    column, level = np.nonzero((counts > 0) & (counts < total))
+    return World(
+        tiles,
+        tuple(shares),
+        _column_weight(tiles, scene.voxels.column_weight),
+        jnp.asarray(counts[column, level] / total, float),
+        jnp.asarray(column),
+        jnp.asarray(level),
+        total,
+        sharding.put(tiles.tile, 0) if sharding.goes_up(len(tiles.tile.there)) else None,
+    )
+
+
+def _runs(total: int) -> list[tuple[int, int, bool]]:
+    """(from, to, whether it is split among the devices) of each run of frames.
+
+    A device goes through at most :data:`FRAMES` together. The last few, that do not go up in the
+    number of devices, are for one of them.
+    """
+    number, runs = sharding.devices(), []
+    whole = total // number * number if number > 1 else 0
+    for begin, end, each in ((0, whole, number), (whole, total, 1)):
+        if begin < end:
+            parts = -(-(end - begin) // (FRAMES * each))
+            at = np.linspace(begin // each, end // each, parts + 1).round().astype(int) * each
+            runs += [(*ends, each > 1) for ends in pairwise(at.tolist())]
+    return runs
+
+
+def world_of_sample(sample: Field) -> World:
+    """The :class:`World` of some columns and frames, in one share.
+
+    Samples of one size make worlds of one shape.
+    """
+    assert sample.occupancy is not None  # that of all frames
+    ground, tiles = sample.ground, tiles_of(sample.ground)
+    levels, height = tiles.level_count, tiles.tile.heights.shape[1]
+    share = Share(tiles.tile, ground.prisms, solid(tiles.tile, ground.prisms))
+    columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
+    level = np.arange(levels)
+    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
+    return World(
+        tiles,
+        (share,),
+        _column_weight(tiles, np.asarray(sample.weight)[::levels]),
+        sample.occupancy,
+        jnp.asarray(column.reshape(-1)),
+        jnp.asarray(np.tile(level % height, len(column))),
+        len(ground.prisms.top),
+    )
+
+
+def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
+    by_place = np.zeros(tiles.tile.there.size // tiles.slabs)
+    by_place[np.asarray(tiles.place)] = weight
+    return jnp.asarray(by_place, float)
+
+
+@partial(jax.jit, static_argnames="levels")
+def _by_level(words: UInt[Array, "N F C"], levels: int) -> Int[Array, "N C Z"]:
+    """In how many frames each level's bit is set."""
+    return jax.lax.map(lambda tile: masks.tally(tile, levels), words)

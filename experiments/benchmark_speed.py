@@ -7,13 +7,17 @@ same cores: our exact scores, cold (with compilation) and warm; the same without
 culling, every prism against every column (how this package began); Embree on its best case,
 the segments to the voxels that each sensor has in view, nothing else; and the paper's
 Bresenham caster, which answers coverage alone. The rivals' answers are compared with ours.
-Then how the time grows with sensors, frames and objects. Ratios are what to quote: machines
-differ.
+Then how the time grows with sensors, frames and objects; what 64 layouts take at once and one by
+one; what a soft score and its gradient take; and what `inspe score` takes from the shell, the
+first time and the next. Ratios are what to quote: machines differ. Everything runs on the device
+that JAX runs on.
 """
 
 import json
+import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -39,6 +43,8 @@ from inspe_jax.sensing.ground import about_center, poses_about_center
 
 console = Console()
 
+SOFTNESS = 0.5
+"""Of the gradient that is timed [m]."""
 
 WORKLOADS: dict[str, dict[str, Any]] = {
     "W1": dict(radius=50.0, voxel=0.5, density=40, frames=100),
@@ -172,6 +178,66 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
     return rows
 
 
+def many_at_once(name: str, seed: int, count: int, frames: int) -> dict[str, float]:
+    """Seconds of so many random layouts on some frames, one by one and all at once."""
+    scene = workload(name, seed, frames=frames)
+    layout, rng = sensors(scene), np.random.default_rng(seed)
+    size = np.array([5.0, 5.0, 1.0, 0.0, 0.1, 1.0])
+    poses = np.asarray(layout.poses) + rng.normal(size=(count, len(layout), 6)) * size
+
+    def one_by_one() -> np.ndarray:
+        scores = [inspe_jax.evaluate(scene, layout.with_poses(row)) for row in poses]
+        return np.array([score.surrogate for score in scores])
+
+    def together() -> np.ndarray:
+        return inspe_jax.evaluate_many(scene, layout, poses).surrogate
+
+    off = float(np.abs(one_by_one() - together()).max())
+    alone, all_ = seconds(one_by_one, 3), seconds(together, 3)
+    console.print(
+        f"{count} layouts on {frames} frames: {alone:.2f} s one by one, {all_:.2f} s at once, "
+        f"{alone / all_:.2f} times as many a second; differ by {off:.1e}",
+        highlight=False,
+    )
+    return dict(layouts=count, frames=frames, one_by_one=alone, at_once=all_, off=off)
+
+
+def slope(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
+    """Seconds of a soft score and its gradient in all poses, every frame."""
+
+    def score(poses: jax.Array) -> Any:
+        return inspe_jax.evaluate(scene, layout.with_poses(poses), softness=SOFTNESS).surrogate
+
+    poses, call = jnp.asarray(layout.poses, float), jax.jit(jax.value_and_grad(score))
+    cold = seconds(lambda: jax.block_until_ready(call(poses)), 1)
+    took = seconds(lambda: jax.block_until_ready(call(poses)), 1)
+    console.print(
+        f"value and gradient at a softness of {SOFTNESS} m: {took:.2f} s ({cold:.1f} s with "
+        f"compilation), {took / warm:.0f} times an exact score",
+        highlight=False,
+    )
+    return dict(softness=SOFTNESS, cold=cold, warm=took, ratio=took / warm)
+
+
+def from_the_shell(scene: Scene, layout: Layout) -> dict[str, float]:
+    """Seconds of `inspe score`, the first time and once what it compiles is kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        inspe_jax.save_scene(scene, Path(folder) / "scene.npz")
+        inspe_jax.save_layout(layout, Path(folder) / "layout.yaml")
+        command = "from inspe_jax.cli import main; main()"
+        ran = partial(
+            subprocess.run,
+            [sys.executable, "-c", command, "score", "scene.npz", "layout.yaml"],
+            cwd=folder,
+            env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "compiled")},
+            check=True,
+            capture_output=True,
+        )
+        first, again = seconds(ran, 1), seconds(ran, 3)
+    console.print(f"inspe score: {first:.1f} s, then {again:.1f} s", highlight=False)
+    return dict(first=first, again=again)
+
+
 def measured(name: str, seed: int) -> dict[str, Any]:
     """One workload in a process of its own: cold and warm seconds, peak memory."""
     code = (
@@ -255,6 +321,9 @@ def main() -> None:
         table.add_row(row["what"], *numbers, *floats)
     console.print(table)
     grown = growth(name, options.seed, repeats)
+    many = many_at_once(name, options.seed, *((4, 3) if options.quick else (64, 20)))
+    shell = from_the_shell(scene, layout)
+    gradient = slope(scene, layout, warm)
 
     stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")
     settings = {
@@ -265,6 +334,10 @@ def main() -> None:
         "peak_memory_gib": memory,
         "workloads": others,
         "growth": grown,
+        "many_layouts": many,
+        "inspe_score": shell,
+        "gradient": gradient,
+        "device": str(jax.devices()[0].device_kind),
     }
     write_results(stem.with_suffix(".csv"), rows, settings)
     draw(rows, size).savefig(stem.with_suffix(".png"), dpi=150)

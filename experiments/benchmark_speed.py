@@ -40,6 +40,9 @@ from inspe_jax import Layout, Scene
 from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.ground import about_center, poses_about_center
+from inspe_jax.sensing.in_view import in_view_masks
+from inspe_jax.sensing.shadows import casts, may_shade
+from inspe_jax.world import world_of
 
 console = Console()
 
@@ -238,6 +241,66 @@ def from_the_shell(scene: Scene, layout: Layout) -> dict[str, float]:
     return dict(first=first, again=again)
 
 
+def peak() -> dict[str, float]:
+    """What this machine does at most: operations a second, in a product of matrices, and bytes a
+    second, in a sum of two long rows; in single precision."""
+    n, long = 2048, 2**25
+    square, row = jnp.ones((n, n), jnp.float32), jnp.ones(long, jnp.float32)
+    product, add = jax.jit(lambda x: x @ x), jax.jit(lambda x: x + x[::-1])
+    for call, x in ((product, square), (add, row)):
+        jax.block_until_ready(call(x))
+    flops = 2 * n**3 / seconds(lambda: jax.block_until_ready(product(square)), 5)
+    moved = 3 * 4 * long / seconds(lambda: jax.block_until_ready(add(row)), 5)
+    return dict(operations=flops, bytes=moved)
+
+
+PER_VOXEL, PER_PRISM, PER_COLUMN = 120, 27, 16
+"""Operations, counted in the formulas: whether a voxel is in view by its nearest ray; the ceiling
+of one prism over one column; a column's mask from its ceiling."""
+
+
+def least(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
+    """What a score must do at least, and how long that takes at the machine's peak.
+
+    Of the voxels those in the tiles that a field of view touches; of the sight lines, all frames,
+    those to the columns in view, and of the prisms those whose shadow may touch the column's tile.
+    Bytes: the tiles and the masks of solid voxels, once for each sensor.
+    """
+    world, poses = world_of(scene), poses_about_center(scene, layout)
+    tile, half = world.tiles.tile, scene.voxels.size / 2
+    prisms = about_center(scene).prisms
+    voxels = columns = crossed = moved = 0.0
+    for grid, index in layout.groups():
+        for s in index:
+            views = np.asarray(in_view_masks(grid, poses[s], tile, half)) != 0  # (N, C)
+            touched = views.any(1)
+            cast = casts(poses[s, :3], prisms)
+            shading = jax.lax.map(lambda part: may_shade(poses[s, :3], cast, part).sum(), tile)  # noqa: B023
+            voxels += touched.sum() * tile.heights[0].size
+            columns += views.sum() * len(prisms.top)
+            crossed += float((views.sum(1) * np.asarray(shading)).sum())
+            moved += touched.sum() * (tile.heights[0].nbytes + views[0].size * len(prisms.top))
+    operations = PER_VOXEL * voxels + PER_PRISM * crossed + PER_COLUMN * columns
+    most = peak()
+    floor = max(operations / most["operations"], moved / most["bytes"])
+    console.print(
+        f"at least {operations / 1e9:.2f} G operations ({voxels / 1e6:.2f} M voxels, "
+        f"{crossed / 1e6:.0f} M columns under a prism, {columns / 1e6:.0f} M columns) and "
+        f"{moved / 1e6:.0f} MB; at {most['operations'] / 1e9:.0f} G operations and "
+        f"{most['bytes'] / 1e9:.1f} GB a second that is {1e3 * floor:.0f} ms, "
+        f"{warm / floor:.0f} times less than a score takes",
+        highlight=False,
+    )
+    return dict(
+        operations=float(operations),
+        bytes=float(moved),
+        floor=float(floor),
+        gap=float(warm / floor),
+        peak_operations=most["operations"],
+        peak_bytes=most["bytes"],
+    )
+
+
 def measured(name: str, seed: int) -> dict[str, Any]:
     """One workload in a process of its own: cold and warm seconds, peak memory."""
     code = (
@@ -324,6 +387,7 @@ def main() -> None:
     many = many_at_once(name, options.seed, *((4, 3) if options.quick else (64, 20)))
     shell = from_the_shell(scene, layout)
     gradient = slope(scene, layout, warm)
+    roofline = least(scene, layout, warm)
 
     stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")
     settings = {
@@ -337,6 +401,7 @@ def main() -> None:
         "many_layouts": many,
         "inspe_score": shell,
         "gradient": gradient,
+        "roofline": roofline,
         "device": str(jax.devices()[0].device_kind),
     }
     write_results(stem.with_suffix(".csv"), rows, settings)

@@ -8,10 +8,10 @@ the next comparison has a fresh one, so that nothing is chosen for one sample's 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from cmaes import CMA
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import (
@@ -29,6 +29,9 @@ from inspe_jax.placement.candidates import (
 from inspe_jax.placement.constraints import Space
 from inspe_jax.placement.greedy import GREEDY
 from inspe_jax.placement.run import Method, Run, State
+
+if TYPE_CHECKING:
+    from cmaes import CMA
 
 CHUNK = 32
 """Layouts in one step, which takes about half a second on a large scene."""
@@ -267,12 +270,14 @@ def _layouts(
     return inside, (((inside - x)[:, free] / step) ** 2).sum(1)
 
 
-def _strategy(run: Run, state: State) -> CMA:
+def _strategy(run: Run, state: State) -> "CMA":
     """The strategy as it stands; where it is not at hand, by asking and telling all over again.
 
     So a checkpoint needs only what was told, and goes on as if nothing had come between. It is
     taken out of the register, so that a generation cut short leaves none half asked.
     """
+    from cmaes import CMA  # only here: its import takes a third as long as all others
+
     told, restart = state["told"], state["restart"]
     at, strategy = _live.pop(run, ((-1, -1), None))
     if strategy is not None and at == (restart, len(told)):

@@ -222,7 +222,7 @@ def slope(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
     return dict(softness=SOFTNESS, cold=cold, warm=took, ratio=took / warm)
 
 
-def from_the_shell(scene: Scene, layout: Layout) -> dict[str, float]:
+def from_the_shell(scene: Scene, layout: Layout, repeats: int) -> dict[str, float]:
     """Seconds of `inspe score`, the first time and once what it compiles is kept."""
     with tempfile.TemporaryDirectory() as folder:
         inspe_jax.save_scene(scene, Path(folder) / "scene.npz")
@@ -236,7 +236,7 @@ def from_the_shell(scene: Scene, layout: Layout) -> dict[str, float]:
             check=True,
             capture_output=True,
         )
-        first, again = seconds(ran, 1), seconds(ran, 3)
+        first, again = seconds(ran, 1), seconds(ran, repeats)
     console.print(f"inspe score: {first:.1f} s, then {again:.1f} s", highlight=False)
     return dict(first=first, again=again)
 
@@ -385,7 +385,7 @@ def main() -> None:
     console.print(table)
     grown = growth(name, options.seed, repeats)
     many = many_at_once(name, options.seed, *((4, 3) if options.quick else (64, 20)))
-    shell = from_the_shell(scene, layout)
+    shell = from_the_shell(scene, layout, repeats // 2)
     gradient = slope(scene, layout, warm)
     roofline = least(scene, layout, warm)
 

@@ -57,7 +57,7 @@ def options() -> argparse.Namespace:
     )
     parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
-    parser.add_argument("--seconds", type=float, default=12.0, help="for each search")
+    parser.add_argument("--seconds", type=float, default=10.0, help="for each search")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
     parser.add_argument("--places", default="", help="only these, with commas")
@@ -192,7 +192,8 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
     names = [name for name in METHODS if any(name in by for by in table.values())]
     text = "| cell | start | " + " | ".join(names) + " | grid's end reached |\n"
     text += "|---" * (len(names) + 3) + "|\n"
-    wins, early = dict.fromkeys(GRADIENT, 0), 0
+    wins, early, within = dict.fromkeys(GRADIENT, 0), 0, 0
+    budget = float(rows[0]["budget"])
     for at, by in table.items():
         start = next(row["start"] for row in rows if (row["place"], row["mix"]) == at)
         most = max(q[1] for q in by.values())
@@ -208,13 +209,16 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
         if "grid" in by and (ours := [name for name in GRADIENT if name in by]):
             took = reached(course[(*at, "grid")], by["grid"][1])
             best = min(ours, key=lambda name: reached(course[(*at, name)], by["grid"][1]))
-            ratio = took / reached(course[(*at, best)], by["grid"][1])
+            ours_took = reached(course[(*at, best)], by["grid"][1])
+            ratio = took / ours_took
             early += ratio >= 10
+            within += ours_took <= budget / 10
             sooner = f"{ratio:.1f}× sooner by {best}"
         text += f"| {at[0]}, {at[1]} | {float(start):.3f} | {' | '.join(cells)} | {sooner} |\n"
     text += "\nAt least as good in the median as every search without gradients, of "
     text += f"{len(table)} cells: " + ", ".join(f"{name} {n}" for name, n in wins.items()) + ".\n"
-    text += f"Grid's final score in a tenth of grid's time: {early} of {len(table)}.\n"
+    text += f"Grid's final score in a tenth of the time that grid took to it: {early}; of the "
+    text += f"time that grid was given: {within}.\n"
     return text
 
 

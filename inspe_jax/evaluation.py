@@ -1,6 +1,6 @@
 """Score a layout on a scene: visibility in, the four metrics out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -149,22 +149,29 @@ def evaluate_many(
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
 ) -> ManyScores:
-    """Exact scores of one layout's sensors at M times S world poses, as :func:`evaluate` has them.
+    """Exact scores of one layout's sensors at M times S world poses.
 
-    Faster than one by one: layouts are worked on side by side, and nothing but the scores is found.
+    Layouts are worked on side by side, on all cores or devices, and nothing else is found.
+    They are those of :func:`evaluate`, from the same counts, though sums may be rounded otherwise.
     ``poses`` are x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`.
-    Raises InspeError as that does, and where ``poses`` has another shape.
+    Raises InspeError as that does, and where ``poses`` has another shape or is traced.
     """
     check_options(weights, occlusion_reference, visibility)
-    poses = np.asarray(poses, float)
+    try:
+        poses = np.asarray(poses, float)
+    except (TypeError, ValueError):  # a traced array's error is a TypeError
+        raise InspeError(
+            f"poses: numbers (M, {len(layout)}, 6) are needed, as of "
+            "[layout.poses for layout in layouts]; for gradients, use evaluate"
+        ) from None
     if poses.ndim != 3 or poses.shape[1:] != (len(layout), 6) or not len(poses):
         raise InspeError(
             f"poses of shape {poses.shape}: (M, {len(layout)}, 6) for M times the sensors of "
             f"{layout.name}, x, y, z, roll, pitch, yaw each"
         )
     check_memory(scene.voxels.count, len(layout))
-    for row in poses:
-        check_layout(scene, layout.with_poses(row))
+    for number, row in enumerate(poses):
+        check_layout(scene, replace(layout.with_poses(row), name=f"poses[{number}]"))
     shift = np.concatenate([scene.voxels.center, np.zeros(3)])
     world = whole_world_of(scene)
     if weights[2] > 0:

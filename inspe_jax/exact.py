@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax import masks, metrics, sharding
-from inspe_jax.cores import Job, cores, run, shared_out
+from inspe_jax.cores import Job, run, shared_out
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import leave_one_out
@@ -39,7 +39,8 @@ def measure_exactly(
 ) -> Measures:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
-    As :func:`~inspe_jax.measures.measure`. Works on all cores; traced, on one.
+    As :func:`~inspe_jax.measures.measure`. Works on all cores; traced, on one, and on a world
+    whose shares have all tiles.
     """
     views = _views(world, poses, crew, voxel / 2)
     sighted = visibility == "line_of_sight"
@@ -105,8 +106,12 @@ def _watch_all(
     """Go through the frames, tile by tile."""
     options = dict(failures=failures, reference=reference, sighted=sighted)
     if isinstance(views, jax.core.Tracer):
-        (share,) = world.shares
-        return _watch(share.tile, views, share.solid, share.prisms, sensors, **options)
+        return _joined(
+            [
+                _watch(share.tile, views, share.solid, share.prisms, sensors, **options)
+                for share in world.shares
+            ]
+        )
     jobs: list[Job] = []
     for share in world.shares:
         few: Any = views[:, share.tiles]
@@ -129,6 +134,17 @@ def _watch_all(
         jnp.asarray(seen[1]),
         jnp.asarray(columns),
         jnp.asarray(sights) if sighted else None,
+    )
+
+
+def _joined(parts: list[Watched]) -> Watched:
+    """What was counted in one run of frames after the other, in all tiles."""
+    seen, original, columns, sights = zip(*parts, strict=True)
+    return Watched(
+        jnp.concatenate(seen, 1),
+        jnp.concatenate(original, 1),
+        sum(columns[1:], columns[0]),
+        None if sights[0] is None else sum(sights[1:], sights[0]),
     )
 
 
@@ -268,36 +284,40 @@ def measure_many(
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
 ) -> Float[np.ndarray, "3 M"]:
-    """C, O and IG of M layouts, on a world of one share: whole layouts side by side.
+    """C, O and IG of M layouts, on a world whose shares have all tiles: layouts side by side.
 
-    On several devices each has some of the layouts, on one each core.
+    On several devices each works on a layout of its own, on one each core.
     """
     kind = (crew, voxel, occlusion_reference, visibility)
-    split = sharding.devices() > 1
-    each = sharding.devices() if split else cores()
-    # Some twice, so that they go up in the number of those who work on them.
-    rows = np.resize(poses, (-(-len(poses) // each) * each, *poses.shape[1:]))
-    work, parts = (_split_many(*kind), [rows]) if split else (_many(*kind), shared_out(rows))
-    jobs: list[Job] = [((_many, kind, p.shape), partial(work, p, world)) for p in parts]
-    return np.concatenate(run(jobs))[: len(poses)].T
+    shapes = tuple(leaf.shape for leaf in jax.tree.leaves(world))
+    each = sharding.devices()
+    work = _one(*kind) if each == 1 else _one_each(*kind)
+    # A layout for each core, or one for each device: some of the last ones again, as padding.
+    rows = np.resize(poses, (-(-len(poses) // each), each, *poses.shape[1:]))
+    jobs: list[Job] = [
+        ((measure_many, kind, shapes), partial(work, row[0] if each == 1 else row, world))
+        for row in rows
+    ]
+    return np.stack(run(jobs)).reshape(-1, 3)[: len(poses)].T
 
 
 @lru_cache(maxsize=8)
-def _many(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
-    def one(poses: Array, world: World) -> Array:
+def _one(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
+    def measure(poses: Array, world: World) -> Array:
         m = measure_exactly(
             world, poses, crew, voxel, occlusion_reference=reference, visibility=visibility
         )
         return jnp.stack([m.coverage[0], m.occlusion[0], m.information_gain[0]])
 
-    return jax.jit(lambda poses, world: jax.lax.map(lambda row: one(row, world), poses))
+    return jax.jit(measure)
 
 
 @lru_cache(maxsize=8)
-def _split_many(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
-    """:func:`_many`, every device for its layouts."""
+def _one_each(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
+    """:func:`_one`, every device for a layout."""
+    one = _one(crew, voxel, reference, visibility)
     whole, first = sharding.along(None), sharding.along(0)
-    return sharding.split(_many(crew, voxel, reference, visibility), (first, whole), first)
+    return sharding.split(lambda poses, world: one(poses[0], world)[None], (first, whole), first)
 
 
 # ── One sensor at many poses ────────────────────────────────────────────────

@@ -20,8 +20,8 @@ def devices() -> int:
     return jax.local_device_count()
 
 
-def goes_up(length: int) -> bool:
-    """Whether there are several devices, and so many rows go up in their number."""
+def divides(length: int) -> bool:
+    """Whether there are several devices, and their number divides so many rows evenly."""
     return devices() > 1 and length % devices() == 0
 
 
@@ -36,7 +36,7 @@ def along(axis: int | None) -> PartitionSpec:
 
 
 def put(x: Any, axis: int | None) -> Any:
-    """Arrays as :func:`along` has them. The axis goes up in the number of devices."""
+    """Arrays as :func:`along` has them. The number of devices divides the axis."""
     return jax.device_put(x, NamedSharding(_mesh(), along(axis)))
 
 
@@ -45,9 +45,6 @@ def split(function: Callable[..., Any], takes: Any, gives: Any) -> Callable[...,
 
     ``takes`` and ``gives`` are what :func:`along` says of each argument and of each result.
     """
-    options = dict(mesh=_mesh(), in_specs=takes, out_specs=gives)
-    if hasattr(jax, "shard_map"):
-        return jax.jit(jax.shard_map(function, **options, check_vma=False))
-    from jax.experimental.shard_map import shard_map  # JAX before 0.6
-
-    return jax.jit(shard_map(function, **options, check_rep=False))
+    return jax.jit(
+        jax.shard_map(function, mesh=_mesh(), in_specs=takes, out_specs=gives, check_vma=False)
+    )

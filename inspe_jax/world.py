@@ -3,6 +3,7 @@
 Made once for a scene or a sample of one, the same for every layout.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -75,7 +76,7 @@ class World:
     split: Tile | None = None
 
 
-_worlds: "WeakKeyDictionary[Scene, dict[jnp.dtype, World]]" = WeakKeyDictionary()
+_worlds: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], World]]" = WeakKeyDictionary()
 
 
 def world_of(scene: Scene) -> World:
@@ -83,18 +84,29 @@ def world_of(scene: Scene) -> World:
 
     One for each precision that JAX is set to.
     """
-    kept = _worlds.setdefault(scene, {})
-    precision = jnp.zeros((), float).dtype
-    if precision not in kept:
-        kept[precision] = _make_world(scene)
-    return kept[precision]
+    return _kept(scene, "shared out", _make_world)
 
 
 def whole_world_of(scene: Scene) -> World:
-    """A scene's :class:`World` in one share: for what is compiled as a whole."""
-    world, ground = world_of(scene), about_center(scene)
-    share = Share(world.tiles.tile, ground.prisms, solid(world.tiles.tile, ground.prisms))
-    return replace(world, shares=(share,), split=None)
+    """A scene's :class:`World` with all tiles in every share: for one core, or one device."""
+    return _kept(scene, "whole", _make_whole)
+
+
+def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
+    kept = _worlds.setdefault(scene, {})
+    key = kind, jnp.zeros((), float).dtype
+    if key not in kept:
+        kept[key] = make(scene)
+    return kept[key]
+
+
+def _make_whole(scene: Scene) -> World:
+    world, prisms = world_of(scene), about_center(scene).prisms
+    shares, tile = [], world.tiles.tile
+    for begin in range(0, world.frame_count, FRAMES):
+        part = jax.tree.map(lambda leaf: leaf[begin : begin + FRAMES], prisms)  # noqa: B023
+        shares.append(Share(tile, part, solid(tile, part), begin=begin))
+    return replace(world, shares=tuple(shares), split=None)
 
 
 def _make_world(scene: Scene) -> World:
@@ -102,13 +114,14 @@ def _make_world(scene: Scene) -> World:
     tiles = tiles_of(ground)
     total = len(ground.prisms.top)
     shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
+    everywhere = sharding.put(tiles.tile, None) if sharding.devices() > 1 else tiles.tile
     for begin, end, split in _runs(total):
         prisms = jax.tree.map(lambda leaf: leaf[begin:end], ground.prisms)  # noqa: B023
         inside = solid(tiles.tile, prisms)
         counts += np.asarray(_by_level(inside, counts.shape[-1]))
         if split:
-            whole, own = sharding.put(tiles.tile, None), sharding.put(inside, 1)
-            shares.append(Share(whole, sharding.put(prisms, 0), own, begin=begin, split=True))
+            parts = sharding.put(prisms, 0), sharding.put(inside, 1)
+            shares.append(Share(everywhere, *parts, begin=begin, split=True))
             continue
         step = min(cores(), SHARES)
         for first in range(step):
@@ -124,15 +137,15 @@ def _make_world(scene: Scene) -> World:
         jnp.asarray(column),
         jnp.asarray(level),
         total,
-        sharding.put(tiles.tile, 0) if sharding.goes_up(len(tiles.tile.there)) else None,
+        sharding.put(tiles.tile, 0) if sharding.divides(len(tiles.tile.there)) else None,
     )
 
 
 def _runs(total: int) -> list[tuple[int, int, bool]]:
     """(from, to, whether it is split among the devices) of each run of frames.
 
-    A device goes through at most :data:`FRAMES` together. The last few, that do not go up in the
-    number of devices, are for one of them.
+    A device goes through at most :data:`FRAMES` together. The last few, where the number of
+    devices does not divide them, are for one device.
     """
     number, runs = sharding.devices(), []
     whole = total // number * number if number > 1 else 0

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -360,30 +361,49 @@ def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
     assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())
 
 
-@pytest.mark.parametrize(
-    ("options", "kept"), [((), True), (("--no-cache",), False)], ids=["as it is", "--no-cache"]
-)
-def test_what_is_compiled_is_kept_for_the_next_run(files, tmp_path, options, kept):
-    command = "from inspe_jax.cli import main; main()"
-    own = {key: str(tmp_path) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
+def in_a_new_shell(files, cache, *arguments):
+    """(stdout, names of what was kept in the cache) of the command line in its own process."""
+    own = {key: str(cache) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
+    other = ("JAX_", "INSPE_")
+    env = {key: value for key, value in os.environ.items() if not key.startswith(other)}
     ran = subprocess.run(
-        [sys.executable, "-c", command, *options, "score", "s.npz", "layout.yaml"],
-        env=os.environ | own,
+        [sys.executable, "-c", "from inspe_jax.cli import main; main()", *arguments],
+        env=env | own,
         cwd=files,
         capture_output=True,
         text=True,
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    found = [path for path in tmp_path.rglob("*-cache") if "inspe_jax" in path.parts]
-    assert bool(found) == kept
+    assert ran.stderr == ""
+    kept = {path.name for path in cache.rglob("*-cache") if "inspe_jax" in path.parts}
+    return ran.stdout, kept
 
 
-def test_nowhere_to_keep_what_is_compiled_is_no_error(monkeypatch):
-    def full(*_, **__):
-        raise PermissionError
+def test_what_is_compiled_is_kept_for_the_next_run(files, tmp_path):
+    command = ("score", "s.npz", "layout.yaml")
+    first, kept = in_a_new_shell(files, tmp_path, *command)
+    assert kept
+    again, after = in_a_new_shell(files, tmp_path, *command)
+    assert again == first
+    assert after == kept
 
-    monkeypatch.setattr("platformdirs.user_cache_path", full)
+
+@pytest.mark.slow
+def test_nothing_is_kept_where_it_is_not_wanted(files, tmp_path):
+    _, kept = in_a_new_shell(files, tmp_path, "--no-cache", "score", "s.npz", "layout.yaml")
+    assert not kept
+
+
+def no_home(*_, **__):
+    raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    "folder", [no_home, lambda *_, **__: Path("~/x"), lambda *_, **__: Path("/dev/null/x")]
+)
+def test_nowhere_to_keep_what_is_compiled_is_no_error(monkeypatch, folder):
+    monkeypatch.setattr("platformdirs.user_cache_path", folder)
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     try:

@@ -254,7 +254,9 @@ def test_many_layouts_score_as_they_do_one_by_one():
         (np.zeros((2, 6)), r"shape \(2, 6\): \(M, 2, 6\)"),
         (np.zeros((0, 2, 6)), r"shape \(0, 2, 6\)"),
         (np.full((1, 2, 6), np.nan), "not finite"),
-        (np.full((1, 2, 6), -9.0), "in the ground"),
+        (np.full((1, 2, 6), -9.0), r"poses\[0\].*in the ground"),
+        ([[1.0], [2.0, 3.0]], r"numbers \(M, 2, 6\) are needed"),
+        ("abc", "numbers"),
     ],
 )
 def test_poses_of_many_layouts_are_checked(poses, message):

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -77,8 +78,12 @@ def _root(
         ),
     ] = True,
 ) -> None:
+    import jax
+
     if cache:
         _keep_compiled()
+    else:
+        jax.config.update("jax_enable_compilation_cache", False)
 
 
 COMPILED = 512 * 2**20
@@ -88,19 +93,25 @@ COMPILED = 512 * 2**20
 def _keep_compiled() -> None:
     """Let JAX keep what it compiles from one run to the next.
 
-    In the folder that the user set for JAX, if there is one. Where there is nowhere to write to,
-    every run compiles anew.
+    As the user set it up for JAX, if so. Where there is nowhere to write to, every run compiles
+    anew.
     """
     import jax
     from platformdirs import user_cache_path
 
-    if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
-        try:
-            folder = user_cache_path("inspe_jax", appauthor=False, ensure_exists=True)
-        except OSError:
+    if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
+        return
+    try:
+        folder = user_cache_path("inspe_jax", appauthor=False)
+        if not folder.is_absolute():  # no home
             return
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_compilation_cache_max_size", COMPILED)
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_max_size", COMPILED)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 

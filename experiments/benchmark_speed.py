@@ -149,6 +149,11 @@ def seconds(call: Callable[[], Any], repeats: int) -> float:
     return float(np.median(times))
 
 
+def every_fourth(layout: Layout) -> Layout:
+    """Every fourth sensor."""
+    return Layout(layout.poses[::4], layout.sensors[::4], layout.units, layout.name)
+
+
 def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
     """Seconds with more sensors, frames and objects; and the exponents fitted to them."""
     scene = workload(name, seed)
@@ -157,10 +162,9 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
     def first(count: int) -> Scene:
         return replace(scene, traffic=jax.tree.map(lambda leaf: leaf[:count], scene.traffic))
 
-    few = whole.poses[::4], whole.sensors[::4], whole.units
     cases: dict[str, list[tuple[int, Scene, Layout]]] = {
         "sensors": [
-            (3, scene, Layout(*few, whole.name)),
+            (3, scene, every_fourth(whole)),
             *((len(whole) * n, scene, sensors(scene, n)) for n in (1, 2, 4)),
         ],
         "frames": [(n, first(n), whole) for n in (frames // 4 + 1, frames // 2, frames)],
@@ -391,7 +395,7 @@ def main() -> None:
     grown = growth(name, options.seed, repeats)
     many = many_at_once(name, options.seed, *((4, 3) if options.quick else (64, 20)))
     shell = from_the_shell(scene, layout, repeats // 2)
-    gradient = slope(scene, layout, warm)
+    gradient = slope(scene, every_fourth(layout) if options.quick else layout, warm)
     roofline = least(scene, layout, warm)
 
     stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")

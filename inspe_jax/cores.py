@@ -33,7 +33,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def shared_out(rows: Any) -> list[Any]:
-    """Rows of an array in a part for each core; in one where they do not go up in equal parts."""
+    """Rows of an array in a part for each core; in one where those would not be equal."""
     size = len(rows) // cores() if len(rows) % cores() == 0 else len(rows)
     return [rows[begin : begin + size] for begin in range(0, len(rows), size)]
 

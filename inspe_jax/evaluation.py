@@ -170,15 +170,17 @@ def evaluate_many(
             f"{layout.name}, x, y, z, roll, pitch, yaw each"
         )
     check_memory(scene.voxels.count, len(layout))
-    for number, row in enumerate(poses):
-        check_layout(scene, replace(layout.with_poses(row), name=f"poses[{number}]"))
-    shift = np.concatenate([scene.voxels.center, np.zeros(3)])
+    layouts = [
+        replace(layout.with_poses(row), name=f"poses[{number}]") for number, row in enumerate(poses)
+    ]
+    for one in layouts:
+        check_layout(scene, one)
     world = whole_world_of(scene)
     if weights[2] > 0:
         check_entropy(scene, metrics.entropy(world.occupancy).sum())
     c, o, ig = measure_many(
         world,
-        poses - shift,
+        np.stack([poses_about_center(scene, one) for one in layouts]),
         Crew.of(layout),
         scene.voxels.size,
         occlusion_reference=occlusion_reference,

@@ -66,9 +66,11 @@ def _views(
         if world.split is None:
             work = partial(in_view_masks, grids[s], pose, tile, half)
         else:
-            work = partial(_split_view(grids[s], half), np.asarray(pose), world.split)
+            work = partial(_split_view(grids[s], half), pose, world.split)
         jobs.append(((in_view_masks, grids[s], half, tile.heights.shape), work))
-    return jnp.stack([np.asarray(view) for view in run(jobs)])
+    views = run(jobs)
+    # Of tiles on several devices: together again.
+    return jnp.stack(views if world.split is None else [np.asarray(view) for view in views])
 
 
 @cache
@@ -114,11 +116,11 @@ def _watch_all(
         )
     jobs: list[Job] = []
     for share in world.shares:
-        few: Any = views[:, share.tiles]
+        few = views[:, share.tiles]
         watch: Callable[..., Watched] = partial(_watch, **options)
         if share.split:
-            few, watch = np.asarray(few), _split_watch(failures, reference, sighted)
-        work = partial(watch, share.tile, few, share.solid, share.prisms, np.asarray(sensors))
+            watch = _split_watch(failures, reference, sighted)
+        work = partial(watch, share.tile, few, share.solid, share.prisms, sensors)
         jobs.append(((_watch, *options.values(), few.shape, share.prisms.top.shape), work))
     seen = np.zeros((2, 1 + len(failures), world.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
@@ -292,7 +294,7 @@ def measure_many(
     shapes = tuple(leaf.shape for leaf in jax.tree.leaves(world))
     each = sharding.devices()
     work = _one(*kind) if each == 1 else _one_each(*kind)
-    # A layout for each core, or one for each device: some of the last ones again, as padding.
+    # A layout for a core, or one for every device: the first ones again where some would be idle.
     rows = np.resize(poses, (-(-len(poses) // each), each, *poses.shape[1:]))
     jobs: list[Job] = [
         ((measure_many, kind, shapes), partial(work, row[0] if each == 1 else row, world))

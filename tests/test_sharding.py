@@ -54,7 +54,7 @@ def on_one():
     return scores(1)
 
 
-# 19 frames: 16 and 3 that are left over; 18 and 1. Tiles go up in 8, not in 3.
+# 19 frames: 16 and 3 that are left over; 18 and 1. 8 divides the tiles, 3 does not.
 @pytest.mark.parametrize("count", [8, pytest.param(3, marks=pytest.mark.slow)])
 def test_scores_are_the_same_to_the_last_bit(on_one, count):
     assert on_one[0] > 0.1

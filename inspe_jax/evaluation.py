@@ -4,21 +4,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
 from inspe_jax.exact import measure_exactly, measure_many
-from inspe_jax.measures import Crew, Field, measure
+from inspe_jax.measures import Crew
 from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
-from inspe_jax.sensing.ground import about_center, poses_about_center
+from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
+from inspe_jax.soft import measure_softly
 from inspe_jax.world import whole_world_of, world_of
 
 VISIBILITIES = ("in_view", "line_of_sight")
@@ -43,10 +43,10 @@ class Scores:
     Numbers; or JAX arrays, where the layout's poses are traced.
     ``region_coverage`` and ``level_coverage`` are unweighted shares of the voxels
     of one region and of one level (lowest first); ``contributions`` has one row a
-    sensor, in the layout's order, and can be negative only for occlusion with the
-    reference ``covered``, whose voxels change with the sensors; ``seen_share`` (L,) is the
-    share of frames and levels in which each column is seen; ``settings`` are the
-    options used.
+    sensor, in the layout's order, none where poses are traced, and can be negative only for
+    occlusion with the reference ``covered``, whose voxels change with the sensors;
+    ``seen_share`` (L,) is the share of frames and levels in which each column is seen;
+    ``settings`` are the options used.
     """
 
     coverage: float
@@ -88,15 +88,18 @@ def evaluate(
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
-    each = tuple((s,) for s in range(len(layout)))
+    traced = isinstance(poses, jax.core.Tracer)
+    each = () if traced else tuple((s,) for s in range(len(layout)))
     crew = Crew.of(layout, each)
-    width = Softness.of(softness, voxel)
+    width = Softness.of(softness)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    if width.exact and not isinstance(poses, jax.core.Tracer):
+    if width.exact and not traced:
         measured = measure_exactly(world_of(scene), poses, crew, voxel, **options)
+    elif width.exact:
+        fixed = jax.lax.stop_gradient(poses)  # a step function
+        measured = measure_exactly(whole_world_of(scene), fixed, crew, voxel, **options)
     else:
-        field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
-        measured = measure(field, poses, crew, voxel, width, **options)
+        measured = measure_softly(whole_world_of(scene), poses, crew, voxel, width, **options)
     measured = jax.tree.map(_array, measured)
     if weights[2] > 0:
         check_entropy(scene, measured.entropy)
@@ -118,7 +121,7 @@ def evaluate(
         level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
             Contribution(sensor.name, *(a - b for a, b in zip(total, left, strict=True)))
-            for sensor, left in zip(layout.sensors, without, strict=True)
+            for sensor, left in zip(layout.sensors, without, strict=False)
         ),
         seen_share=measured.seen_share,
         settings=dict(

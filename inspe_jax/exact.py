@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Num, UInt
 
 from inspe_jax import masks, metrics, sharding
 from inspe_jax.cores import Job, run, shared_out
@@ -84,17 +84,17 @@ def _split_view(grid: RayGrid, half: float) -> Callable[..., Any]:
 
 
 class Watched(NamedTuple):
-    """Voxels counted over the frames.
+    """Voxels counted over the frames; or, softly, readings summed.
 
     |V_orig| − |V_occ| in row 0 of ``seen``, less what is lost without group g in row 1 + g, and
     |V_orig| likewise in ``original``; in how many frames each voxel of a column is seen, summed
     over the column (``columns``), and in how many each sensor sees it (``sights``, or None).
     """
 
-    seen: Int[Array, "1+G T"]
-    original: Int[Array, "1+G T"]
-    columns: Int[Array, "N C"]
-    sights: Int[Array, "S N C Z"] | None
+    seen: Num[Array, "1+G T"]
+    original: Num[Array, "1+G T"]
+    columns: Num[Array, "N C"]
+    sights: Num[Array, "S N C Z"] | None
 
 
 def _watch_all(
@@ -108,7 +108,7 @@ def _watch_all(
     """Go through the frames, tile by tile."""
     options = dict(failures=failures, reference=reference, sighted=sighted)
     if isinstance(views, jax.core.Tracer):
-        return _joined(
+        return joined(
             [
                 _watch(share.tile, views, share.solid, share.prisms, sensors, **options)
                 for share in world.shares
@@ -139,7 +139,7 @@ def _watch_all(
     )
 
 
-def _joined(parts: list[Watched]) -> Watched:
+def joined(parts: list[Watched]) -> Watched:
     """What was counted in one run of frames after the other, in all tiles."""
     seen, original, columns, sights = zip(*parts, strict=True)
     return Watched(

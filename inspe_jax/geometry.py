@@ -147,19 +147,6 @@ def shadow_ceiling(
     return jnp.where(meets, ceiling, NEVER)
 
 
-def shadow_height(
-    shade: Shade, dx: Float[Array, " L"], dy: Float[Array, " L"], sensor_z: Float[Array, ""]
-) -> tuple[Float[Array, " L"], Bool[Array, " L"]]:
-    """The ceiling of :func:`shadow_ceiling` whether or not the line meets the prism, and whether
-    the column lies in the prism.
-
-    A guess where it misses, to tell which prisms matter. A prism higher than the sensor hides all.
-    """
-    leaves, entry = _plan_crossings(shade, dx, dy)
-    ceiling = sensor_z + shade.rise * jnp.maximum(leaves, 1.0)
-    return jnp.where(shade.rise < 0, ceiling, -NEVER), (leaves < 1.0) & (entry > 1.0)
-
-
 def _plan_crossings(
     shade: Shade, dx: Float[Array, " L"], dy: Float[Array, " L"]
 ) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
@@ -200,40 +187,50 @@ def plan_margin(
     return jnp.minimum(beside, jnp.minimum(ahead, across))
 
 
-def cut_margins(
-    sensor: Float[Array, "3"],
-    prism: Prism,
-    columns: Float[Array, "*n 2"],
-    heights: Float[Array, "*n Z"],
-) -> tuple[Float[Array, "*n"], Float[Array, "*n Z"]]:
-    """How deep each sight line cuts into a prism [m]: sideways in plan, and below its top.
+class Cut(NamedTuple):
+    """Where sight lines meet a prism in plan, made by :func:`plan_cut`.
 
-    One prism a column (leading axes of both alike), ``heights`` of the targets in that column.
-    A voxel is hidden where both are positive. Both are measured at the prism, in metres between
-    the line and its sides and top, so neither grows without bound as a prism comes near the
-    sensor, as the height of its shadow does. The line z_s + t·(z − z_s) is lowest where it leaves
-    the prism, at t₁, if it falls, and where it enters, at t₀, if it rises. A line that misses has
-    no t₀ and t₁: then they are held to the stretch that the prism takes up along the line.
+    ``beside``: how deep they cut in sideways [m]; ``enters``, ``leaves``: t₀ and t₁ along them.
     """
-    sx, sy = sensor[0] - prism.center[..., 0], sensor[1] - prism.center[..., 1]
-    dx, dy = columns[..., 0] - sensor[0], columns[..., 1] - sensor[1]
-    cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
-    x, y = cos * sx + sin * sy, cos * sy - sin * sx
-    ex, ey = cos * dx + sin * dy, cos * dy - sin * dx
-    a, b = prism.half[..., 0], prism.half[..., 1]
 
+    beside: Float[Array, "*n"]
+    enters: Float[Array, "*n"]
+    leaves: Float[Array, "*n"]
+
+
+def plan_cut(
+    x: Float[Array, "*n"],
+    y: Float[Array, "*n"],
+    ex: Float[Array, "*n"],
+    ey: Float[Array, "*n"],
+    half: tuple[Float[Array, "*n"], Float[Array, "*n"]],
+) -> Cut:
+    """How sight lines cut a rectangle in plan, in its own frame: from (x, y) by (ex, ey).
+
+    A line that misses has no t₀ and t₁: then they are held to the stretch that the rectangle takes
+    up along the line.
+    """
+    a, b = half
     squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
     middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
     first, last = jnp.clip(middle - spread, 0.0, 1.0), jnp.clip(middle + spread, 0.0, 1.0)
     (x_in, x_out), (y_in, y_out) = _slab(x, ex, a), _slab(y, ey, b)
-    t_in = jnp.clip(jnp.maximum(x_in, y_in), first, last)
-    t_out = jnp.clip(jnp.minimum(x_out, y_out), first, last)
-
-    drop = sensor[2] - heights
-    below = (prism.top - sensor[2])[..., None] + jnp.maximum(
-        drop * t_in[..., None], drop * t_out[..., None]
+    return Cut(
+        plan_margin(x, y, ex, ey, half),
+        jnp.clip(jnp.maximum(x_in, y_in), first, last),
+        jnp.clip(jnp.minimum(x_out, y_out), first, last),
     )
-    return plan_margin(x, y, ex, ey, (a, b)), below
+
+
+def below_top(cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """How far sight lines pass below a prism's top [m].
+
+    ``rise`` is the top and ``drop`` the target seen from the sensor, upwards and downwards. The
+    line z_s + t·(z − z_s) is lowest where it leaves the prism, at t₁, if it falls, and where it
+    enters, at t₀, if it rises. Measured at the prism, in metres between line and top, this does not
+    grow without bound as a prism comes near the sensor, as the height of its shadow does.
+    """
+    return rise + jnp.maximum(drop * cut.enters, drop * cut.leaves)
 
 
 def _slab(

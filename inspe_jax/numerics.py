@@ -14,6 +14,9 @@ from jaxtyping import Array, Float
 
 from inspe_jax.errors import InspeError
 
+REACH = 3.0
+"""Widths from the threshold at which a soft reading is certain."""
+
 Width = float | Float[Array, ""] | None
 """Width of a soft reading [m]; None, or a Python 0, is the exact one."""
 
@@ -24,22 +27,23 @@ def exact(width: Width) -> bool:
 
 
 def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
-    """1 where ``margin`` [m] is positive, 0 elsewhere; softly, a logistic of that width.
+    """1 where ``margin`` [m] is positive, 0 elsewhere; softly, a cubic from 0 to 1 in between.
 
-    Read exactly, a margin of 0 counts as a miss.
+    It rises as a logistic of that width does, 1/4 in a width, and is 0 and 1 from :data:`REACH`
+    widths on: what is further off than that has neither value nor slope. Read exactly, a margin of
+    0 counts as a miss.
     """
     if exact(width):
         return (margin > 0).astype(margin.dtype)
-    return jax.nn.sigmoid(margin / jnp.asarray(width, margin.dtype))
+    u = jnp.clip(0.5 + margin / (2.0 * REACH * jnp.asarray(width, margin.dtype)), 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
 
 
 class Softness(NamedTuple):
     """How softly each kind of margin is read, widths in metres; None is exactly.
 
-    ``field``: the edge of a field of view and the end of its reach. ``ray``:
-    whether one of the rays in there meets a voxel; rays and voxels are small, and a
-    blur as wide as a voxel would see nothing of them, so :meth:`of` makes it ten times finer.
-    ``shadow``: how far a sight line passes beside or above a vehicle.
+    ``field``: the edge of a field of view and the end of its reach. ``ray``: whether one of the
+    rays in there meets a voxel. ``shadow``: how far a sight line passes beside or above a vehicle.
     """
 
     field: Width = None
@@ -47,20 +51,19 @@ class Softness(NamedTuple):
     shadow: Width = None
 
     @classmethod
-    def of(cls, value: Any, voxel: float) -> "Softness":
-        """From one width for all [m], traced or not, or a Softness as it is; 0 is exact.
+    def of(cls, value: Any) -> "Softness":
+        """From one width [m], traced or not, or a Softness as it is; 0 is exact.
 
-        ``voxel`` is the edge of a voxel [m]. Raises InspeError where a width is negative.
+        One width is that of fields and shadows; which voxels in a field the rays meet is read
+        exactly. As a sensor moves, its rays leave voxels and enter others, which all but cancels:
+        the slopes of single rays are many times that of the score, and noise to a search.
+        Raises InspeError where a width is negative.
         """
-        given = value if isinstance(value, Softness) else (value,)
+        given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
         for width in given:
             if isinstance(width, (int, float)) and not 0 <= width < float("inf"):
                 raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
-        widths = [None if exact(width) else jnp.asarray(width, float) for width in given]
-        if isinstance(value, Softness):
-            return cls(*widths)
-        (width,) = widths
-        return EXACT if width is None else cls(width, RAY_SHARE * jnp.minimum(width, voxel), width)
+        return cls(*(None if exact(width) else jnp.asarray(width, float) for width in given))
 
     @property
     def exact(self) -> bool:
@@ -70,9 +73,6 @@ class Softness(NamedTuple):
 
 EXACT = Softness()
 """Every margin read exactly."""
-RAY_SHARE = 0.1
-"""Softness between rays, as a share of the softness and at most of a voxel's edge: a voxel well
-inside a ray then reads at least 0.97, and sparse rows do not pass for dense ones."""
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:

@@ -20,7 +20,7 @@ from inspe_jax.geometry import Prism
 from inspe_jax.measures import Field
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.ground import about_center
-from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, solid, tiles_of
+from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, one_tile, solid, tiles_of
 
 FRAMES = 128
 """Frames that are gone through together: what a tile needs of them stays in a core's cache."""
@@ -96,7 +96,8 @@ def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
     kept = _worlds.setdefault(scene, {})
     key = kind, jnp.zeros((), float).dtype
     if key not in kept:
-        kept[key] = make(scene)
+        with jax.ensure_compile_time_eval():  # kept, whatever is being traced
+            kept[key] = make(scene)
     return kept[key]
 
 
@@ -132,7 +133,7 @@ def _make_world(scene: Scene) -> World:
     return World(
         tiles,
         tuple(shares),
-        _column_weight(tiles, scene.voxels.column_weight),
+        _column_weight(tiles, jnp.asarray(scene.voxels.column_weight, float)),
         jnp.asarray(counts[column, level] / total, float),
         jnp.asarray(column),
         jnp.asarray(level),
@@ -162,28 +163,36 @@ def world_of_sample(sample: Field) -> World:
 
     Samples of one size make worlds of one shape.
     """
+    return _in_one_share(sample, tiles_of(sample.ground))
+
+
+def world_in_one_tile(sample: Field) -> World:
+    """The same in one tile, traced or not."""
+    return _in_one_share(sample, one_tile(sample.ground))
+
+
+def _in_one_share(sample: Field, tiles: Tiles) -> World:
     assert sample.occupancy is not None  # that of all frames
-    ground, tiles = sample.ground, tiles_of(sample.ground)
+    ground = sample.ground
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
     share = Share(tiles.tile, ground.prisms, solid(tiles.tile, ground.prisms))
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
-    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
+    column = tiles.place[:, None] + (level // height * columns)[None]  # (L, Z)
     return World(
         tiles,
         (share,),
-        _column_weight(tiles, np.asarray(sample.weight)[::levels]),
+        _column_weight(tiles, sample.weight[::levels]),
         sample.occupancy,
-        jnp.asarray(column.reshape(-1)),
+        column.reshape(-1),
         jnp.asarray(np.tile(level % height, len(column))),
         len(ground.prisms.top),
     )
 
 
-def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
-    by_place = np.zeros(tiles.tile.there.size // tiles.slabs)
-    by_place[np.asarray(tiles.place)] = weight
-    return jnp.asarray(by_place, float)
+def _column_weight(tiles: Tiles, weight: Float[Array, " L"]) -> Float[Array, " MC"]:
+    nothing = jnp.zeros(tiles.tile.there.size // tiles.slabs, float)
+    return nothing.at[tiles.place].set(weight)
 
 
 @partial(jax.jit, static_argnames="levels")

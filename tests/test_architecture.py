@@ -17,7 +17,7 @@ LADDER = [
     ("geometry",),
     ("scene",),
     ("sensing",),
-    ("metrics", "measures", "world", "exact", "evaluation"),
+    ("metrics", "measures", "world", "exact", "soft", "evaluation"),
     ("placement",),
     ("report",),
     ("cli",),
@@ -25,8 +25,8 @@ LADDER = [
 ROOMS = {
     "shapely": ("scene/", "placement/constraints.py", "placement/site.py", "report/"),
     "carla": ("scene/opendrive",),
-    "jaxopt": ("placement/gradient.py",),
-    "optax": ("placement/gradient.py",),
+    "jaxopt": ("placement/rounds.py",),
+    "optax": ("placement/adam.py",),
     "matplotlib": ("report/",),
     "typer": ("cli/",),
 }

@@ -12,9 +12,9 @@ EACH = tuple((s,) for s in range(5))
 def test_a_margin_is_read_hard_at_zero_and_soft_around_it():
     margin = jnp.array([-1.0, 0.0, 1e-6, 2.0])
     assert step(margin).tolist() == [0, 0, 1, 1]
-    # logistic(±1/0.5) by hand
+    # u = 1/2 ± 1/(2·3·0.5) = 1/6 and 5/6; u²·(3 − 2u) by hand
     soft = step(jnp.array([-1.0, 0.0, 1.0]), 0.5)
-    np.testing.assert_allclose(soft, [0.1192029, 0.5, 0.8807971], atol=1e-6)
+    np.testing.assert_allclose(soft, [2 / 27, 0.5, 25 / 27], atol=1e-6)
 
 
 def test_softness_to_zero_is_the_hard_reading():
@@ -50,16 +50,14 @@ def test_a_certain_reading_leaves_a_finite_gradient():
 
 
 def test_softness_is_one_width_or_one_for_each_kind():
-    assert Softness.of(0, 0.5) is EXACT
-    assert Softness.of(0.0, 0.5) is EXACT
-    one = Softness.of(0.3, 0.5)
-    assert (float(one.field), float(one.ray), float(one.shadow)) == pytest.approx((0.3, 0.03, 0.3))
-    assert float(Softness.of(3.0, 0.5).ray) == pytest.approx(0.05)  # a tenth of the voxel
-    mixed = Softness.of(Softness(field=0.5, shadow=0.0), 0.5)
+    assert Softness.of(0) == Softness.of(0.0) == EXACT
+    one = Softness.of(0.3)
+    assert (float(one.field), one.ray, float(one.shadow)) == (pytest.approx(0.3), None, one.field)
+    mixed = Softness.of(Softness(field=0.5, shadow=0.0))
     assert (float(mixed.field), mixed.ray, mixed.shadow) == (0.5, None, None)
     for bad in (-1.0, Softness(ray=-0.1), float("nan"), float("inf")):
         with pytest.raises(InspeError, match="softness"):
-            Softness.of(bad, 0.5)
+            Softness.of(bad)
 
 
 def test_dot_keeps_single_precision_over_two_million_terms():

@@ -21,7 +21,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.exact import measure_exactly, see
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.measures import Crew, Field, Measures, measure
+from inspe_jax.measures import Crew, Field, Measures
 from inspe_jax.numerics import Softness, step
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
@@ -29,7 +29,8 @@ from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
-from inspe_jax.world import World, world_of, world_of_sample
+from inspe_jax.soft import measure_softly
+from inspe_jax.world import World, world_in_one_tile, world_of, world_of_sample
 
 COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
 """How the scores of several scenes become one."""
@@ -222,14 +223,13 @@ class Problem:
         return tuple(found)
 
     def value(
-        self, poses: Float[Array, "S 6"], fields: tuple[Field, ...], softness: float | Array = 0.0
+        self, poses: Float[Array, "S 6"], worlds: Sequence[World], softness: Float[Array, ""]
     ) -> Float[Array, ""]:
-        """The objective of poses about the centre, on these fields."""
-        measures = []
-        for case, part, crew in zip(self.cases, fields, self.crews, strict=True):
-            voxel = case.scene.voxels.size
-            width = Softness.of(softness, voxel)
-            measures.append(measure(part, poses, crew, voxel, width, **self._options))
+        """The objective of poses about the centre, read softly [m] on these worlds."""
+        width, measures = Softness.of(softness), []
+        for case, world, crew in zip(self.cases, worlds, self.crews, strict=True):
+            size = case.scene.voxels.size
+            measures.append(measure_softly(world, poses, crew, size, width, **self._options))
         return self._combined(measures)
 
     @property
@@ -314,8 +314,9 @@ class Problem:
     def soft(
         self, x: Float[Array, " N"], fields: tuple[Field, ...], softness: Float[Array, ""]
     ) -> Float[Array, ""]:
-        """The objective read softly [m]; differentiable in the coordinates."""
-        return self.value(self.space.poses(x), fields, softness)
+        """The objective read softly [m] on a sample; differentiable in the coordinates."""
+        worlds = [world_in_one_tile(part) for part in fields]
+        return self.value(self.space.poses(x), worlds, softness)
 
     # ── Candidates one by one, for greedy and integer programs ──
 

@@ -15,6 +15,7 @@ from inspe_jax.placement.run import check_seed
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.world import whole_world_of
 
 SOFTNESS = 0.2
 """Softness of the slopes [m]: they are those of the score averaged over about so much."""
@@ -96,7 +97,8 @@ def tolerance(
         raise InspeError(f"softness {softness:g} m: more than 0; the exact score has no slope")
     problem = Problem(scene, layout, objective)
     poses = poses_about_center(scene, layout)
-    slope = np.asarray(_slope(problem)(poses, problem.fields, jnp.asarray(softness, float)), float)
+    worlds = [whole_world_of(case.scene) for case in problem.cases]
+    slope = np.asarray(_slope(problem)(poses, worlds, jnp.asarray(softness, float)), float)
     per = np.array([POSITION_STEP] * 3 + [np.radians(1.0)] * 3)
     rows = tuple(
         Slopes(sensor.name, *(row * per)[[0, 1, 2, 5, 4]].tolist())

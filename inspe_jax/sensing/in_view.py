@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax import masks
 from inspe_jax.geometry import Point, ray_cube_margin, rotation
+from inspe_jax.numerics import REACH, Softness, step
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.tiles import Tile
 
@@ -26,6 +27,9 @@ all at once would not fit in memory."""
 
 CHUNK = 256
 """Columns whose unsure voxels are looked at together."""
+
+INSIDE = 1e-3
+"""A voxel that a ray meets is in the field of view, by at least this much [m]."""
 
 DEEP = 0.7
 """Where rays are dense, voxels are this share of half an edge deep in one at least; no margin
@@ -51,8 +55,7 @@ def in_view_margins(
     @partial(jax.vmap, in_axes=(0, None))
     def margins(stance: Stance, centers: Array) -> tuple[Array, Array]:
         ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
-        # A ray in the voxel is in the field of view, whatever the rounding.
-        field = jnp.maximum(_field_margin(grid, half, stance, centers), ray)
+        field = _deep_in_field(grid, half, stance, centers, ray)
         return field, ray - jnp.minimum(field, 0.0)
 
     stances = jax.vmap(_stance)(poses)
@@ -86,6 +89,18 @@ def _field_margin(
     grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
     return grid.field_margin(_to_body(stance.turn, _to_voxels(stance, centers))) + half
+
+
+def _deep_in_field(
+    grid: RayGrid,
+    half: float,
+    stance: Stance,
+    centers: Float[Array, "V 3"],
+    ray: Float[Array, " V"],
+) -> Float[Array, " V"]:
+    """The field's margin; where a ray meets the voxel, by a corner or by rounding, not below 0."""
+    field = _field_margin(grid, half, stance, centers)
+    return jnp.where(ray > 0, jnp.maximum(field, INSIDE), field)
 
 
 def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
@@ -249,6 +264,27 @@ def view_margins(
     return field, ray
 
 
+def soft_view(
+    grid: RayGrid, half: float, softness: Softness, pose: Float[Array, "6"], tile: Tile
+) -> Float[Array, "Z C"]:
+    """How surely one sensor has each voxel of a tile in view: both margins, read softly."""
+    levels, columns = tile.heights.shape
+
+    def look(pose: Array) -> Array:
+        stance = _stance(pose)
+        xy = jnp.broadcast_to(tile.columns.T, (levels, columns, 2))
+        centers = jnp.concatenate([xy, tile.heights[:, :, None]], -1).reshape(-1, 3)
+        ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
+        field = _deep_in_field(grid, half, stance, centers, ray)
+        f = step(field, softness.field) * step(ray - jnp.minimum(field, 0.0), softness.ray)
+        z = jnp.arange(levels, dtype=tile.there.dtype)[:, None]
+        return f.reshape(levels, columns) * ((tile.there[None] >> z) & 1).astype(f.dtype)
+
+    wide = 0.0 if softness.field is None else REACH * softness.field
+    touched = _touches(grid, half + wide, _stance(jax.lax.stop_gradient(pose)), tile)
+    return jax.lax.cond(touched, look, lambda _: jnp.zeros((levels, columns)), pose)
+
+
 # ── Exactly, as masks ───────────────────────────────────────────────────────
 
 
@@ -288,7 +324,7 @@ def in_view_masks(
     return _settle(grid, half, stance, tiles, seen, unsure)
 
 
-def _touches(grid: RayGrid, half: float, stance: Stance, tile: Tile) -> Bool[Array, ""]:
+def _touches(grid: RayGrid, half: float | Array, stance: Stance, tile: Tile) -> Bool[Array, ""]:
     """Whether a tile's voxels may lie in the field of view: the ball about them does."""
     middle = (tile.low + tile.high) / 2
     radius = jnp.hypot(tile.radius, middle - tile.low) + np.sqrt(3.0) * half + SLACK

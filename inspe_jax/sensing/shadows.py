@@ -1,23 +1,24 @@
 """Line of sight: does a vehicle cut the line to the voxel's centre? The rays do not matter."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax import masks
 from inspe_jax.geometry import (
     FAR,
     NEVER,
+    Cut,
     Prism,
     Shade,
-    cut_margins,
+    below_top,
+    plan_cut,
     shade,
     shadow_ceiling,
-    shadow_height,
 )
-from inspe_jax.numerics import Width, exact, step
+from inspe_jax.numerics import REACH, Width, exact, step
 from inspe_jax.sensing.tiles import CLOSE, Tile, levels
 
 
@@ -63,72 +64,131 @@ def sight(
 ) -> Float[Array, "S L Z"]:
     """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
 
-    Read exactly, the highest ceiling over a column decides. Softly, 1 − p of the
-    :data:`WINNERS` prisms that hide most of the column are multiplied, p being the reading of how
-    deep the line cuts in sideways times that of how far below the top; prisms that narrowly miss
-    count. Who wins is found without differentiation.
+    Read exactly, the highest ceiling over a column decides; softly, see :func:`soft_sight`. Every
+    prism is looked at from every column.
     """
     if exact(width):
         ceilings = shadow_ceilings(sensors, prisms, columns, spare_own=spare_own)
         return step(heights[None] - ceilings[:, :, None])
+    frame = jax.tree.map(lambda leaf: leaf[None], prisms)
+    marked = masks.marks(frame.valid.T)
 
     def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
-        clear = jnp.ones_like(heights)
-        fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
-        for winner, mass in _winners(fixed, prisms, columns, heights[:, 0], soft, spare_own):
-            won = jax.tree.map(lambda leaf: leaf[winner], prisms)  # noqa: B023
-            beside, below = cut_margins(sensor, won, columns, heights)
-            hidden = step(beside, width)[:, None] * step(below, width)
-            clear *= 1.0 - jnp.where((mass > 0)[:, None], hidden, 0.0)
-        return clear
+        at = sensor, frame, marked, columns.T, heights.T, width
+        return soft_sight(*at, spare_own=spare_own)[:, 0].T
 
-    return jax.vmap(one)(sensors)
+    return jax.lax.map(one, sensors)
 
 
-def _winners(
+def soft_sight(
     sensor: Float[Array, "3"],
     prisms: Prism,
-    columns: Float[Array, "L 2"],
-    lowest: Float[Array, " L"],
+    marked: UInt[Array, "W F"],
+    columns: Float[Array, "2 C"],
+    heights: Float[Array, "Z C"],
+    width: Width,
+    *,
+    spare_own: bool = False,
+) -> Float[Array, "Z F C"]:
+    """Chance that the marked prisms (F, B) of each frame leave the lines to some voxels clear.
+
+    Softly, 1 − p of the :data:`WINNERS` prisms that hide most of a column are multiplied, p being
+    the reading of how deep the line cuts in sideways times that of how far below the top; prisms
+    that narrowly miss count. Who wins is found without differentiation.
+    """
+    if exact(width):
+
+        def ceilings(prisms: Prism) -> Float[Array, " C"]:
+            return shadow_ceilings(sensor[None], prisms, columns.T, spare_own=spare_own)[0]
+
+        return step(heights[:, None] - jax.vmap(ceilings)(prisms)[None])
+    x, y = columns[:, None]
+    fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
+    # (7, F, B): a prism as it lies, to be fetched by its number.
+    table = jnp.stack(
+        [
+            *(prisms.center[..., 0], prisms.center[..., 1], jnp.cos(prisms.yaw)),
+            *(jnp.sin(prisms.yaw), prisms.half[..., 0], prisms.half[..., 1], prisms.top),
+        ]
+    )
+    frames, count = prisms.top.shape
+    spare = jnp.uint32(2 ** max(count - 1, 1).bit_length() - 1)
+
+    def enter(best: tuple[Array, ...], index: Array, some: Array) -> tuple[Array, ...]:
+        prism = table[:, jnp.arange(frames), index][:, :, None]
+        hides = _hides(fixed, prism, x, y, heights[:1], soft, spare_own)
+        # The number in the last bits of how much it hides: the best are then kept by max alone.
+        key = jax.lax.bitcast_convert_type(hides.astype(jnp.float32), jnp.uint32)
+        key = (key & ~spare) | index.astype(jnp.uint32)[:, None]
+        key = jnp.where((hides > 0) & some[:, None], key, jnp.uint32(0))
+        kept = []
+        for held in best:
+            kept.append(jnp.maximum(held, key))
+            key = jnp.minimum(held, key)
+        return tuple(kept)
+
+    nobody = jnp.zeros((frames, x.shape[-1]), jnp.uint32)
+    best = masks.fold_marked(marked, enter, (nobody,) * min(WINNERS, count))
+    # The sensor at every point: slopes are then added up point by point, and summed but once.
+    sx, sy, sz = (jnp.broadcast_to(s, nobody.shape) for s in sensor)
+    cuts = []
+    for key in best:
+        won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
+        cut = plan_cut(*_own_frame(won, sx, sy, x, y), (won[4], won[5]))
+        hides = jnp.where(key > spare, step(cut.beside, width), 0.0)
+        cuts.append((cut, won[6] - sz, hides))
+
+    @jax.checkpoint
+    def level(z: Float[Array, "1 C"]) -> Float[Array, "F C"]:
+        clear = jnp.ones_like(sz)
+        for cut, rise, hides in cuts:
+            (below,) = jax.lax.optimization_barrier((below_top(cut, rise, sz - z),))
+            clear *= 1.0 - hides * step(below, width)
+        return clear
+
+    return jax.lax.map(level, heights[:, None])
+
+
+def _own_frame(
+    prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The line from (sx, sy) to (x, y) in a prism's own frame: where from, and by how much."""
+    cx, cy, cos, sin = prism[:4]
+    dx, dy, ox, oy = sx - cx, sy - cy, x - sx, y - sy
+    return (
+        *(cos * dx + sin * dy, cos * dy - sin * dx),
+        *(cos * ox + sin * oy, cos * oy - sin * ox),
+    )
+
+
+def _hides(
+    sensor: Float[Array, "3"],
+    prism: Float[Array, "7 ..."],
+    x: Float[Array, "*n"],
+    y: Float[Array, "*n"],
+    lowest: Float[Array, "*n"],
     width: Float[Array, ""],
     spare_own: bool,
-) -> list[tuple[Int[Array, " L"], Float[Array, " L"]]]:
-    """The prisms that hide most of each column, and how much [m]: the height of the shadow over
-    the lowest voxel, times how deep the line cuts in, both read in a cheap soft way. Only a prism
-    that is none hides nothing: if those far from the line were cut off, each that comes near would
-    add a jump, and the gradient would miss what the jumps add up to.
+) -> Float[Array, "*n"]:
+    """How much of a column a prism hides, in a cheap soft way: the reading of how deep the line to
+    its lowest voxel cuts in, times how far that passes below the top [m]. Where the line leaves the
+    prism is taken as where the stretch ends that the prism takes up along it.
     """
-    dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
-    per_metre = jax.lax.rsqrt(jnp.maximum(dx * dx + dy * dy, 1e-9))
-
-    def enter(best, prism):  # type: ignore[no-untyped-def]
-        number, prism, cast = prism
-        sx, sy = sensor[0] - prism.center[0], sensor[1] - prism.center[1]
-        x, y = cast.cos * sx + cast.sin * sy, cast.cos * sy - cast.sin * sx
-        ex, ey = cast.cos * dx + cast.sin * dy, cast.cos * dy - cast.sin * dx
-        a, b = prism.half
-        support = a * jnp.abs(ey) + b * jnp.abs(ex)
-        beside = (support - jnp.abs(x * ey - y * ex)) * per_metre
-        beside = jnp.minimum(beside, a + jnp.abs(ex) / 2 - jnp.abs(x + ex / 2))
-        beside = jnp.minimum(beside, b + jnp.abs(ey) / 2 - jnp.abs(y + ey / 2))
-        u = beside / width
-        cuts = 0.5 * (1.0 + u * jax.lax.rsqrt(4.0 + u * u))
-        ceiling, stands = shadow_height(cast, dx, dy, sensor[2])
-        height = jnp.clip(ceiling - lowest, -20.0, 20.0)
-        mass = cuts * (height + jnp.sqrt(height * height + 4.0 * width * width))
-        mass = jnp.where(prism.valid & ~(stands & spare_own), mass, 0.0)
-        for k, (held, index) in enumerate(best):
-            more = mass > held
-            best[k] = jnp.where(more, mass, held), jnp.where(more, number, index)
-            mass, number = jnp.where(more, held, mass), jnp.where(more, index, number)
-        return best, None
-
-    count = len(prisms.top)
-    none = (jnp.zeros_like(dx), jnp.zeros(len(dx), int))
-    numbers = jnp.arange(count)
-    table = (numbers, prisms, shade(sensor, prisms))
-    best = jax.lax.scan(enter, [none] * min(WINNERS, count), table, unroll=4)[0]
-    return [(index, mass) for mass, index in best]
+    a, b, top = prism[4:]
+    px, py, ex, ey = _own_frame(prism, sensor[0], sensor[1], x, y)
+    per_metre = jax.lax.rsqrt(jnp.maximum(ex * ex + ey * ey, 1e-9))
+    support = a * jnp.abs(ey) + b * jnp.abs(ex)
+    beside = (support - jnp.abs(px * ey - py * ex)) * per_metre
+    beside = jnp.minimum(beside, a + jnp.abs(ex) / 2 - jnp.abs(px + ex / 2))
+    beside = jnp.minimum(beside, b + jnp.abs(ey) / 2 - jnp.abs(py + ey / 2))
+    middle, spread = -(px * ex + py * ey), a * jnp.abs(ex) + b * jnp.abs(ey)
+    ends = (jnp.clip((middle + s * spread) * per_metre**2, 0.0, 1.0) for s in (-1.0, 1.0))
+    below = below_top(Cut(beside, *ends), top - sensor[2], sensor[2] - lowest)
+    hides = step(beside, width) * jnp.maximum(below + REACH * width, 0.0)
+    if spare_own:
+        stands = (jnp.abs(px + ex) < a) & (jnp.abs(py + ey) < b)
+        hides = jnp.where(stands, 0.0, hides)
+    return hides
 
 
 # ── Exactly, tile by tile ───────────────────────────────────────────────────
@@ -153,14 +213,14 @@ class Casts(NamedTuple):
     fall: Float[Array, "B T"]
 
 
-def casts(sensor: Float[Array, "3"], prisms: Prism) -> Casts:
-    """What one sensor's shadows need of the prisms (T, B), for all tiles."""
+def casts(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> Casts:
+    """What one sensor's shadows need of the prisms (T, B), for all tiles; ``wider`` and higher."""
     x, y = prisms.center[..., 0] - sensor[0], prisms.center[..., 1] - sensor[1]
-    span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1]) + CLOSE
+    span = jnp.hypot(prisms.half[..., 0] + wider, prisms.half[..., 1] + wider) + CLOSE
     away = jnp.maximum(jnp.hypot(x, y), CLOSE)
     sin = jnp.minimum(span / away, 1.0)
     # Similar triangles: from the sensor over the far edge of the top down to the ground.
-    above = sensor[2] - prisms.top
+    above = sensor[2] - prisms.top - wider
     fall = jnp.where(above > CLOSE, (away + span) / jnp.maximum(above, CLOSE), FAR)
     near = jnp.where(prisms.valid, away - span, FAR)
     columns = x / away, y / away, jnp.sqrt(1.0 - sin * sin), sin, away <= span, near, fall

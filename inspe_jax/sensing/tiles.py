@@ -117,6 +117,27 @@ def tiles_of(ground: Ground) -> Tiles:
     return Tiles(tile, jnp.asarray(place), levels)
 
 
+def one_tile(ground: Ground) -> Tiles:
+    """All columns in one tile (of each slab), traced or not: for a few columns, far apart."""
+    columns, heights = ground.columns, ground.heights
+    levels = heights.shape[1]
+    slabs = -(-levels // masks.WORD)
+    each = -(-levels // slabs)
+    slab = np.minimum(np.arange(slabs * each), levels - 1).reshape(slabs, each)
+    exists = np.arange(slabs * each).reshape(slabs, each) < levels
+    z = heights[:, slab].transpose(1, 2, 0)  # (slabs, Z, L)
+    middle = (columns.min(0) + columns.max(0)) / 2
+    away = jnp.hypot(*(columns - middle[None]).T).max()
+
+    def repeated(x: Array) -> Array:
+        return jnp.broadcast_to(x, (slabs, *x.shape))
+
+    there = jnp.broadcast_to(jnp.asarray(masks.pack(exists)), (slabs, len(columns)))
+    ends = z.min((1, 2)), z.max((1, 2))
+    tile = Tile(repeated(columns.T), z, there, repeated(middle), repeated(away), *ends)
+    return Tiles(tile, jnp.arange(len(columns)), levels)
+
+
 @jax.jit
 def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
     """Masks of the voxels of N tiles that are inside a vehicle, in each of T frames."""

@@ -1,0 +1,175 @@
+"""The three metrics read softly, tile by tile: what gradients are of.
+
+The same measures as :func:`inspe_jax.measures.measure`, from the same margins. A soft reading is
+certain beyond its width (:func:`inspe_jax.numerics.step`), so here too whole tiles are told apart
+from most fields of view and most shadows, and nothing is left out.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, UInt
+
+from inspe_jax import masks, metrics
+from inspe_jax.exact import Groups, Watched, joined
+from inspe_jax.geometry import Prism
+from inspe_jax.measures import Crew, Measures
+from inspe_jax.numerics import REACH, Softness, Width, leave_one_out
+from inspe_jax.sensing.in_view import soft_view
+from inspe_jax.sensing.shadows import casts, may_shade, soft_sight
+from inspe_jax.sensing.tiles import Tile
+from inspe_jax.world import World
+
+FRAMES = 20
+"""Frames that are gone through together: what a tile needs of them stays in a core's cache."""
+
+
+@partial(jax.jit, static_argnames=("crew", "voxel", "occlusion_reference", "visibility"))
+def measure_softly(
+    world: World,
+    poses: Float[Array, "S 6"],
+    crew: Crew,
+    voxel: float,
+    softness: Softness,
+    *,
+    occlusion_reference: str = "roi",
+    visibility: str = "in_view",
+) -> Measures:
+    """The three metrics of poses about the scene's centre, in the paper's order.
+
+    As :func:`~inspe_jax.measures.measure`, of a world whose shares have all tiles. Differentiable
+    in the poses, in reverse mode; not in the softness.
+    """
+    softness = jax.lax.stop_gradient(softness)
+    f = _views(world.tiles.tile, poses, crew, voxel / 2, softness)
+    watched = [
+        _watch(
+            share.tile,
+            f,
+            share.solid,
+            share.prisms,
+            poses[:, :3],
+            softness.shadow,
+            failures=crew.failures,
+            reference=occlusion_reference,
+            sighted=visibility == "line_of_sight",
+        )
+        for share in world.shares
+    ]
+    return _measures(world, f, joined(watched), crew)
+
+
+def _views(
+    tiles: Tile, poses: Float[Array, "S 6"], crew: Crew, half: float, softness: Softness
+) -> Float[Array, "S N Z C"]:
+    """How surely each sensor has each voxel in view."""
+    found: dict[int, Array] = {}
+    for grid, index in crew.groups:
+        look = jax.checkpoint(partial(soft_view, grid, half, softness))
+        each = jax.lax.map(
+            lambda pose: jax.lax.map(lambda tile: look(pose, tile), tiles),  # noqa: B023
+            poses[jnp.array(index)],
+        )
+        found |= zip(index, each, strict=True)
+    return jnp.stack([found[s] for s in range(len(poses))])
+
+
+def _watch(
+    tiles: Tile,
+    f: Float[Array, "S N Z C"],
+    solid: UInt[Array, "N T C"],
+    prisms: Prism,
+    sensors: Float[Array, "S 3"],
+    width: Width,
+    *,
+    failures: Groups,
+    reference: str,
+    sighted: bool,
+) -> Watched:
+    """Go through the tiles, and in each through the frames."""
+    total, levels = len(prisms.top), f.shape[2]
+    reach = 0.0 if width is None else REACH * width
+    parts = -(-total // FRAMES)
+    each = -(-total // parts)
+
+    def in_parts(x: Array) -> Array:
+        """(T, …) as (parts, each, …), padded with zeros: frames without prisms."""
+        x = jnp.pad(x, [(0, parts * each - total)] + [(0, 0)] * (x.ndim - 1))
+        return x.reshape(parts, each, *x.shape[1:])
+
+    split = jax.tree.map(in_parts, (prisms, jnp.ones(total)))
+    spare_own, nobody = reference == "targets", jnp.zeros(())
+
+    def bits(words: UInt[Array, "..."]) -> Float[Array, "..."]:
+        """(…) as (Z, …)."""
+        z = jnp.arange(levels, dtype=words.dtype).reshape(-1, *[1] * words.ndim)
+        return ((words[None] >> z) & words.dtype.type(1)).astype(float)
+
+    def look(part: tuple[Tile, Array, Array]) -> tuple[Array, ...]:
+        tile, f, counted = part  # f (S, Z, C)
+        covered = leave_one_out(f, failures)
+
+        @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
+        def some(part: tuple[tuple[Prism, Array], Array]) -> tuple[Array, ...]:
+            (prisms, real), counted = part
+
+            def clear(one: tuple[Array, Array]) -> Float[Array, "Z F C"]:
+                sensor, f = one
+
+                @jax.checkpoint
+                def shaded(sensor: Array) -> Array:
+                    fixed = jax.lax.stop_gradient(sensor)
+                    cast = casts(fixed, prisms, reach)
+                    marked = masks.marks(may_shade(fixed, cast, tile))
+                    at = sensor, prisms, marked, tile.columns, tile.heights, width
+                    return soft_sight(*at, spare_own=spare_own)
+
+                nothing = jnp.zeros((levels, each, f.shape[1]), f.dtype)
+                return jax.lax.cond((f > 0).any(), shaded, lambda _: nothing, sensor)
+
+            clears = jax.lax.map(clear, (sensors, f))  # (S, Z, F, C)
+            visible = leave_one_out(f[:, :, None] * clears, failures)
+            counts = bits(counted)
+            whole = jnp.ones_like(covered) if reference != "covered" else covered
+            return (
+                (visible * counts[None]).sum(1).sum(-1),
+                (whole[:, :, None] * counts[None]).sum(1).sum(-1),
+                (visible[0].sum(0) * real[:, None]).sum(0),
+                (clears * real[None, None, :, None]).sum(2).swapaxes(1, 2) if sighted else nobody,
+            )
+
+        seen, original, columns, sights = jax.lax.map(some, (split, in_parts(counted)))
+        rows = (x.swapaxes(0, 1).reshape(len(covered), -1)[:, :total] for x in (seen, original))
+        return *rows, columns.sum(0), sights.sum(0)
+
+    there = tiles.there[:, None]
+    counted = solid & there if reference == "targets" else there & ~solid
+    seen, original, columns, sights = jax.lax.map(look, (tiles, f.swapaxes(0, 1), counted))
+    return Watched(
+        seen.sum(0), original.sum(0), columns, sights.swapaxes(0, 1) if sighted else None
+    )
+
+
+def _measures(world: World, f: Float[Array, "S N Z C"], watched: Watched, crew: Crew) -> Measures:
+    """From readings and sums to the metrics."""
+    place, slabs, levels = world.tiles.place, world.tiles.slabs, world.tiles.level_count
+    covered = leave_one_out(f, crew.failures)
+    shares = covered.sum(2).reshape(len(covered), slabs, -1).sum(1) / levels  # (1 + G, M·C)
+    by_level = covered[0].reshape(slabs, -1, *f.shape[2:]).sum((1, 3)).reshape(-1)
+    seen = watched.columns.reshape(slabs, -1).sum(0)[place]
+
+    q = f.swapaxes(2, 3)
+    q = q if watched.sights is None else q * watched.sights / world.frame_count
+    q = q.reshape(len(f), -1, f.shape[2])[:, world.column, world.level]
+    resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
+    return Measures(
+        metrics.coverage(shares, world.weight),
+        metrics.occlusion(watched.seen.T, watched.original.T),
+        metrics.information_gain(resolved, world.occupancy),
+        column_coverage=shares[0][place],
+        level_coverage=by_level[:levels] / len(place),
+        information_gain_literal=metrics.information_gain_literal(resolved[0], world.occupancy),
+        entropy=metrics.entropy(world.occupancy).sum(),
+        seen_share=seen / (world.frame_count * levels),
+    )

@@ -199,6 +199,11 @@ def begin(run: Run) -> State:
     return _round(0)
 
 
+def next_round(state: State) -> State:
+    """Before the round after a state's."""
+    return _round(state["round"] + 1)
+
+
 def _round(number: int) -> State:
     return {"round": number, "phase": "look", "part": 0}
 
@@ -320,7 +325,7 @@ def _move(run: Run, state: State) -> State:
     if not better or 2 * moved < units * PASSES:
         state["width"] *= FINER
     if state["width"] < NARROW:
-        return _round(state["round"] + 1)
+        return next_round(state)
     return state | {"now": state["x"], "moved": 0}
 
 

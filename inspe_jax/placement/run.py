@@ -18,7 +18,7 @@ from inspe_jax.placement.problem import Problem, Sample
 State = dict[str, Any]
 """Numpy arrays, numbers and strings by name: what a checkpoint holds. Never changed in place."""
 
-GRADIENT_COST = 5.3
+GRADIENT_COST = 3.4
 """What one gradient on a sample costs, in rough scores of it; see :attr:`Run.gradient_cost`."""
 
 
@@ -63,9 +63,9 @@ class Run:
     evaluations; ``notes`` for people.
 
     ``gradient_cost`` is what a method is to charge for the gradient of one layout on a sample,
-    times ``sample.share``. As measured on 150,000 voxels with samples of 384 columns and 3 frames,
-    a value and its gradient take as long as 4.8 (4 LiDARs), 5.4 (both) and 5.7 (8 cameras) rough
-    scores of that sample: 5.3 on average.
+    times ``sample.share``. As measured with samples of 384 columns and 3 frames at three places
+    and with 4 LiDARs, 8 cameras and both, a value and its gradient take as long as 2.9 to 4.3
+    rough scores of that sample: 3.4 on average.
     """
 
     def __init__(

@@ -3,12 +3,15 @@
 import gc
 import io
 import weakref
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mounts import assert_mountable, lanes_of
 
-from inspe_jax.placement.gradient import GRADIENTS, annealed
+from inspe_jax.placement import greedy_adam
+from inspe_jax.placement.adam import annealed
+from inspe_jax.placement.gradient import GRADIENTS
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.strategies import strategy
@@ -69,7 +72,7 @@ def test_a_burst_of_gradients_gains_what_greedy_placement_left(ran):
     _, states = ran["greedy-adam"]
     bursts = [state for state in states if "line" in state]
     assert len(bursts) > 1
-    assert any(state["gained"] for state in bursts)
+    assert any(state["vain"] == 0 and len(state["path"]) for state in bursts)
 
 
 @pytest.mark.parametrize("name", [name for name in METHODS if name != "projected-gradient"])
@@ -125,6 +128,17 @@ def test_greedy_adam_goes_through_all_its_parts(ran):
     assert order[0] == "look"
     assert order.index("adam") > 0
     assert "move" in order[order.index("adam") :]
+
+
+def test_rounds_go_on_while_there_is_time_for_another():
+    """The last took 0.1 of the budget to place and 0.05 a burst: the next is on trial for 0.25."""
+    state = {"polished": 0, "count": 0, "pace": np.ones(2), "path": np.ones(2)}
+    state |= {"greedy round": 0, "greedy phase": "move"}
+    for began, then in ((0.2, "look"), (0.3, "move")):
+        state |= {"began": began, "placed": began + 0.1}
+        run = SimpleNamespace(left=1 - (began + 0.2), best_x=np.zeros(3), best=0.5)
+        after = greedy_adam._after_adam(run, state)
+        assert (after["greedy phase"], after["greedy round"]) == (then, then == "look")
 
 
 def test_softness_falls_geometrically():

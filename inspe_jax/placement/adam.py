@@ -1,0 +1,211 @@
+"""Adam on the soft score, on a fresh sample of columns and frames at every step.
+
+Soft at first, so that a sensor feels where the traffic and the voxels are at all, and finer
+towards the end, when it is to feel where an edge of its view lies.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Float
+
+from inspe_jax.cores import run as on_all_cores
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.problem import Problem, per_problem, take
+from inspe_jax.placement.run import Method, Run, State
+
+SOFTNESS = (3.0, 0.3)
+"""Softness at the start and at the end of a search [m]."""
+STARTS = 4
+"""Layouts that Adam improves at once."""
+STEP_COLUMNS, STEP_FRAMES = 384, 3
+"""Size of the sample of one gradient: many rough steps come further than few good ones."""
+RATE = (0.2, 0.01)
+"""Length of a step at the start and at the end, in typical steps of each coordinate."""
+LOOKS = 0.15
+"""Share of the budget from one exact score of the best layout to the next."""
+CULLS = (0.15, 0.3, 0.5)
+"""Shares of the budget at which the worse half of the layouts gives way to the better."""
+CHUNK = 4
+"""Gradient steps between two looks at the budget."""
+SCREENED = 32
+"""Random layouts of which the best become starts."""
+_LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
+
+_adam = optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
+
+
+def annealed(ends: Any, done: float) -> float:
+    """Geometrically from one end to the other as the budget is used up."""
+    first, last = ends
+    return first * (last / first) ** min(max(done, 0.0), 1.0)
+
+
+def begin_adam(run: Run) -> State:
+    """The given start and the best of some random layouts, in their charts."""
+    problem = run.problem
+    sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
+    others = problem.space.random(run.rng(1), SCREENED)
+    ranked = others[np.argsort(-run.rough(others, sample), kind="stable")]
+    return charted(problem, np.concatenate([run.start[None], ranked[: STARTS - 1]])) | {
+        "line": np.arange(STARTS),
+        "count": 0,
+        "culled": 0,
+        "began": 1.0 - run.left,
+        "looked": 1.0 - run.left,
+    }
+
+
+def charted(problem: Problem, x: Float[np.ndarray, "M N"]) -> State:
+    """Layouts in charts, standing still."""
+    v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
+    anchor = jnp.asarray(np.stack(v), float)
+    state = jax.vmap(_adam.init)(jnp.zeros_like(anchor))
+    return {
+        "anchor": np.asarray(anchor),
+        "z": np.zeros_like(anchor),
+        "place": np.stack(place),
+        **_kept(state),
+    }
+
+
+def _kept(optimiser: Any) -> State:
+    """The optimiser's arrays as a state keeps them; :func:`_optimiser_state` puts them back."""
+    return {f"optax {i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(optimiser))}
+
+
+def _optimiser_state(state: State) -> Any:
+    shape = jax.eval_shape(jax.vmap(_adam.init), jnp.zeros_like(jnp.asarray(state["z"])))
+    leaves, tree = jax.tree.flatten(shape)
+    return jax.tree.unflatten(tree, [jnp.asarray(state[f"optax {i}"]) for i in range(len(leaves))])
+
+
+def step_adam(run: Run, state: State) -> State | None:
+    """Some gradient steps of all layouts; now and then the better replace the worse."""
+    problem, done = run.problem, 1.0 - run.left
+    if done >= _LAST:
+        _offer_best(run, state)
+        return None
+    state = dict(state)
+    began = state["began"]
+    if state["culled"] < len(CULLS) and done >= CULLS[state["culled"]]:
+        state = _cull(run, state)
+    elif done >= state["looked"] + LOOKS:
+        x = layouts(problem, state)
+        run.offer(x[_ranked(run, x, state["count"])[0]])
+        state = charted_again(problem, state, x) | {"looked": done}
+
+    def now() -> tuple[float, float]:
+        done = (1.0 - run.left - began) / (_LAST - began)
+        return annealed(SOFTNESS, done), annealed(RATE, done)
+
+    return advance(run, state, now, CHUNK)
+
+
+def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], count: int) -> State:
+    """So many gradient steps, each on its own samples, of the softness and rate of that moment."""
+    problem, line = run.problem, state["line"]
+    optimiser, slope, move = _optimiser_state(state), _slope(problem), _mover(problem)
+    z, anchor, place = (jnp.asarray(state[k]) for k in ("z", "anchor", "place"))
+    together = (line[:, None] == line[None]).astype(z.dtype)
+    mean = together / together.sum(1, keepdims=True)
+    for k in range(state["count"], state["count"] + count):
+        softness, rate = (jnp.asarray(x, float) for x in now())
+        rng = run.rng(2, k)
+        drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
+        run.charge(len(line) * run.gradient_cost * problem.share(drawn[0]))
+        # One by one, on all cores: faster than all lines in one array.
+        rows = zip(z, anchor, place, drawn, strict=True)
+        jobs = [("slope", partial(slope, *row, problem.fields, softness)) for row in rows]
+        slopes = on_all_cores(jobs, problem.known)
+        z, optimiser = move(z, mean @ jnp.stack(slopes), optimiser, rate)
+    return state | _kept(optimiser) | {"z": np.asarray(z), "count": state["count"] + count}
+
+
+def charted_loss(problem: Problem) -> Callable[..., Any]:
+    """What is minimised, in typical steps from an anchor in charts."""
+    scale = jnp.asarray(problem.space.scale, float)
+
+    def loss(z, anchor, place, drawn, fields, softness):  # type: ignore[no-untyped-def]
+        x = problem.space.from_chart(anchor + scale * z, place)
+        return -problem.soft(x, take(fields, drawn), softness)
+
+    return loss
+
+
+@per_problem
+def _slope(problem: Problem) -> Callable[..., Any]:
+    return jax.jit(jax.grad(charted_loss(problem)))
+
+
+@per_problem
+def _mover(problem: Problem) -> Callable[..., Any]:
+    def move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
+        with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
+            update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
+        return z - rate * update, optimiser
+
+    return jax.jit(move)
+
+
+def layouts(problem: Problem, state: State) -> Float[np.ndarray, "M N"]:
+    """Coordinates of the layouts that a state has come to."""
+    scale = problem.space.scale
+    v = jnp.asarray(state["anchor"] + scale * state["z"], float)
+    return np.asarray(jax.vmap(problem.space.from_chart)(v, jnp.asarray(state["place"])))
+
+
+def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
+    """Indices of layouts, best first, by hard scores on a larger sample."""
+    sample = run.problem.sample(run.rng(3, key), size * COLUMNS, size * FRAMES)
+    return np.argsort(-run.rough(x, sample), kind="stable")
+
+
+def _cull(run: Run, state: State) -> State:
+    """The better half goes on, on as many more samples a step, in new charts.
+
+    Copies of one layout take the mean of their gradients. A new chart lets a unit that has come to
+    the end of a piece of ground go on in the next.
+    """
+    x = layouts(run.problem, state)
+    kept = max(1, STARTS // 2 ** (state["culled"] + 1))
+    best = _ranked(run, x, state["culled"])[:kept]
+    run.offer(x[best[0]])
+    return (
+        state
+        | charted(run.problem, np.resize(x[best], x.shape))
+        | {
+            "line": np.arange(STARTS) % kept,
+            "culled": state["culled"] + 1,
+            "looked": 1.0 - run.left,
+        }
+    )
+
+
+def charted_again(problem: Problem, state: State, x: Float[np.ndarray, "M N"]) -> State:
+    """The same layouts in new charts, with the momentum they have.
+
+    A unit that has come to the end of a piece of ground can go on in the next.
+    """
+    fresh = charted(problem, x)
+    return state | {key: fresh[key] for key in ("anchor", "z", "place")}
+
+
+def _offer_best(run: Run, state: State) -> None:
+    x = layouts(run.problem, state)
+    _, first = np.unique(state["line"], return_index=True)
+    for row in x[first]:
+        run.offer(row)
+
+
+ADAM = Method(
+    "adam",
+    "Adam on the soft score, from 3 m to 0.3 m softness, several layouts at once",
+    begin_adam,
+    step_adam,
+)

@@ -1,0 +1,130 @@
+"""Greedy placement, Adam from there, and finer moves of the best: the default.
+
+Candidates find the places, which gradients do not jump between; gradients the poses, which
+candidates do not resolve; and the moves, which are judged hard, what the soft score cannot tell.
+"""
+
+import numpy as np
+
+from inspe_jax.placement import greedy
+from inspe_jax.placement.adam import advance, charted, charted_again, layouts
+from inspe_jax.placement.run import Method, Run, State
+
+BEFORE = 0.5
+"""Share of the budget at which Adam takes over at the latest."""
+AGAIN = 0.7
+"""Another round is begun if it will be on trial until this share of the budget."""
+UNTIL = 0.85
+"""Share of the budget after which Adam is not given more than one burst."""
+BURST = 24
+"""Gradient steps from one exact score to the next."""
+SOFTNESS, RATE = 0.5, 0.3
+"""Softness [m] and length of a step, in typical steps, of the first burst."""
+CALMER = 0.6
+"""What both shrink by where a burst was for nothing."""
+VAIN = 3
+"""A round ends after so many bursts in a row that were for nothing, …"""
+TRIAL = 3
+"""… or if it is behind the best round after as many bursts, of this many at least."""
+WIDTH = 0.36
+"""Width of the first finer moves, in typical steps."""
+
+_WITHIN = "greedy "  # what a state of greedy placement has before its keys
+
+
+def begin(run: Run) -> State:
+    """Before greedy placement."""
+    nothing = {"polished": -1, "count": 0, "pace": np.full(1, -np.inf), "began": 1.0 - run.left}
+    return nothing | _within(greedy.begin(run))
+
+
+def step(run: Run, state: State) -> State | None:
+    """Rounds of greedy placement, exchanges and Adam; then finer moves, and rounds again.
+
+    A round has other candidates than those before and often ends elsewhere, so there are as many
+    as leave time for the moves, which are of the best layout of all.
+    """
+    if "line" in state:
+        return _burst(run, state)
+    placing, done = _placing(state), 1.0 - run.left
+    late = placing["round"] == 0 and done >= BEFORE
+    if state["polished"] < placing["round"] and (placing["phase"] == "move" or late):
+        return _before_adam(run, state, placing)
+    after = greedy.step(run, placing)
+    began = state["began"] if after["round"] == placing["round"] else 1.0 - run.left
+    return _beside(state) | {"began": began} | _within(after)
+
+
+def _before_adam(run: Run, state: State, placing: State) -> State:
+    """Before Adam, from where the round's placement ended; the first one's, from the best."""
+    first = placing["round"] == 0
+    x, value = (run.best_x, run.best) if first else (placing["x"], placing["value"])
+    return (
+        state
+        | charted(run.problem, x[None])
+        | {
+            "polished": placing["round"],
+            "placed": 1.0 - run.left,
+            "line": np.zeros(1, int),
+            "softness": SOFTNESS,
+            "rate": RATE,
+            "x": x,
+            "value": value,
+            "vain": 0,
+            "path": np.zeros(0),
+        }
+    )
+
+
+def _burst(run: Run, state: State) -> State:
+    """Some gradient steps and an exact score; from the best of the round, and softer if in vain.
+
+    ``path`` has the round's best score after each burst, ``pace`` that of the best round.
+    """
+    state = advance(run, state, lambda: (state["softness"], state["rate"]), BURST)
+    x = layouts(run.problem, state)
+    value = run.offer(x[0])
+    if value > state["value"]:
+        state = charted_again(run.problem, state, x) | {"vain": 0, "x": x[0], "value": value}
+    else:
+        calmer = {key: CALMER * state[key] for key in ("softness", "rate")}
+        calmer["vain"] = state["vain"] + 1
+        state = state | charted(run.problem, state["x"][None]) | calmer
+    path = np.append(state["path"], state["value"])
+    pace = path if path[-1] > state["pace"][-1] else state["pace"]
+    state = state | {"path": path, "pace": pace}
+    behind = len(path) >= TRIAL and path[-1] < pace[min(len(path), len(pace)) - 1]
+    over = behind or state["vain"] == VAIN or 1.0 - run.left >= UNTIL
+    return _after_adam(run, state) if over else state
+
+
+def _after_adam(run: Run, state: State) -> State:
+    """Before the next round if there is time for one, and else before the finer moves."""
+    placing, done = _placing(state), 1.0 - run.left
+    trial = TRIAL * (done - state["placed"]) / len(state["path"])
+    ends = done + (state["placed"] - state["began"]) + trial
+    kept = {key: state[key] for key in ("polished", "count", "pace")} | {"began": done}
+    if ends <= AGAIN:
+        return kept | _within(greedy.next_round(placing))
+    return kept | _within(greedy.moving(placing, run.best_x, run.best, WIDTH))
+
+
+def _within(placing: State) -> State:
+    return {_WITHIN + key: value for key, value in placing.items()}
+
+
+def _beside(state: State) -> State:
+    return {key: value for key, value in state.items() if not key.startswith(_WITHIN)}
+
+
+def _placing(state: State) -> State:
+    """The state of greedy placement within a state."""
+    return {k.removeprefix(_WITHIN): v for k, v in state.items() if k.startswith(_WITHIN)}
+
+
+GREEDY_ADAM = Method(
+    "greedy-adam",
+    "greedy placement over candidate poses, Adam from there, then finer moves",
+    begin,
+    step,
+)

@@ -1,0 +1,147 @@
+"""L-BFGS-B and projected gradients on the soft score, in rounds of one sample each.
+
+These solvers search along a line and want no noise: a round holds its sample and its softness,
+and ends where the solver does.
+"""
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from inspe_jax.placement.adam import SCREENED, SOFTNESS, annealed, charted_loss
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.problem import Problem, per_problem, take
+from inspe_jax.placement.run import Method, Run, State
+
+with warnings.catch_warnings():
+    # It says on import that it is no longer maintained; what is used of it is old and tested here.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import jaxopt
+
+ROUND_COLUMNS, ROUND_FRAMES = 1536, 8
+"""Size of the sample of one round: these solvers search along a line and want no noise."""
+ITERATIONS = 8
+"""Iterations of the solver in a round."""
+TRIALS = 3
+"""Gradients that one accelerated projected iteration takes on average, with its line search."""
+TRUST = 2.0
+"""How far a coordinate may go in one round of L-BFGS-B, in typical steps."""
+_ROUNDS_LAST = 0.9  # share of the budget after which no new round begins
+
+
+def begin_rounds(run: Run) -> State:
+    """The better of the given start and the best of some random ones."""
+    problem = run.problem
+    sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
+    x = np.concatenate([run.start[None], problem.space.random(run.rng(1), SCREENED)])
+    return {"x": x[run.rough(x, sample).argmax()], "count": 0}
+
+
+def _step_round(run: Run, state: State, solve: Callable[..., np.ndarray]) -> State | None:
+    """One round: a fresh sample, a softness, and some iterations of a solver on it."""
+    done = 1.0 - run.left
+    if done >= _ROUNDS_LAST:
+        run.offer(state["x"])
+        return None
+    problem = run.problem
+    drawn = problem.draw(run.rng(2, state["count"]), ROUND_COLUMNS, ROUND_FRAMES)
+    softness = jnp.asarray(annealed(SOFTNESS, done / _ROUNDS_LAST), float)
+    x = solve(run, state["x"], (drawn, problem.fields, softness))
+    run.offer(x)
+    return state | {"x": x, "count": state["count"] + 1}
+
+
+def step_lbfgsb(run: Run, state: State) -> State | None:
+    """One round of L-BFGS-B in charts, within a box about the last round's end."""
+    return _step_round(run, state, _solve_lbfgsb)
+
+
+def _solve_lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
+    problem = run.problem
+    v, place = problem.space.chart(x)
+    anchor, scale = jnp.asarray(v, float), jnp.asarray(problem.space.scale, float)
+    score = _charted_score(problem)
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        run.charge(run.gradient_cost * problem.share(data[0]))
+        return score(jnp.asarray(z, float), anchor, jnp.asarray(place), *data)
+
+    # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
+    solver = jaxopt.ScipyBoundedMinimize(
+        fun=evaluate,
+        method="L-BFGS-B",
+        value_and_grad=True,
+        jit=False,
+        maxiter=ITERATIONS,
+        options={"maxfun": 2 * ITERATIONS},
+    )
+    still = jnp.zeros_like(anchor)
+    z = solver.run(still, bounds=(still - TRUST, still + TRUST)).params
+    # It keeps its bounds from a start within them, as 0 is; rounding is mended.
+    z = jnp.clip(jnp.asarray(z, float), -TRUST, TRUST)
+    return np.asarray(problem.space.from_chart(anchor + scale * z, jnp.asarray(place)))
+
+
+def step_projected(run: Run, state: State) -> State | None:
+    """One round of accelerated projected gradients, in coordinates divided by their scale."""
+    return _step_round(run, state, _solve_projected)
+
+
+def _solve_projected(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
+    problem = run.problem
+    run.charge(ITERATIONS * TRIALS * run.gradient_cost * problem.share(data[0]))
+    scale = _nonzero_scale(problem)
+    z = _projected_solver(problem)(jnp.asarray(x / scale, float), *data)
+    return np.asarray(problem.space.project(z * jnp.asarray(scale, z.dtype)))
+
+
+@per_problem
+def _charted_score(problem: Problem) -> Callable[..., Any]:
+    """Loss and its slope in charts."""
+    return jax.jit(jax.value_and_grad(charted_loss(problem)))
+
+
+@per_problem
+def _projected_solver(problem: Problem) -> Callable[..., Any]:
+    """Some iterations from z, on a sample, at a softness."""
+    scale = jnp.asarray(_nonzero_scale(problem), float)
+
+    def loss(z, drawn, fields, softness):  # type: ignore[no-untyped-def]
+        return -problem.soft(scale * z, take(fields, drawn), softness)
+
+    # Within each block, as a foot, one scale serves all coordinates: the nearest point is the
+    # same in coordinates over their scale.
+    solver = jaxopt.ProjectedGradient(
+        jax.value_and_grad(loss),
+        projection=lambda z, _: problem.space.project(scale * z) / scale,
+        value_and_grad=True,
+        maxiter=ITERATIONS,
+        maxls=6,
+        implicit_diff=False,
+    )
+    return jax.jit(lambda z, *data: solver.run(z, None, *data).params)
+
+
+def _nonzero_scale(problem: Problem) -> Float[np.ndarray, " N"]:
+    return np.where(problem.space.scale > 0, problem.space.scale, 1.0)
+
+
+ROUNDS = (
+    Method(
+        "lbfgsb",
+        "L-BFGS-B on the soft score in rounds, each on a fresh sample of the scene",
+        begin_rounds,
+        step_lbfgsb,
+    ),
+    Method(
+        "projected-gradient",
+        "accelerated projected gradients on the soft score, in rounds",
+        begin_rounds,
+        step_projected,
+    ),
+)

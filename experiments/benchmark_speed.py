@@ -209,21 +209,15 @@ def many_at_once(name: str, seed: int, count: int, frames: int) -> dict[str, flo
     return dict(layouts=count, frames=frames, one_by_one=alone, at_once=all_, off=off)
 
 
-def slope(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
-    """Seconds of a soft score and its gradient in all poses, every frame."""
+def slope(scene: Scene, layout: Layout) -> dict[str, float]:
+    """Seconds of a soft score and its gradient in all poses, every frame, cold and warm."""
 
     def score(poses: jax.Array) -> Any:
         return inspe_jax.evaluate(scene, layout.with_poses(poses), softness=SOFTNESS).surrogate
 
     poses, call = jnp.asarray(layout.poses, float), jax.jit(jax.value_and_grad(score))
-    cold = seconds(lambda: jax.block_until_ready(call(poses)), 1)
-    took = seconds(lambda: jax.block_until_ready(call(poses)), 1)
-    console.print(
-        f"value and gradient at a softness of {SOFTNESS} m: {took:.2f} s ({cold:.1f} s with "
-        f"compilation), {took / warm:.0f} times an exact score",
-        highlight=False,
-    )
-    return dict(softness=SOFTNESS, cold=cold, warm=took, ratio=took / warm)
+    cold, warm = (seconds(lambda: jax.block_until_ready(call(poses)), 1) for _ in range(2))
+    return dict(slope_cold=cold, slope=warm)
 
 
 def from_the_shell(scene: Scene, layout: Layout, repeats: int) -> dict[str, float]:
@@ -311,19 +305,25 @@ def least(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
 
 
 def measured(name: str, seed: int) -> dict[str, Any]:
-    """One workload in a process of its own: cold and warm seconds, peak memory."""
+    """One workload in a process of its own: see :func:`measure_here`."""
     code = (
         "import sys, json; sys.path.insert(0, sys.argv[1]); import benchmark_speed as b; "
-        "scene = b.workload(sys.argv[2], int(sys.argv[3])); "
-        "layout = b.sensors(scene, 2 if sys.argv[2] == 'W3' else 1); "
-        "score = lambda: b.inspe_jax.evaluate(scene, layout); "
-        "found = dict(cold=b.seconds(score, 1), warm=b.seconds(score, 5), "
-        "memory=b.peak_memory(), voxels=scene.voxels.count, sensors=len(layout)); "
-        "print(json.dumps(found))"
+        "print(json.dumps(b.measure_here(sys.argv[2], int(sys.argv[3]))))"
     )
     command = [sys.executable, "-c", code, str(Path(__file__).parent), name, str(seed)]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
-    return dict(what=name, **json.loads(run.stdout.splitlines()[-1]))
+    return json.loads(run.stdout.splitlines()[-1])
+
+
+def measure_here(name: str, seed: int) -> dict[str, Any]:
+    """One workload: cold and warm seconds and the peak memory of scores, then of gradients."""
+    scene = workload(name, seed)
+    layout = sensors(scene, 2 if name == "W3" else 1)
+    cold, warm = (seconds(lambda: inspe_jax.evaluate(scene, layout), n) for n in (1, 5))
+    found = dict(what=name, voxels=scene.voxels.count, sensors=len(layout), cold=cold, warm=warm)
+    found |= dict(memory=peak_memory())
+    found |= slope(scene, every_fourth(layout) if name == "quick" else layout)
+    return found | dict(slope_ratio=found["slope"] / warm, slope_memory=peak_memory())
 
 
 def main() -> None:
@@ -386,16 +386,18 @@ def main() -> None:
     names = [n for n in WORKLOADS if (n == "quick") == options.quick]
     others = [measured(n, options.seed) for n in names]
     table = Table("", "voxels", "sensors", "cold [s]", "warm [s]", "× W1", "peak GiB")
+    soft = Table("", "cold [s]", "warm [s]", "× score", "peak GiB", title="Value and gradient")
     for row in others:
         row["ratio"] = row["warm"] / others[0]["warm"]
         numbers = (f"{row[k]:,}" for k in ("voxels", "sensors"))
         floats = (f"{row[k]:.2f}" for k in ("cold", "warm", "ratio", "memory"))
         table.add_row(row["what"], *numbers, *floats)
-    console.print(table)
+        floats = (f"{row[k]:.2f}" for k in ("slope_cold", "slope", "slope_ratio", "slope_memory"))
+        soft.add_row(row["what"], *floats)
+    console.print(table, soft)
     grown = growth(name, options.seed, repeats)
     many = many_at_once(name, options.seed, *((4, 3) if options.quick else (64, 20)))
     shell = from_the_shell(scene, layout, repeats // 2)
-    gradient = slope(scene, every_fourth(layout) if options.quick else layout, warm)
     roofline = least(scene, layout, warm)
 
     stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")
@@ -409,7 +411,7 @@ def main() -> None:
         "growth": grown,
         "many_layouts": many,
         "inspe_score": shell,
-        "gradient": gradient,
+        "softness": SOFTNESS,
         "roofline": roofline,
     }
     write_results(stem.with_suffix(".csv"), rows, settings)

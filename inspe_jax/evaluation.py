@@ -74,8 +74,8 @@ def evaluate(
 
     ``weights`` of C, O, IG in P_sm; ``occlusion_reference`` as in
     :func:`~inspe_jax.metrics.occlusion_terms`; ``visibility`` for information
-    gain, one of :data:`VISIBILITIES`; ``softness`` [m] is 0 for the exact scores, or the width of
-    the soft reading, one for all margins or a :class:`~inspe_jax.numerics.Softness`. With
+    gain, one of :data:`VISIBILITIES`; ``softness`` [m] is 0 for the exact scores, or the width
+    that fields of view and shadows are read with, or a :class:`~inspe_jax.numerics.Softness`. With
     poses P (S, 6) traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
     differentiable in P; read exactly it is a step function, with gradient 0.
 

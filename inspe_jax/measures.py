@@ -1,7 +1,7 @@
-"""The three metrics as functions of pose, margins read softly or hard: what gradients are of.
+"""The three metrics as functions of pose, in the open: every voxel, frame and sensor a number.
 
-Every voxel, frame and sensor is a number here, so this also reads hard, and is what the
-exact path (:mod:`inspe_jax.exact`) is tested against.
+Margins are read softly or hard. What is fast (:mod:`inspe_jax.exact` and
+:mod:`inspe_jax.soft`) is tested against this, every vehicle against every column.
 """
 
 from functools import partial

@@ -69,6 +69,8 @@ def options() -> argparse.Namespace:
                 parser.error(f"--{name} {part}: some of {', '.join(known)}")
     if found.quick:
         found.seconds, found.seeds = 2.0, 1
+        if found.methods == parser.get_default("methods"):
+            found.methods = "greedy-adam,grid,greedy,cma-es"  # the others compile for a minute
     found.out.mkdir(parents=True, exist_ok=True)
     return found
 

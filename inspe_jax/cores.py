@@ -8,9 +8,12 @@ import os
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
+import jax.experimental
+
+Result = TypeVar("Result")
 
 Job = tuple[Hashable, Callable[[], Any]]
 """A job, and what tells the code it needs compiled: jobs of one key need the same."""
@@ -61,3 +64,20 @@ def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
     done |= zip(rest, side_by_side(rest), strict=True)
     known.update(first)
     return [done[n] for n in range(len(jobs))]
+
+
+def untraced(work: Callable[[], Result]) -> Result:
+    """What ``work`` gives, worked out now even where something is being traced.
+
+    In a thread of its own, since nothing is traced there; at the precision of this one.
+    """
+    double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    # It moved between versions of JAX.
+    switch: Any = jax if hasattr(jax, "enable_x64") else jax.experimental
+
+    def there() -> Result:
+        with switch.enable_x64(double):
+            return work()
+
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(there).result()

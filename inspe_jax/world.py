@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax import masks, sharding
-from inspe_jax.cores import cores
+from inspe_jax.cores import cores, untraced
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Field
 from inspe_jax.scene.scene import Scene
@@ -96,8 +96,7 @@ def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
     kept = _worlds.setdefault(scene, {})
     key = kind, jnp.zeros((), float).dtype
     if key not in kept:
-        with jax.ensure_compile_time_eval():  # kept, whatever is being traced
-            kept[key] = make(scene)
+        kept[key] = untraced(lambda: make(scene))
     return kept[key]
 
 

@@ -41,7 +41,7 @@ def surrogate(scene, layout):
     )
 
 
-@pytest.mark.parametrize("name", ["Cam-d1", "L-d2", "Cam-c/L-c"])
+@pytest.mark.parametrize("name", ["L-d2", "Cam-c/L-c"])
 def test_softness_to_zero_is_the_exact_score(name):
     """Within 1e-4 at a softness of 0.1 mm, all metrics."""
     place = inspe_jax.built_in("t_junction")
@@ -55,8 +55,9 @@ def test_softness_to_zero_is_the_exact_score(name):
         assert ours.surrogate == pytest.approx(theirs.surrogate, abs=2e-4)
 
 
-@pytest.mark.parametrize("reference", ["covered", "targets"])
-@pytest.mark.parametrize("visibility", ["in_view", "line_of_sight"])
+@pytest.mark.parametrize(
+    ("reference", "visibility"), [("covered", "in_view"), ("targets", "line_of_sight")]
+)
 def test_softness_to_zero_under_every_option(reference, visibility):
     scene = world(radius=15.0, frames=3, count=14)
     layout = random_layout(scene, [CAMERA, LIDAR], 3, heights=(3.0, 8.0))
@@ -69,11 +70,11 @@ def test_softness_to_zero_under_every_option(reference, visibility):
 
 READINGS = {
     "one width": 0.5,
-    "shadows alone": Softness(shadow=0.3),
     "all but shadows": Softness(0.5, 0.05, 0.0),
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", READINGS)
 def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
@@ -146,6 +147,7 @@ def test_gradients_are_those_of_differences(double, seed):
         )
 
 
+@pytest.mark.slow
 def test_single_rays_have_slopes_where_they_are_asked_for(double):
     """Coverage by few channels, of which none is at the edge: with soft rays, and without."""
     scene = world(radius=10.0, voxel=1.0, count=0)
@@ -224,8 +226,7 @@ def test_a_field_of_view_far_from_all_voxels_still_calls():
     assert slope[5] < -1e-3
 
 
-@pytest.mark.parametrize("coordinate", range(3))
-def test_shadows_alone_have_the_gradient_of_the_exact_score(coordinate):
+def test_shadows_alone_have_the_gradient_of_the_exact_score():
     """A LiDAR that has all in view: what it loses, it loses to traffic.
 
     The exact score is a fine staircase: its difference over ±0.5 m against the mean soft slope
@@ -238,22 +239,18 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score(coordinate):
     )
     layout = place_sensors((dense, [-10.0, 9.0, 5.0, 0.0, 0.0, 0.0]))
 
-    def occlusion(softness):
-        return jax.jit(
-            lambda poses: (
-                inspe_jax.evaluate(
-                    scene, layout.with_poses(poses), softness=Softness(shadow=softness)
-                ).occlusion
-            )
-        )
+    def occlusion(poses, softness):
+        moved = layout.with_poses(poses)
+        return inspe_jax.evaluate(scene, moved, softness=Softness(shadow=softness)).occlusion
 
+    slope = jax.jit(jax.grad(partial(occlusion, softness=0.02)))
     start = jnp.asarray(layout.poses, float)
-    way = [start.at[0, coordinate].add(d) for d in np.linspace(-0.5, 0.5, 41)]
-    exact = float(occlusion(0.0)(way[-1]) - occlusion(0.0)(way[0]))  # over 1 m
-    slope = jax.jit(jax.grad(occlusion(0.02)))
-    mean = np.mean([float(slope(poses)[0, coordinate]) for poses in way])
-    assert abs(exact) > 2e-3
-    assert mean == pytest.approx(exact, rel=0.06)
+    for coordinate in range(3):
+        way = [start.at[0, coordinate].add(d) for d in np.linspace(-0.5, 0.5, 41)]
+        exact = occlusion(way[-1], 0.0) - occlusion(way[0], 0.0)  # over 1 m
+        mean = np.mean([float(slope(poses)[0, coordinate]) for poses in way])
+        assert abs(exact) > 2e-3
+        assert mean == pytest.approx(exact, rel=0.06)
 
 
 DEGENERATE = [

@@ -124,15 +124,14 @@ def test_soft_and_exact_scores_rank_layouts_alike(specs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-def test_gradients_are_those_of_differences(double, seed):
+def test_gradients_are_those_of_differences(double):
     """In double precision, every coordinate of cameras and a LiDAR.
 
     Few voxels and tiny steps: where which ray or vehicle wins changes within the step,
     the difference has a jump that the gradient has not.
     """
-    scene = world(radius=10.0, voxel=2.0, frames=2, count=6, seed=seed)
-    layout = random_layout(scene, [CAMERA, CAMERA, LIDAR], seed, heights=(4.0, 8.0))
+    scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
+    layout = random_layout(scene, [CAMERA, CAMERA, LIDAR], 0, heights=(4.0, 8.0))
     score = surrogate(scene, layout)
     for softness in (0.3, 2.0):
         at = jnp.asarray(softness)

@@ -75,6 +75,7 @@ def test_a_burst_of_gradients_gains_what_greedy_placement_left(ran):
     assert any(state["vain"] == 0 and len(state["path"]) for state in bursts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in METHODS if name != "projected-gradient"])
 def test_what_is_compiled_goes_with_its_problem(name):
     """Thousands of problems can be searched one after another: nothing outside keeps any.

@@ -320,8 +320,8 @@ def measure_here(name: str, seed: int) -> dict[str, Any]:
     scene = workload(name, seed)
     layout = sensors(scene, 2 if name == "W3" else 1)
     cold, warm = (seconds(lambda: inspe_jax.evaluate(scene, layout), n) for n in (1, 5))
-    found = dict(what=name, voxels=scene.voxels.count, sensors=len(layout), cold=cold, warm=warm)
-    found |= dict(memory=peak_memory())
+    found: dict[str, Any] = dict(what=name, voxels=scene.voxels.count, sensors=len(layout))
+    found |= dict(cold=cold, warm=warm, memory=peak_memory())
     found |= slope(scene, every_fourth(layout) if name == "quick" else layout)
     return found | dict(slope_ratio=found["slope"] / warm, slope_memory=peak_memory())
 

@@ -207,19 +207,29 @@ def plan_cut(
 ) -> Cut:
     """How sight lines cut a rectangle in plan, in its own frame: from (x, y) by (ex, ey).
 
-    A line that misses has no t₀ and t₁: then they are held to the stretch that the rectangle takes
-    up along the line.
+    A line that misses has no t₀ and t₁: then they are held to its :func:`stretch`.
     """
-    a, b = half
-    squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
-    middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
-    first, last = jnp.clip(middle - spread, 0.0, 1.0), jnp.clip(middle + spread, 0.0, 1.0)
-    (x_in, x_out), (y_in, y_out) = _slab(x, ex, a), _slab(y, ey, b)
+    first, last = stretch(x, y, ex, ey, half)
+    (x_in, x_out), (y_in, y_out) = _slab(x, ex, half[0]), _slab(y, ey, half[1])
     return Cut(
         plan_margin(x, y, ex, ey, half),
         jnp.clip(jnp.maximum(x_in, y_in), first, last),
         jnp.clip(jnp.minimum(x_out, y_out), first, last),
     )
+
+
+def stretch(
+    x: Float[Array, "*n"],
+    y: Float[Array, "*n"],
+    ex: Float[Array, "*n"],
+    ey: Float[Array, "*n"],
+    half: tuple[Float[Array, "*n"], Float[Array, "*n"]],
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """From where to where along sight lines a rectangle lies, beside them or on them, in t."""
+    a, b = half
+    squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
+    middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
+    return jnp.clip(middle - spread, 0.0, 1.0), jnp.clip(middle + spread, 0.0, 1.0)
 
 
 def below_top(cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]) -> Float[Array, "*n"]:

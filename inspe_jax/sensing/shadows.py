@@ -15,8 +15,10 @@ from inspe_jax.geometry import (
     Shade,
     below_top,
     plan_cut,
+    plan_margin,
     shade,
     shadow_ceiling,
+    stretch,
 )
 from inspe_jax.numerics import REACH, Width, exact, step
 from inspe_jax.sensing.tiles import CLOSE, Tile, levels
@@ -142,8 +144,7 @@ def soft_sight(
     def level(z: Float[Array, "1 C"]) -> Float[Array, "F C"]:
         clear = jnp.ones_like(sz)
         for cut, rise, hides in cuts:
-            (below,) = jax.lax.optimization_barrier((below_top(cut, rise, sz - z),))
-            clear *= 1.0 - hides * step(below, width)
+            clear *= 1.0 - hides * step(below_top(cut, rise, sz - z), width)
         return clear
 
     return jax.lax.map(level, heights[:, None])
@@ -176,14 +177,9 @@ def _hides(
     """
     a, b, top = prism[4:]
     px, py, ex, ey = _own_frame(prism, sensor[0], sensor[1], x, y)
-    per_metre = jax.lax.rsqrt(jnp.maximum(ex * ex + ey * ey, 1e-9))
-    support = a * jnp.abs(ey) + b * jnp.abs(ex)
-    beside = (support - jnp.abs(px * ey - py * ex)) * per_metre
-    beside = jnp.minimum(beside, a + jnp.abs(ex) / 2 - jnp.abs(px + ex / 2))
-    beside = jnp.minimum(beside, b + jnp.abs(ey) / 2 - jnp.abs(py + ey / 2))
-    middle, spread = -(px * ex + py * ey), a * jnp.abs(ex) + b * jnp.abs(ey)
-    ends = (jnp.clip((middle + s * spread) * per_metre**2, 0.0, 1.0) for s in (-1.0, 1.0))
-    below = below_top(Cut(beside, *ends), top - sensor[2], sensor[2] - lowest)
+    beside = plan_margin(px, py, ex, ey, (a, b))
+    cut = Cut(beside, *stretch(px, py, ex, ey, (a, b)))
+    below = below_top(cut, top - sensor[2], sensor[2] - lowest)
     hides = step(beside, width) * jnp.maximum(below + REACH * width, 0.0)
     if spare_own:
         stands = (jnp.abs(px + ex) < a) & (jnp.abs(py + ey) < b)

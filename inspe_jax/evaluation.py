@@ -93,11 +93,9 @@ def evaluate(
     crew = Crew.of(layout, each)
     width = Softness.of(softness)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    if width.exact and not traced:
-        measured = measure_exactly(world_of(scene), poses, crew, voxel, **options)
-    elif width.exact:
-        fixed = jax.lax.stop_gradient(poses)  # a step function
-        measured = measure_exactly(whole_world_of(scene), fixed, crew, voxel, **options)
+    if width.exact:  # a step function of the poses
+        world, fixed = (whole_world_of if traced else world_of)(scene), jax.lax.stop_gradient(poses)
+        measured = measure_exactly(world, fixed, crew, voxel, **options)
     else:
         measured = measure_softly(whole_world_of(scene), poses, crew, voxel, width, **options)
     measured = jax.tree.map(_array, measured)

@@ -250,12 +250,11 @@ def _watch(
 @partial(jax.jit, static_argnames="crew")
 def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew: Crew) -> Measures:
     """From masks and counts to the metrics."""
-    place, slabs, levels = world.tiles.place, world.tiles.slabs, world.tiles.level_count
+    slabs, levels = world.tiles.slabs, world.tiles.level_count
     covered = masks.without_one(views, crew.failures)
     counts = masks.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
     shares = counts.astype(float) / levels
     by_level = masks.tally(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(-1)
-    seen = watched.columns.reshape(slabs, -1).sum(0)[place]
 
     if watched.sights is None:
         words = views.reshape(len(views), -1)[:, world.column]
@@ -264,6 +263,24 @@ def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew:
     else:
         at = watched.sights.reshape(len(views), -1, watched.sights.shape[-1])
         q = at[:, world.column, world.level].astype(float) / world.frame_count
+    return summed_up(world, shares, by_level, q, watched, crew)
+
+
+def summed_up(
+    world: World,
+    shares: Float[Array, "1+G MC"],
+    by_level: Num[Array, " Z"],
+    q: Float[Array, "S U"],
+    watched: Watched,
+    crew: Crew,
+) -> Measures:
+    """The metrics, of what is in view of each column and level, and of what is seen.
+
+    ``shares`` of each tile column's levels, ``by_level`` in columns, ``q`` of the voxels that may
+    have entropy.
+    """
+    place, levels = world.tiles.place, world.tiles.level_count
+    seen = watched.columns.reshape(world.tiles.slabs, -1).sum(0)[place]
     resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
     return Measures(
         metrics.coverage(shares, world.weight),

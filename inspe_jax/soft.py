@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt
 
-from inspe_jax import masks, metrics
-from inspe_jax.exact import Groups, Watched, joined
+from inspe_jax import masks
+from inspe_jax.exact import Groups, Watched, joined, summed_up
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import REACH, Softness, Width, leave_one_out
@@ -153,23 +153,12 @@ def _watch(
 
 def _measures(world: World, f: Float[Array, "S N Z C"], watched: Watched, crew: Crew) -> Measures:
     """From readings and sums to the metrics."""
-    place, slabs, levels = world.tiles.place, world.tiles.slabs, world.tiles.level_count
+    slabs, levels = world.tiles.slabs, world.tiles.level_count
     covered = leave_one_out(f, crew.failures)
     shares = covered.sum(2).reshape(len(covered), slabs, -1).sum(1) / levels  # (1 + G, M·C)
     by_level = covered[0].reshape(slabs, -1, *f.shape[2:]).sum((1, 3)).reshape(-1)
-    seen = watched.columns.reshape(slabs, -1).sum(0)[place]
 
     q = f.swapaxes(2, 3)
     q = q if watched.sights is None else q * watched.sights / world.frame_count
     q = q.reshape(len(f), -1, f.shape[2])[:, world.column, world.level]
-    resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
-    return Measures(
-        metrics.coverage(shares, world.weight),
-        metrics.occlusion(watched.seen.T, watched.original.T),
-        metrics.information_gain(resolved, world.occupancy),
-        column_coverage=shares[0][place],
-        level_coverage=by_level[:levels] / len(place),
-        information_gain_literal=metrics.information_gain_literal(resolved[0], world.occupancy),
-        entropy=metrics.entropy(world.occupancy).sum(),
-        seen_share=seen / (world.frame_count * levels),
-    )
+    return summed_up(world, shares, by_level, q, watched, crew)

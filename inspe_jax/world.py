@@ -132,7 +132,7 @@ def _make_world(scene: Scene) -> World:
     return World(
         tiles,
         tuple(shares),
-        _column_weight(tiles, jnp.asarray(scene.voxels.column_weight, float)),
+        _column_weight(tiles, scene.voxels.column_weight),
         jnp.asarray(counts[column, level] / total, float),
         jnp.asarray(column),
         jnp.asarray(level),
@@ -162,36 +162,40 @@ def world_of_sample(sample: Field) -> World:
 
     Samples of one size make worlds of one shape.
     """
-    return _in_one_share(sample, tiles_of(sample.ground))
+    tiles = tiles_of(sample.ground)
+    weight = np.asarray(sample.weight[:: tiles.level_count])
+    return _in_one_share(sample, tiles, _column_weight(tiles, weight))
 
 
 def world_in_one_tile(sample: Field) -> World:
     """The same in one tile, traced or not."""
-    return _in_one_share(sample, one_tile(sample.ground))
+    tiles = one_tile(sample.ground)
+    return _in_one_share(sample, tiles, sample.weight[:: tiles.level_count])
 
 
-def _in_one_share(sample: Field, tiles: Tiles) -> World:
+def _in_one_share(sample: Field, tiles: Tiles, weight: Float[Array, " MC"]) -> World:
     assert sample.occupancy is not None  # that of all frames
     ground = sample.ground
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
     share = Share(tiles.tile, ground.prisms, solid(tiles.tile, ground.prisms))
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
-    column = tiles.place[:, None] + (level // height * columns)[None]  # (L, Z)
+    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
     return World(
         tiles,
         (share,),
-        _column_weight(tiles, sample.weight[::levels]),
+        weight,
         sample.occupancy,
-        column.reshape(-1),
+        jnp.asarray(column.reshape(-1)),
         jnp.asarray(np.tile(level % height, len(column))),
         len(ground.prisms.top),
     )
 
 
-def _column_weight(tiles: Tiles, weight: Float[Array, " L"]) -> Float[Array, " MC"]:
-    nothing = jnp.zeros(tiles.tile.there.size // tiles.slabs, float)
-    return nothing.at[tiles.place].set(weight)
+def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
+    found = np.zeros(tiles.tile.there.size // tiles.slabs)
+    found[np.asarray(tiles.place)] = weight
+    return jnp.asarray(found, float)
 
 
 @partial(jax.jit, static_argnames="levels")

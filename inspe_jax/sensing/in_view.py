@@ -52,12 +52,7 @@ def in_view_margins(
     they share passes through both, which :data:`TOUCH` makes sure of in single precision.
     """
 
-    @partial(jax.vmap, in_axes=(0, None))
-    def margins(stance: Stance, centers: Array) -> tuple[Array, Array]:
-        ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
-        field = _deep_in_field(grid, half, stance, centers, ray)
-        return field, ray - jnp.minimum(field, 0.0)
-
+    margins = jax.vmap(partial(_margins, grid, half), in_axes=(0, None))
     stances = jax.vmap(_stance)(poses)
     parts = -(-len(poses) * len(centers) // TOGETHER)
     size = -(-len(centers) // parts)
@@ -91,16 +86,17 @@ def _field_margin(
     return grid.field_margin(_to_body(stance.turn, _to_voxels(stance, centers))) + half
 
 
-def _deep_in_field(
-    grid: RayGrid,
-    half: float,
-    stance: Stance,
-    centers: Float[Array, "V 3"],
-    ray: Float[Array, " V"],
-) -> Float[Array, " V"]:
-    """The field's margin; where a ray meets the voxel, by a corner or by rounding, not below 0."""
+def _margins(
+    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
+) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+    """:func:`in_view_margins` of one sensor.
+
+    Where a ray meets a voxel by a corner or by rounding, the field's margin is not below 0 either.
+    """
+    ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
     field = _field_margin(grid, half, stance, centers)
-    return jnp.where(ray > 0, jnp.maximum(field, INSIDE), field)
+    field = jnp.where(ray > 0, jnp.maximum(field, INSIDE), field)
+    return field, ray - jnp.minimum(field, 0.0)
 
 
 def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
@@ -274,9 +270,8 @@ def soft_view(
         stance = _stance(pose)
         xy = jnp.broadcast_to(tile.columns.T, (levels, columns, 2))
         centers = jnp.concatenate([xy, tile.heights[:, :, None]], -1).reshape(-1, 3)
-        ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
-        field = _deep_in_field(grid, half, stance, centers, ray)
-        f = step(field, softness.field) * step(ray - jnp.minimum(field, 0.0), softness.ray)
+        field, ray = _margins(grid, half, stance, centers)
+        f = step(field, softness.field) * step(ray, softness.ray)
         z = jnp.arange(levels, dtype=tile.there.dtype)[:, None]
         return f.reshape(levels, columns) * ((tile.there[None] >> z) & 1).astype(f.dtype)
 

@@ -52,7 +52,7 @@ class Tiles:
     """
 
     tile: Tile
-    place: Int[Array, " L"]
+    place: Int[Array | np.ndarray, " L"]
     level_count: int = field(metadata={"static": True})
 
     @property
@@ -88,11 +88,8 @@ def tiles_of(ground: Ground) -> Tiles:
     place = place[: len(columns)]
     index, real = index[order], real[order]  # (N, C)
 
-    levels = heights.shape[1]
-    slabs = -(-levels // masks.WORD)
-    each = -(-levels // slabs)
-    slab = np.minimum(np.arange(slabs * each), levels - 1).reshape(slabs, each)
-    exists = np.arange(slabs * each).reshape(slabs, each) < levels
+    slab, exists = _slabs(heights.shape[1])
+    slabs = len(slab)
     xy = columns[index].swapaxes(1, 2)  # (N, 2, C)
     z = heights[index][:, :, slab].transpose(2, 0, 3, 1)  # (slabs, N, Z, C)
     there = masks.pack(exists[:, None, None] & real[None, :, :, None])[..., 0]  # (slabs, N, C)
@@ -114,17 +111,14 @@ def tiles_of(ground: Ground) -> Tiles:
         low=stacked(z.min((2, 3))),
         high=stacked(z.max((2, 3))),
     )
-    return Tiles(tile, jnp.asarray(place), levels)
+    return Tiles(tile, jnp.asarray(place), heights.shape[1])
 
 
 def one_tile(ground: Ground) -> Tiles:
     """All columns in one tile (of each slab), traced or not: for a few columns, far apart."""
     columns, heights = ground.columns, ground.heights
-    levels = heights.shape[1]
-    slabs = -(-levels // masks.WORD)
-    each = -(-levels // slabs)
-    slab = np.minimum(np.arange(slabs * each), levels - 1).reshape(slabs, each)
-    exists = np.arange(slabs * each).reshape(slabs, each) < levels
+    slab, exists = _slabs(heights.shape[1])
+    slabs = len(slab)
     z = heights[:, slab].transpose(1, 2, 0)  # (slabs, Z, L)
     middle = (columns.min(0) + columns.max(0)) / 2
     away = jnp.hypot(*(columns - middle[None]).T).max()
@@ -135,7 +129,14 @@ def one_tile(ground: Ground) -> Tiles:
     there = jnp.broadcast_to(jnp.asarray(masks.pack(exists)), (slabs, len(columns)))
     ends = z.min((1, 2)), z.max((1, 2))
     tile = Tile(repeated(columns.T), z, there, repeated(middle), repeated(away), *ends)
-    return Tiles(tile, jnp.arange(len(columns)), levels)
+    return Tiles(tile, np.arange(len(columns)), heights.shape[1])
+
+
+def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "slabs Z"]]:
+    """The levels of each slab, and which of them there are: the last may end in padding."""
+    slabs = -(-levels // masks.WORD)
+    index = np.arange(slabs * -(-levels // slabs)).reshape(slabs, -1)
+    return np.minimum(index, levels - 1), index < levels
 
 
 @jax.jit

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from inspe_jax.cores import run as on_all_cores
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.problem import Problem, per_problem, take
-from inspe_jax.placement.run import Method, Run, State
+from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
 
 SOFTNESS = (3.0, 0.3)
 """Softness at the start and at the end of a search [m]."""
@@ -56,8 +56,8 @@ def begin_adam(run: Run) -> State:
         "line": np.arange(STARTS),
         "count": 0,
         "culled": 0,
-        "began": 1.0 - run.left,
-        "looked": 1.0 - run.left,
+        "began": run.spent,
+        "looked": run.spent,
     }
 
 
@@ -87,22 +87,22 @@ def _optimiser_state(state: State) -> Any:
 
 def step_adam(run: Run, state: State) -> State | None:
     """Some gradient steps of all layouts; now and then the better replace the worse."""
-    problem, done = run.problem, 1.0 - run.left
+    problem, done = run.problem, run.done
     if done >= _LAST:
         _offer_best(run, state)
         return None
     state = dict(state)
-    began = state["began"]
+    began = run.share(state["began"])
     if state["culled"] < len(CULLS) and done >= CULLS[state["culled"]]:
         state = _cull(run, state)
-    elif done >= state["looked"] + LOOKS:
+    elif done >= run.share(state["looked"]) + LOOKS:
         x = layouts(problem, state)
         run.offer(x[_ranked(run, x, state["count"])[0]])
-        state = charted_again(problem, state, x) | {"looked": done}
+        state = charted_again(problem, state, x) | {"looked": run.spent}
 
     def now() -> tuple[float, float]:
-        done = (1.0 - run.left - began) / (_LAST - began)
-        return annealed(SOFTNESS, done), annealed(RATE, done)
+        through = (run.done - began) / (_LAST - began)
+        return annealed(SOFTNESS, through), annealed(RATE, through)
 
     return advance(run, state, now, CHUNK)
 
@@ -118,7 +118,7 @@ def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], coun
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
-        run.charge(len(line) * run.gradient_cost * problem.share(drawn[0]))
+        run.charge(len(line) * GRADIENT_COST * problem.share(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, anchor, place, drawn, strict=True)
         jobs = [("slope", partial(slope, *row, problem.fields, softness)) for row in rows]
@@ -182,7 +182,7 @@ def _cull(run: Run, state: State) -> State:
         | {
             "line": np.arange(STARTS) % kept,
             "culled": state["culled"] + 1,
-            "looked": 1.0 - run.left,
+            "looked": run.spent,
         }
     )
 

@@ -25,7 +25,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.files import check_input, whole_file
 from inspe_jax.placement.run import Progress, Run, State
 
-FORMAT = "inspe_jax checkpoint 1"
+FORMAT = "inspe_jax checkpoint 2"
 SUFFIXES = (".npz",)
 EVERY = 10.0
 """Time between two checkpoints of a search [s]."""

@@ -2,6 +2,7 @@
 
 Candidates find the places, which gradients do not jump between; gradients the poses, which
 candidates do not resolve; and the moves, which are judged hard, what the soft score cannot tell.
+One burst of gradients from the first draft says early what they will find.
 """
 
 import numpy as np
@@ -10,8 +11,10 @@ from inspe_jax.placement import greedy
 from inspe_jax.placement.adam import advance, charted, charted_again, layouts
 from inspe_jax.placement.run import Method, Run, State
 
+DRAFT = 0.05
+"""Share of the budget within which the first draft must be had for a burst from there."""
 BEFORE = 0.5
-"""Share of the budget at which Adam takes over at the latest."""
+"""Share of the budget, without that burst, at which Adam takes over at the latest."""
 AGAIN = 0.7
 """Another round is begun if it will be on trial until this share of the budget."""
 UNTIL = 0.85
@@ -34,8 +37,13 @@ _WITHIN = "greedy "  # what a state of greedy placement has before its keys
 
 def begin(run: Run) -> State:
     """Before greedy placement."""
-    nothing = {"polished": -1, "count": 0, "pace": np.full(1, -np.inf), "began": 1.0 - run.left}
-    return nothing | _within(greedy.begin(run))
+    return {
+        "polished": -1,
+        "count": 0,
+        "pace": np.full(1, -np.inf),
+        "began": run.spent,
+        "draft": np.inf,
+    } | _within(greedy.begin(run))
 
 
 def step(run: Run, state: State) -> State | None:
@@ -46,25 +54,45 @@ def step(run: Run, state: State) -> State | None:
     """
     if "line" in state:
         return _burst(run, state)
-    placing, done = _placing(state), 1.0 - run.left
-    late = placing["round"] == 0 and done >= BEFORE
+    placing = _placing(state)
+    late = placing["round"] == 0 and run.share(run.spent - state["began"]) >= BEFORE
     if state["polished"] < placing["round"] and (placing["phase"] == "move" or late):
         return _before_adam(run, state, placing)
+    drafted = placing["phase"] == "look" and len(run.history) > 1  # the start and the first draft
+    if drafted and state["draft"] == np.inf and run.done <= DRAFT:
+        return _from_draft(run, state)
     after = greedy.step(run, placing)
-    began = state["began"] if after["round"] == placing["round"] else 1.0 - run.left
+    began = state["began"] if after["round"] == placing["round"] else run.spent
     return _beside(state) | {"began": began} | _within(after)
 
 
+def _from_draft(run: Run, state: State) -> State:
+    """A burst from the best so far; then placement goes on as if it had taken no time.
+
+    ``draft`` is the score that it began at.
+    """
+    before, score = run.spent, run.best
+    burst = state | charted(run.problem, run.best_x[None]) | {"line": np.zeros(1, int)}
+    burst = advance(run, burst, lambda: (SOFTNESS, RATE), BURST)
+    run.offer(layouts(run.problem, burst)[0])
+    began = state["began"] + run.spent - before
+    return state | {"count": burst["count"], "draft": score, "began": began}
+
+
 def _before_adam(run: Run, state: State, placing: State) -> State:
-    """Before Adam, from where the round's placement ended; the first one's, from the best."""
-    first = placing["round"] == 0
-    x, value = (run.best_x, run.best) if first else (placing["x"], placing["value"])
+    """Before Adam, from where the round's placement ended; in the first one from the best so far.
+
+    If that has had a burst, then from where placement ended if it came further without one.
+    """
+    further = placing["phase"] == "move" and placing["value"] > state["draft"]
+    own = placing["round"] > 0 or further
+    x, value = (placing["x"], placing["value"]) if own else (run.best_x, run.best)
     return (
         state
         | charted(run.problem, x[None])
         | {
             "polished": placing["round"],
-            "placed": 1.0 - run.left,
+            "placed": run.spent,
             "line": np.zeros(1, int),
             "softness": SOFTNESS,
             "rate": RATE,
@@ -94,17 +122,18 @@ def _burst(run: Run, state: State) -> State:
     pace = path if path[-1] > state["pace"][-1] else state["pace"]
     state = state | {"path": path, "pace": pace}
     behind = len(path) >= TRIAL and path[-1] < pace[min(len(path), len(pace)) - 1]
-    over = behind or state["vain"] == VAIN or 1.0 - run.left >= UNTIL
+    over = behind or state["vain"] == VAIN or run.done >= UNTIL
     return _after_adam(run, state) if over else state
 
 
 def _after_adam(run: Run, state: State) -> State:
     """Before the next round if there is time for one, and else before the finer moves."""
-    placing, done = _placing(state), 1.0 - run.left
-    trial = TRIAL * (done - state["placed"]) / len(state["path"])
-    ends = done + (state["placed"] - state["began"]) + trial
-    kept = {key: state[key] for key in ("polished", "count", "pace")} | {"began": done}
-    if ends <= AGAIN:
+    placing = _placing(state)
+    trial = TRIAL * (run.spent - state["placed"]) / len(state["path"])
+    ends = run.spent + (state["placed"] - state["began"]) + trial
+    kept = {key: state[key] for key in ("polished", "count", "pace", "draft")}
+    kept["began"] = run.spent
+    if run.share(ends) <= AGAIN:
         return kept | _within(greedy.next_round(placing))
     return kept | _within(greedy.moving(placing, run.best_x, run.best, WIDTH))
 
@@ -124,7 +153,7 @@ def _placing(state: State) -> State:
 
 GREEDY_ADAM = Method(
     "greedy-adam",
-    "greedy placement over candidate poses, Adam from there, then finer moves",
+    "rounds of greedy placement over candidate poses and Adam from there, then finer moves",
     begin,
     step,
 )

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from inspe_jax.placement.adam import SCREENED, SOFTNESS, annealed, charted_loss
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.problem import Problem, per_problem, take
-from inspe_jax.placement.run import Method, Run, State
+from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
 
 with warnings.catch_warnings():
     # It says on import that it is no longer maintained; what is used of it is old and tested here.
@@ -44,7 +44,7 @@ def begin_rounds(run: Run) -> State:
 
 def _step_round(run: Run, state: State, solve: Callable[..., np.ndarray]) -> State | None:
     """One round: a fresh sample, a softness, and some iterations of a solver on it."""
-    done = 1.0 - run.left
+    done = run.done
     if done >= _ROUNDS_LAST:
         run.offer(state["x"])
         return None
@@ -68,7 +68,7 @@ def _solve_lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     score = _charted_score(problem)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
-        run.charge(run.gradient_cost * problem.share(data[0]))
+        run.charge(GRADIENT_COST * problem.share(data[0]))
         return score(jnp.asarray(z, float), anchor, jnp.asarray(place), *data)
 
     # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
@@ -94,7 +94,7 @@ def step_projected(run: Run, state: State) -> State | None:
 
 def _solve_projected(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
-    run.charge(ITERATIONS * TRIALS * run.gradient_cost * problem.share(data[0]))
+    run.charge(ITERATIONS * TRIALS * GRADIENT_COST * problem.share(data[0]))
     scale = _nonzero_scale(problem)
     z = _projected_solver(problem)(jnp.asarray(x / scale, float), *data)
     return np.asarray(problem.space.project(z * jnp.asarray(scale, z.dtype)))

@@ -19,7 +19,9 @@ State = dict[str, Any]
 """Numpy arrays, numbers and strings by name: what a checkpoint holds. Never changed in place."""
 
 GRADIENT_COST = 3.4
-"""What one gradient on a sample costs, in rough scores of it; see :attr:`Run.gradient_cost`."""
+"""What the gradient of one layout on a sample costs, in rough scores of it. As measured with
+samples of 384 columns and 3 frames, at three places and with 4 LiDARs, 8 cameras and both: a value
+and its gradient take as long as 2.9 to 4.3 of them, 3.4 on average."""
 
 
 class BudgetSpent(Exception):
@@ -61,11 +63,6 @@ class Run:
     and ``best``, the best coordinates so far and their exact score; ``history``, every exact
     score; ``evaluations`` spent so far; ``limits``, what may be spent, of seconds and of
     evaluations; ``notes`` for people.
-
-    ``gradient_cost`` is what a method is to charge for the gradient of one layout on a sample,
-    times ``sample.share``. As measured with samples of 384 columns and 3 frames at three places
-    and with 4 LiDARs, 8 cameras and both, a value and its gradient take as long as 2.9 to 4.3
-    rough scores of that sample: 3.4 on average.
     """
 
     def __init__(
@@ -88,7 +85,6 @@ class Run:
         """
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
-        self.gradient_cost = GRADIENT_COST
         self.evaluations = 0.0
         self.best_x, self.best = self.start, -np.inf
         self.history: list[Progress] = []
@@ -105,9 +101,22 @@ class Run:
     @property
     def left(self) -> float:
         """Share of the budget that is left, from 1 to 0; for schedules."""
-        spent = zip((self.seconds, self.evaluations), self.limits, strict=True)
-        done = max(used / limit for used, limit in spent if limit is not None)
-        return min(max(1.0 - done, 0.0), 1.0)
+        return 1.0 - self.done
+
+    @property
+    def done(self) -> float:
+        """Share of the budget that is spent, from 0 to 1."""
+        return min(max(self.share(self.spent), 0.0), 1.0)
+
+    @property
+    def spent(self) -> Float[np.ndarray, "2"]:
+        """Seconds and evaluations so far: for a state, which may go on with a larger budget."""
+        return np.array([self.seconds, self.evaluations])
+
+    def share(self, spent: Float[np.ndarray, "2"]) -> float:
+        """Share of the budget that so many seconds and evaluations are."""
+        parts = zip(spent.tolist(), self.limits, strict=True)
+        return max(used / limit for used, limit in parts if limit is not None)
 
     def rng(self, *key: int) -> np.random.Generator:
         """Random numbers that depend on the seed and the key alone.
@@ -149,7 +158,7 @@ class Run:
     def report(self) -> None:
         """Tell whoever listens how far the search has come."""
         if self._progress is not None:
-            self._progress(1.0 - self.left, self.best)
+            self._progress(self.done, self.best)
 
     def take_up(self, seconds: float, evaluations: float, history: Sequence[Progress]) -> None:
         """Go on from where another run stood, after so many seconds and evaluations."""

@@ -20,7 +20,7 @@ from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import Layout
 
 METHODS = {method.name: method for method in GRADIENTS}
-BUDGET = {"adam": 120, "greedy-adam": 300, "lbfgsb": 150, "projected-gradient": 600}
+BUDGET = {"adam": 120, "greedy-adam": 1000, "lbfgsb": 150, "projected-gradient": 600}
 """Exact scores' work in which each takes several of its steps."""
 
 
@@ -102,12 +102,15 @@ def test_a_seed_repeats_and_another_does_not(problem, ran, name):
     assert [row.score for row in go(problem, name, seed=1)[0].history] != first
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ran, name):
-    """From half way, through a file: no pickle, numbers and strings as they were."""
+@pytest.mark.parametrize(
+    ("name", "at"),
+    [(name, 0.5) for name in METHODS] + [("greedy-adam", "before"), ("greedy-adam", "after")],
+)
+def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ran, name, at):
+    """From half way, and about the draft's burst, through a file: no pickle, all as it was."""
     whole, states = ran[name]
-    half = len(states) // 2
-    part, (*_, state) = go(problem, name, steps=half)
+    steps = len(states) // 2 if at == 0.5 else drafted(states) - (at == "before")
+    part, (*_, state) = go(problem, name, steps=steps)
     file = io.BytesIO()
     np.savez(file, **state)
     file.seek(0)
@@ -121,23 +124,71 @@ def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ra
     assert [row.score for row in again.history] == [row.score for row in whole.history]
 
 
+def test_with_a_larger_budget_it_goes_on_in_shares_of_that(problem, ran):
+    """Adam looks at an exact score after each 0.15 of the budget, not of the one it had before."""
+    part, states = ran["adam"]
+    state = states[-1] or states[-2]
+    again = Run(problem, part.start, seed=0, evaluations=5 * BUDGET["adam"])
+    again.best, again.best_x = part.best, part.best_x
+    again.take_up(part.seconds, part.evaluations, part.history)
+    while len(again.history) == len(part.history):
+        state = METHODS["adam"].step(again, state)
+    assert again.evaluations < part.evaluations + 0.3 * again.limits[1]
+
+
 def test_greedy_adam_goes_through_all_its_parts(ran):
     """Placement, gradient steps from there, and finer moves after them."""
     _, states = ran["greedy-adam"]
     parts = ["adam" if "line" in s else s["greedy phase"] for s in states if s]
-    order = list(dict.fromkeys(parts))
-    assert order[0] == "look"
-    assert order.index("adam") > 0
-    assert "move" in order[order.index("adam") :]
+    assert list(dict.fromkeys(parts)) == ["look", "place", "exchange", "adam", "move"]
+
+
+def drafted(states):
+    """Number of the first state after the draft's burst."""
+    return next(n for n, state in enumerate(states) if state["draft"] < np.inf)
+
+
+def test_the_first_draft_has_a_burst_of_its_own(ran):
+    """It gains, and placement goes on where it stood."""
+    run, states = ran["greedy-adam"]
+    at = drafted(states)
+    before, after = states[at - 1], states[at]
+    _, draft, burst = run.history[:3]
+    assert draft.best == after["draft"] < burst.score
+    assert after["count"] == greedy_adam.BURST
+    differ = {key for key in before if not np.array_equal(before[key], after[key])}
+    assert differ == {"count", "draft", "began"}
+    assert before.keys() == after.keys()
+
+
+@pytest.mark.parametrize(
+    ("round", "draft", "begins"),
+    [
+        (0, np.inf, "best"),  # no burst: placement may be behind the start
+        (0, 0.6, "placed"),  # the best is the draft's after its burst
+        (0, 0.8, "best"),  # the best is the start's after the draft's burst
+        (1, 0.6, "placed"),
+    ],
+)
+def test_adam_begins_where_placement_ended_unless_that_is_behind(problem, round, draft, begins):
+    start = problem.space.start(problem.layout)[0]
+    at = {"best": start, "placed": problem.space.random(np.random.default_rng(0), 1)[0]}
+    run = SimpleNamespace(problem=problem, best_x=start, best=0.9, spent=np.zeros(2))
+    placing = {"phase": "move", "round": round, "x": at["placed"], "value": 0.7}
+    began = greedy_adam._before_adam(run, {"draft": draft}, placing)
+    np.testing.assert_array_equal(began["x"], at[begins])
+    assert began["value"] == {"best": 0.9, "placed": 0.7}[begins]
 
 
 def test_rounds_go_on_while_there_is_time_for_another():
     """The last took 0.1 of the budget to place and 0.05 a burst: the next is on trial for 0.25."""
     state = {"polished": 0, "count": 0, "pace": np.ones(2), "path": np.ones(2)}
     state |= {"greedy round": 0, "greedy phase": "move"}
+    state["draft"] = np.inf
     for began, then in ((0.2, "look"), (0.3, "move")):
-        state |= {"began": began, "placed": began + 0.1}
-        run = SimpleNamespace(left=1 - (began + 0.2), best_x=np.zeros(3), best=0.5)
+        state |= {"began": np.array([began]), "placed": np.array([began + 0.1])}
+        spent = np.array([began + 0.2])
+        run = SimpleNamespace(spent=spent, share=lambda s: s[0], best_x=np.zeros(3), best=0.5)
         after = greedy_adam._after_adam(run, state)
         assert (after["greedy phase"], after["greedy round"]) == (then, then == "look")
 

@@ -59,7 +59,7 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     layout, space = problem.layout, problem.space
     tally = Tally(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
     feet = lattice(space, 6 if quick else 16)
-    stand = np.array([space.unit_can_stand(u, feet) for u in range(len(layout.units))])
+    stand = space.can_stand(feet)
     common = np.flatnonzero(stand.all(0))
     yaws = np.radians(np.arange(0, 360, 60))
     foot, height, yaw, pitch = (

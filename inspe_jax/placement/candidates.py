@@ -23,7 +23,8 @@ SPACING = 8.0
 FEET = 48
 """Feet on the coarsest lattice, at most."""
 
-_ROWS = 64  # layouts in one call of what costs next to nothing
+_ROWS = 64  # layouts in one compiled call of what costs next to nothing
+_FEW = 2  # layouts that are done sooner without
 _FAR = 1e3  # beyond any limit [m]
 
 
@@ -34,6 +35,8 @@ def rough(run: Run, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.nda
 
 def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N"]:
     """The nearest feasible layout to each."""
+    if len(x) <= _FEW:
+        return np.stack([space.project(row, np) for row in np.asarray(x, float)])
     return _in_parts(_mapped(space)[0], x, _ROWS)
 
 
@@ -75,8 +78,8 @@ def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
         chosen.append(int(away.argmax()))
     found = feet[chosen]
     given = space.split(space.start(space.given)[0]).base
-    lost = [base for u, base in enumerate(given) if not space.unit_can_stand(u, found).any()]
-    return np.concatenate([found, np.unique(np.array(lost).reshape(-1, 2), axis=0)])
+    lost = given[~space.can_stand(found).any(1)]
+    return np.concatenate([found, np.unique(lost, axis=0)])
 
 
 def hang(

@@ -277,7 +277,7 @@ class Space:
         x = np.asarray(x, float)
         if x.shape != (self.size,) or not np.isfinite(x).all():
             raise InspeError(f"coordinates: expected {self.size} finite numbers")
-        inside = self._project(x, np)
+        inside = self.project(x, np)
         worst = int(np.abs(inside - x).argmax())
         if abs(inside[worst] - x[worst]) > TOLERANCE:
             raise InspeError(
@@ -296,11 +296,8 @@ class Space:
 
     # ── The set in two forms ──
 
-    def project(self, x: Float[Array, " N"]) -> Float[Array, " N"]:
-        """The nearest feasible coordinates. A yaw keeps its turns."""
-        return self._project(x, jnp)
-
-    def _project(self, x: Float[Any, " N"], xp: Any) -> Float[Any, " N"]:
+    def project(self, x: Float[Any, " N"], xp: Any = jnp) -> Float[Any, " N"]:
+        """The nearest feasible coordinates, by JAX or NumPy. A yaw keeps its turns."""
         c = self.split(x)
         base = self._pieces.nearest(c.base, self._allowed, xp)[0]
         return self._limits.clip(c, xp)._replace(base=base).flat(xp)
@@ -364,7 +361,7 @@ class Space:
             poses[:, 5],
             poses[:, 4],
         )
-        x = self._project(wanted.flat(), np)
+        x = self.project(wanted.flat(), np)
         return x, tuple(differences(layout, self.layout(x), self.site))
 
     def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
@@ -401,10 +398,11 @@ class Space:
         lattice = self.site.lattice(spacing) if areas else np.zeros((0, 2))
         return np.concatenate([lattice, np.unique(single, axis=0)])
 
-    def unit_can_stand(self, u: int, feet: Float[np.ndarray, "F 2"]) -> Bool[np.ndarray, " F"]:
-        """Whether unit ``u`` may have its foot at each place."""
-        far = self._pieces.nearest(np.asarray(feet, float), self._allowed[u][None])[2]
-        return far.min(1) <= TOLERANCE**2
+    def can_stand(self, feet: Float[np.ndarray, "F 2"]) -> Bool[np.ndarray, "U F"]:
+        """Whether each unit may have its foot at each place."""
+        everywhere = np.ones((1, len(self._pieces)), bool)
+        on = self._pieces.nearest(np.asarray(feet, float), everywhere)[2] <= TOLERANCE**2  # (F, K)
+        return np.any(on[None] & self._allowed[:, None], axis=-1)
 
     def violations(self, layout: Layout) -> list[str]:
         """What keeps a layout of these sensors from being mounted; empty where it is feasible.

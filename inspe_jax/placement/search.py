@@ -151,7 +151,7 @@ def _stand(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray
         feet = x[index.base[block.unit]] + about * SPACING / 2**level
     else:
         feet = lattice(space, STANDS)
-        feet = feet[space.unit_can_stand(block.unit, feet)]
+        feet = feet[space.can_stand(feet)[block.unit]]
     turns = STEPS["yaw"] / 2**level * (np.arange(-1, 2) if level else np.arange(8))
     found = np.tile(x, (len(feet), len(turns), 1))
     found[..., index.base[block.unit]] = feet[:, None]

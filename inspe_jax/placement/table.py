@@ -1,6 +1,7 @@
 """A table of candidate poses for every sensor, and what each of them sees of one sample."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -65,7 +66,7 @@ class Table:
         space, layout = problem.space, problem.layout
         tally = Tally(problem, problem.sample(rng, COLUMNS, FRAMES))
         feet = lattice(space)
-        stand = np.array([space.unit_can_stand(u, feet) for u in range(len(layout.units))])
+        stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
         heights, pitches = limits(space, space.start(layout)[0])
         groups: dict[object, list[int]] = {}
@@ -85,6 +86,10 @@ class Table:
             foot, height, yaw, pitch = (part.ravel()[order] for part in product)
             kinds.append(Kind(tuple(sensors), foot, height, yaw, pitch))
         return cls(problem, tally, feet, stand, kinds)
+
+    @cached_property
+    def _members(self) -> tuple[tuple[int, ...], ...]:
+        return self.problem.layout.members()
 
     @property
     def parts(self) -> list[Kind]:
@@ -135,7 +140,7 @@ class Table:
     def mast(self, picks: Picks, s: int) -> tuple[int, float, float]:
         """Foot of the sensor's unit, −1 while it has none, and its others' lowest and highest."""
         unit = self.problem.layout.sensors[s].unit
-        others = [t for t in self.problem.layout.members()[unit] if t in picks and t != s]
+        others = [t for t in self._members[unit] if t in picks and t != s]
         kinds = [(self.kind_of(t), picks[t]) for t in others]
         heights = [float(kind.height[k]) for kind, k in kinds]
         foot = int(kinds[0][0].foot[kinds[0][1]]) if kinds else -1

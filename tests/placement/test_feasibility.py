@@ -172,7 +172,7 @@ def test_candidate_feet():
     for pole in space.site.poles - space.center[:2]:
         assert np.hypot(*(feet - pole).T).min() < 1e-9
     for u, unit in enumerate(space.given.units):
-        can = space.unit_can_stand(u, feet)
+        can = space.can_stand(feet)[u]
         away = np.hypot(*(world_feet - unit.base[:2]).T)
         assert 3 < can.sum() < len(feet)
         assert away[can].max() <= 15.0 + 1e-3

@@ -19,7 +19,7 @@ from inspe_jax.cores import Job, run, shared_out
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import leave_one_out
-from inspe_jax.sensing.in_view import in_view_masks
+from inspe_jax.sensing.in_view import in_order, in_view_masks
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import casts, clear_masks
 from inspe_jax.sensing.tiles import Tile
@@ -58,8 +58,7 @@ def _views(
             jax.lax.map(lambda pose: in_view_masks(grid, pose, tile, half), poses[jnp.array(index)])  # noqa: B023
             for grid, index in crew.groups
         ]
-        order = np.argsort(np.concatenate([index for _, index in crew.groups]))
-        return jnp.concatenate(found)[order]
+        return in_order(found, crew.groups)
     grids = {s: grid for grid, index in crew.groups for s in index}
     jobs: list[Job] = []
     for s, pose in enumerate(poses):

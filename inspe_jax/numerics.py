@@ -60,10 +60,14 @@ class Softness(NamedTuple):
         Raises InspeError where a width is negative.
         """
         given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
+        widths = []
         for width in given:
-            if isinstance(width, (int, float)) and not 0 <= width < float("inf"):
-                raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
-        return cls(*(None if exact(width) else jnp.asarray(width, float) for width in given))
+            if width is not None and not isinstance(width, jax.core.Tracer):
+                width = float(width)
+                if not 0 <= width < float("inf"):
+                    raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
+            widths.append(None if exact(width) else jnp.asarray(width, float))
+        return cls(*widths)
 
     @property
     def exact(self) -> bool:

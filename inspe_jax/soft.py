@@ -2,7 +2,8 @@
 
 The same measures as :func:`inspe_jax.measures.measure`, from the same margins. A soft reading is
 certain beyond its width (:func:`inspe_jax.numerics.step`), so here too whole tiles are told apart
-from most fields of view and most shadows, and nothing is left out.
+from most fields of view and most shadows, and nothing is left out. (Where there are more levels
+than bits in a word, the vehicles that hide most are found for each slab of them, not for all.)
 """
 
 from functools import partial
@@ -16,7 +17,7 @@ from inspe_jax.exact import Groups, Watched, joined, summed_up
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import REACH, Softness, Width, leave_one_out
-from inspe_jax.sensing.in_view import soft_view
+from inspe_jax.sensing.in_view import in_order, soft_view
 from inspe_jax.sensing.shadows import casts, may_shade, soft_sight
 from inspe_jax.sensing.tiles import Tile
 from inspe_jax.world import World
@@ -64,15 +65,16 @@ def _views(
     tiles: Tile, poses: Float[Array, "S 6"], crew: Crew, half: float, softness: Softness
 ) -> Float[Array, "S N Z C"]:
     """How surely each sensor has each voxel in view."""
-    found: dict[int, Array] = {}
+    found = []
     for grid, index in crew.groups:
         look = jax.checkpoint(partial(soft_view, grid, half, softness))
-        each = jax.lax.map(
-            lambda pose: jax.lax.map(lambda tile: look(pose, tile), tiles),  # noqa: B023
-            poses[jnp.array(index)],
+        found.append(
+            jax.lax.map(
+                lambda pose: jax.lax.map(lambda tile: look(pose, tile), tiles),  # noqa: B023
+                poses[jnp.array(index)],
+            )
         )
-        found |= zip(index, each, strict=True)
-    return jnp.stack([found[s] for s in range(len(poses))])
+    return in_order(found, crew.groups)
 
 
 def _watch(

@@ -1,4 +1,4 @@
-"""A scene as exact scores go through it: tiles of columns, runs of frames, masks.
+"""A scene as scores go through it: tiles of columns, runs of frames, masks of solid voxels.
 
 Made once for a scene or a sample of one, the same for every layout.
 """
@@ -58,7 +58,7 @@ class Share:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class World:
-    """What exact scores need of a scene, or of a sample of one, the same for every layout.
+    """What scores need of a scene, or of a sample of one, the same for every layout.
 
     ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
     of the voxels that may have entropy; ``column`` and ``level`` (U,) say which they are: column

@@ -11,13 +11,15 @@ from scipy.stats import spearmanr
 from worlds import CAMERA, LIDAR, double_precision, place_sensors, random_layout, with_boxes, world
 
 import inspe_jax
+from inspe_jax import masks
 from inspe_jax.errors import InspeError
-from inspe_jax.geometry import below_top, plan_cut
+from inspe_jax.geometry import Cut, below_top, plan_cut, stretch
 from inspe_jax.measures import Crew, Field, measure
-from inspe_jax.numerics import Softness
+from inspe_jax.numerics import Softness, step
 from inspe_jax.sensing.ground import about_center, poses_about_center
 from inspe_jax.sensing.in_view import in_view_margins
 from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.shadows import soft_sight
 from inspe_jax.soft import measure_softly
 from inspe_jax.world import whole_world_of
 
@@ -294,6 +296,64 @@ def test_no_nan_in_degenerate_places(spec):
             assert softness < 1 or np.abs(found).max() > 0, pose
 
 
+@pytest.mark.parametrize("width", [0.1, 1.0])
+@pytest.mark.parametrize("spare_own", [False, True])
+def test_soft_sight_lines_are_clear_of_the_two_prisms_that_hide_most(width, spare_own):
+    """Beside the same in the open: every prism's margins, sorted, the first two multiplied.
+
+    Sensors and a voxel a column at random; prisms are told apart by as much as 1e-3 of what they
+    hide, so those nearer to each other than that count as either.
+    """
+    scene = world(radius=20.0, voxel=1.0, frames=6, count=16, seed=2)
+    ground = about_center(scene)
+    rng = np.random.default_rng(0)
+    columns, heights = np.asarray(ground.columns).T, np.asarray(ground.heights).T
+    marked = masks.marks(jnp.asarray(ground.prisms.valid).T)
+    for sensor in rng.uniform([-20, -20, 2], [20, 20, 9], (4, 3)):
+        at = jnp.asarray(sensor, float), ground.prisms, marked, columns, heights, width
+        found = np.asarray(soft_sight(*at, spare_own=spare_own))
+        expected, close = hidden_by_two(sensor, ground.prisms, columns, heights, width, spare_own)
+        assert (expected < 0.9).mean() > 0.01
+        assert close.mean() < 0.05
+        np.testing.assert_allclose(found[:, ~close], expected[:, ~close], atol=2e-4)
+
+
+def hidden_by_two(sensor, prisms, columns, heights, width, spare_own):
+    """(Z, F, C) chances, and (F, C) where the second prism is nearly another."""
+
+    def each(part):  # (F, B, 1)
+        return np.asarray(part, float)[..., None]
+
+    cos, sin = np.cos(each(prisms.yaw)), np.sin(each(prisms.yaw))
+    from_, to = np.asarray(sensor), columns[:, None, None]  # (2, 1, 1, C)
+    dx, dy = (from_[k] - each(prisms.center[..., k]) for k in (0, 1))
+    ox, oy = to[0] - from_[0], to[1] - from_[1]
+    px, py = cos * dx + sin * dy, cos * dy - sin * dx
+    ex, ey = cos * ox + sin * oy, cos * oy - sin * ox
+    half = each(prisms.half[..., 0]), each(prisms.half[..., 1])
+    line = tuple(map(jnp.asarray, np.broadcast_arrays(px, py, ex, ey)))
+    half = tuple(map(jnp.asarray, half))
+    cut = plan_cut(*line, half)
+    rise = each(prisms.top) - sensor[2]
+
+    def depth(z, cut):
+        return np.asarray(below_top(cut, jnp.asarray(rise), jnp.asarray(sensor[2] - z)[None, None]))
+
+    beside = np.asarray(step(cut.beside, width))
+    lowest = depth(heights[0], Cut(cut.beside, *stretch(*line, half)))
+    most = beside * np.maximum(lowest + 3 * width, 0) * each(prisms.valid)
+    if spare_own:
+        most = np.where((abs(px + ex) < half[0]) & (abs(py + ey) < half[1]), 0, most)
+    order = np.argsort(-most, axis=1)  # (F, B, C)
+    ordered = np.take_along_axis(most, order, 1)
+    clear = []
+    for z in heights:
+        hides = beside * np.asarray(step(jnp.asarray(depth(z, cut)), width)) * (most > 0)
+        two = np.take_along_axis(hides, order[:, :2], 1)
+        clear.append((1 - two).prod(1))
+    return np.array(clear), (ordered[:, 1] > 0) & (ordered[:, 2] > 0.999 * ordered[:, 1])
+
+
 def test_cuts_by_hand():
     """From 5 m up at the origin, a car at 8..12 m, 1.8 m wide and 1.5 m high; targets beyond."""
     ex, ey = jnp.array([14.25, 14.25, 6.0]), jnp.array([0.0, 14.25, 0.0])
@@ -318,8 +378,15 @@ def test_the_field_of_view_has_a_depth_in_metres():
     assert ray[0, 0] > 0
 
 
-def test_softness_below_zero_is_refused():
+@pytest.mark.parametrize("softness", [-1.0, np.float32(-1), jnp.asarray(-1.0)])
+def test_softness_below_zero_is_refused(softness):
     scene = world(radius=12.0, voxel=1.0, frames=2, count=6)
     layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
     with pytest.raises(InspeError, match="softness -1: 0"):
-        inspe_jax.evaluate(scene, layout, softness=-1.0)
+        inspe_jax.evaluate(scene, layout, softness=softness)
+
+
+@pytest.mark.parametrize("nothing", [0, 0.0, np.int64(0), np.zeros(()), jnp.zeros(())])
+def test_softness_of_nothing_is_exact(nothing):
+    assert Softness.of(nothing).exact
+    assert Softness.of(Softness(nothing, None, nothing)).exact

@@ -18,7 +18,8 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.world import whole_world_of
 
 SOFTNESS = 0.2
-"""Softness of the slopes [m]: they are those of the score averaged over about so much."""
+"""Softness of the slopes [m]: edges of fields of view and shadows are averaged over about so much.
+Which voxels single rays meet is read exactly and has no slope."""
 POSITION_STEP = 0.1
 """Slopes along x, y and z are given for a shift of this much [m]."""
 LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""))
@@ -96,6 +97,7 @@ def tolerance(
     if not softness > 0:
         raise InspeError(f"softness {softness:g} m: more than 0; the exact score has no slope")
     problem = Problem(scene, layout, objective)
+    planned = problem.exact_of(layout)
     poses = poses_about_center(scene, layout)
     worlds = [whole_world_of(case.scene) for case in problem.cases]
     slope = np.asarray(_slope(problem)(poses, worlds, jnp.asarray(softness, float)), float)
@@ -106,7 +108,6 @@ def tolerance(
     )
     rng = np.random.default_rng([seed, 7])
     size = np.array([position] * 3 + [0.0] + [angle] * 2)
-    planned = problem.exact_of(layout)
     left = []
     for done in range(samples):
         error = rng.normal(size=(len(layout), 6)) * size

@@ -1,5 +1,6 @@
 """In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -255,9 +256,14 @@ def view_margins(
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
     """:func:`in_view_margins` of all sensors; ``groups`` says which share a grid of rays."""
     margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
-    order = np.argsort(np.concatenate([index for _, index in groups]))
-    field, ray = (jnp.concatenate(part)[order] for part in zip(*margins, strict=True))
+    field, ray = (in_order(part, groups) for part in zip(*margins, strict=True))
     return field, ray
+
+
+def in_order(found: Sequence[Array], groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]) -> Array:
+    """What was found of one group of sensors after the other, (s, ...) each, in their order."""
+    order = np.argsort(np.concatenate([index for _, index in groups]))
+    return jnp.concatenate(found)[order]
 
 
 def soft_view(

@@ -66,12 +66,8 @@ def sight(
 ) -> Float[Array, "S L Z"]:
     """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
 
-    Read exactly, the highest ceiling over a column decides; softly, see :func:`soft_sight`. Every
-    prism is looked at from every column.
+    As :func:`soft_sight` has it, but every prism is looked at from every column.
     """
-    if exact(width):
-        ceilings = shadow_ceilings(sensors, prisms, columns, spare_own=spare_own)
-        return step(heights[None] - ceilings[:, :, None])
     frame = jax.tree.map(lambda leaf: leaf[None], prisms)
     marked = masks.marks(frame.valid.T)
 
@@ -94,9 +90,11 @@ def soft_sight(
 ) -> Float[Array, "Z F C"]:
     """Chance that the marked prisms (F, B) of each frame leave the lines to some voxels clear.
 
-    Softly, 1 − p of the :data:`WINNERS` prisms that hide most of a column are multiplied, p being
-    the reading of how deep the line cuts in sideways times that of how far below the top; prisms
-    that narrowly miss count. Who wins is found without differentiation.
+    Read exactly, the highest ceiling of all prisms over a column decides. Softly, 1 − p of the
+    :data:`WINNERS` prisms that hide most of a column are multiplied, p being the reading of how
+    deep the line cuts in sideways times that of how far below the top; prisms that narrowly miss
+    count. Who wins is found without differentiation, by how much they hide of the lines to the
+    first of ``heights``, the lowest.
     """
     if exact(width):
 
@@ -187,7 +185,7 @@ def _hides(
     return hides
 
 
-# ── Exactly, tile by tile ───────────────────────────────────────────────────
+# ── Tile by tile ───────────────────────────────────────────────────
 
 
 class Casts(NamedTuple):

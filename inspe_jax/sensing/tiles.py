@@ -1,6 +1,6 @@
 """The voxels in tiles: neighbouring columns together, the levels of a column in one word.
 
-What the exact path goes through. A tile is small enough to be told apart from most
+What scores go through, exact and soft. A tile is small enough to be told apart from most
 shadows and fields of view as a whole, and large enough to be worked on at once.
 """
 

@@ -5,14 +5,19 @@ import io
 import weakref
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from mounts import assert_mountable, lanes_of
 
+from inspe_jax.measures import measure
+from inspe_jax.metrics import surrogate
+from inspe_jax.numerics import Softness
 from inspe_jax.placement import greedy_adam
 from inspe_jax.placement.adam import annealed
 from inspe_jax.placement.gradient import GRADIENTS
-from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.problem import Problem, take
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural import built_in
@@ -93,6 +98,25 @@ def test_what_is_compiled_goes_with_its_problem(name):
     del problem, run
     gc.collect()
     assert alive() is None
+
+
+@pytest.mark.slow
+def test_a_soft_sample_is_every_vehicle_against_every_column(problem):
+    """What gradients are of, against the same measures in the open; to rounding."""
+    fields = take(problem.fields, problem.draw(np.random.default_rng(0), 300, 3))
+    x, crew = (
+        jnp.asarray(problem.space.random(np.random.default_rng(1), 1)[0], float),
+        problem.crews[0],
+    )
+
+    @jax.jit
+    def expected(poses):
+        found = measure(fields[0], poses, crew, 1.0, Softness.of(0.5))
+        return surrogate(found.coverage, found.occlusion, found.information_gain)[0]
+
+    value = jax.jit(problem.soft)(x, fields, jnp.asarray(0.5, float))
+    assert 0.1 < value < 0.99
+    assert value == pytest.approx(float(expected(problem.space.poses(x))), abs=2e-6)
 
 
 @pytest.mark.parametrize("name", METHODS)

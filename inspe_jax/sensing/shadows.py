@@ -66,8 +66,12 @@ def sight(
 ) -> Float[Array, "S L Z"]:
     """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
 
-    As :func:`soft_sight` has it, but every prism is looked at from every column.
+    As :func:`soft_sight` has it, but every prism is looked at from every column; read exactly, of
+    all sensors together.
     """
+    if exact(width):
+        ceilings = shadow_ceilings(sensors, prisms, columns, spare_own=spare_own)
+        return step(heights[None] - ceilings[:, :, None])
     frame = jax.tree.map(lambda leaf: leaf[None], prisms)
     marked = masks.marks(frame.valid.T)
 

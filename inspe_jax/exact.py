@@ -262,25 +262,24 @@ def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew:
     else:
         at = watched.sights.reshape(len(views), -1, watched.sights.shape[-1])
         q = at[:, world.column, world.level].astype(float) / world.frame_count
-    return summed_up(world, shares, by_level, q, watched, crew)
+    resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
+    return summed_up(world, shares, by_level, resolved, watched)
 
 
 def summed_up(
     world: World,
     shares: Float[Array, "1+G MC"],
     by_level: Num[Array, " Z"],
-    q: Float[Array, "S U"],
+    resolved: Float[Array, "1+G U"],
     watched: Watched,
-    crew: Crew,
 ) -> Measures:
     """The metrics, of what is in view of each column and level, and of what is seen.
 
-    ``shares`` of each tile column's levels, ``by_level`` in columns, ``q`` of the voxels that may
-    have entropy.
+    ``shares`` of each tile column's levels, ``by_level`` in columns, ``resolved`` of the voxels
+    that may have entropy.
     """
     place, levels = world.tiles.place, world.tiles.level_count
     seen = watched.columns.reshape(world.tiles.slabs, -1).sum(0)[place]
-    resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
     return Measures(
         metrics.coverage(shares, world.weight),
         metrics.occlusion(watched.seen.T.astype(float), watched.original.T.astype(float)),

@@ -42,55 +42,67 @@ def measure_softly(
     As :func:`~inspe_jax.measures.measure`, of a world whose shares have all tiles. Differentiable
     in the poses, in reverse mode; not in the softness.
     """
-    softness = jax.lax.stop_gradient(softness)
-    f = _views(world.tiles.tile, poses, crew, voxel / 2, softness)
-    watched = [
-        _watch(
-            share.tile,
-            f,
-            share.solid,
-            share.prisms,
-            poses[:, :3],
-            softness.shadow,
-            failures=crew.failures,
-            reference=occlusion_reference,
-            sighted=visibility == "line_of_sight",
-        )
-        for share in world.shares
-    ]
-    return _measures(world, f, joined(watched), crew)
+    softness, sighted = jax.lax.stop_gradient(softness), visibility == "line_of_sight"
+    reliability = jnp.asarray(crew.reliability, float)[:, None, None]
+    watch = partial(
+        _watch,
+        sensors=poses[:, :3],
+        width=softness.shadow,
+        failures=crew.failures,
+        reference=occlusion_reference,
+        sighted=sighted,
+    )
+
+    @jax.checkpoint  # kept for the gradient, what every tile needs would be gigabytes
+    def look(part: tuple[Tile, list[Array]]) -> tuple[Array, Array, Array, Watched]:
+        tile, solids = part
+        f = _views(tile, poses, crew, voxel / 2, softness)
+        runs = zip(solids, world.shares, strict=True)
+        watched = joined([watch(tile, f, solid, share.prisms) for solid, share in runs])
+        q = f if watched.sights is None else f * watched.sights / world.frame_count
+        covered = leave_one_out(f, crew.failures)
+        resolved = leave_one_out(q * reliability, crew.failures)
+        return covered.sum(1), covered[0].sum(1), resolved, watched._replace(sights=None)
+
+    tiles, solids = world.tiles, [share.solid for share in world.shares]
+    columns, by_level, resolved, watched = jax.lax.map(look, (tiles.tile, solids))
+    columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
+    by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
+    tile, column = jnp.divmod(world.column, tiles.tile.there.shape[1])
+    return summed_up(
+        world,
+        columns.sum(1) / tiles.level_count,
+        by_level.sum(1).reshape(-1),
+        resolved[tile, :, world.level, column].T,
+        watched._replace(seen=watched.seen.sum(0), original=watched.original.sum(0)),
+    )
 
 
 def _views(
-    tiles: Tile, poses: Float[Array, "S 6"], crew: Crew, half: float, softness: Softness
-) -> Float[Array, "S N Z C"]:
-    """How surely each sensor has each voxel in view."""
+    tile: Tile, poses: Float[Array, "S 6"], crew: Crew, half: float, softness: Softness
+) -> Float[Array, "S Z C"]:
+    """How surely each sensor has each voxel of a tile in view."""
     found = []
     for grid, index in crew.groups:
-        look = jax.checkpoint(partial(soft_view, grid, half, softness))
-        found.append(
-            jax.lax.map(
-                lambda pose: jax.lax.map(lambda tile: look(pose, tile), tiles),  # noqa: B023
-                poses[jnp.array(index)],
-            )
-        )
+        look = partial(soft_view, grid, half, softness, tile=tile)
+        found.append(jax.lax.map(look, poses[jnp.array(index)]))
     return in_order(found, crew.groups)
 
 
 def _watch(
-    tiles: Tile,
-    f: Float[Array, "S N Z C"],
-    solid: UInt[Array, "N T C"],
+    tile: Tile,
+    f: Float[Array, "S Z C"],
+    solid: UInt[Array, "T C"],
     prisms: Prism,
+    *,
     sensors: Float[Array, "S 3"],
     width: Width,
-    *,
     failures: Groups,
     reference: str,
     sighted: bool,
 ) -> Watched:
-    """Go through the tiles, and in each through the frames."""
-    total, levels = len(prisms.top), f.shape[2]
+    """Go through the frames, in one tile; ``sights`` are (S, Z, C)."""
+    total, levels = len(prisms.top), f.shape[1]
     reach = 0.0 if width is None else REACH * width
     parts = -(-total // FRAMES)
     each = -(-total // parts)
@@ -108,59 +120,39 @@ def _watch(
         z = jnp.arange(levels, dtype=words.dtype).reshape(-1, *[1] * words.ndim)
         return ((words[None] >> z) & words.dtype.type(1)).astype(float)
 
-    def look(part: tuple[Tile, Array, Array]) -> tuple[Array, ...]:
-        tile, f, counted = part  # f (S, Z, C)
-        covered = leave_one_out(f, failures)
-
-        @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
-        def some(part: tuple[tuple[Prism, Array], Array]) -> tuple[Array, ...]:
-            (prisms, real), counted = part
-
-            def clear(one: tuple[Array, Array]) -> Float[Array, "Z F C"]:
-                sensor, f = one
-
-                @jax.checkpoint
-                def shaded(sensor: Array) -> Array:
-                    fixed = jax.lax.stop_gradient(sensor)
-                    cast = casts(fixed, prisms, reach)
-                    marked = masks.marks(may_shade(fixed, cast, tile))
-                    at = sensor, prisms, marked, tile.columns, tile.heights, width
-                    return soft_sight(*at, spare_own=spare_own)
-
-                nothing = jnp.zeros((levels, each, f.shape[1]), f.dtype)
-                return jax.lax.cond((f > 0).any(), shaded, lambda _: nothing, sensor)
-
-            clears = jax.lax.map(clear, (sensors, f))  # (S, Z, F, C)
-            visible = leave_one_out(f[:, :, None] * clears, failures)
-            counts = bits(counted)
-            whole = jnp.ones_like(covered) if reference != "covered" else covered
-            return (
-                (visible * counts[None]).sum(1).sum(-1),
-                (whole[:, :, None] * counts[None]).sum(1).sum(-1),
-                (visible[0].sum(0) * real[:, None]).sum(0),
-                (clears * real[None, None, :, None]).sum(2).swapaxes(1, 2) if sighted else nobody,
-            )
-
-        seen, original, columns, sights = jax.lax.map(some, (split, in_parts(counted)))
-        rows = (x.swapaxes(0, 1).reshape(len(covered), -1)[:, :total] for x in (seen, original))
-        return *rows, columns.sum(0), sights.sum(0)
-
-    there = tiles.there[:, None]
+    there = tile.there[None]
     counted = solid & there if reference == "targets" else there & ~solid
-    seen, original, columns, sights = jax.lax.map(look, (tiles, f.swapaxes(0, 1), counted))
-    return Watched(
-        seen.sum(0), original.sum(0), columns, sights.swapaxes(0, 1) if sighted else None
-    )
+    covered = leave_one_out(f, failures)
+    whole = covered if reference == "covered" else jnp.ones_like(covered)
 
+    @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
+    def some(part: tuple[tuple[Prism, Array], Array]) -> tuple[Array, ...]:
+        (prisms, real), counted = part
 
-def _measures(world: World, f: Float[Array, "S N Z C"], watched: Watched, crew: Crew) -> Measures:
-    """From readings and sums to the metrics."""
-    slabs, levels = world.tiles.slabs, world.tiles.level_count
-    covered = leave_one_out(f, crew.failures)
-    shares = covered.sum(2).reshape(len(covered), slabs, -1).sum(1) / levels  # (1 + G, M·C)
-    by_level = covered[0].reshape(slabs, -1, *f.shape[2:]).sum((1, 3)).reshape(-1)
+        def clear(one: tuple[Array, Array]) -> Float[Array, "Z F C"]:
+            sensor, f = one
 
-    q = f.swapaxes(2, 3)
-    q = q if watched.sights is None else q * watched.sights / world.frame_count
-    q = q.reshape(len(f), -1, f.shape[2])[:, world.column, world.level]
-    return summed_up(world, shares, by_level, q, watched, crew)
+            @jax.checkpoint
+            def shaded(sensor: Array) -> Array:
+                fixed = jax.lax.stop_gradient(sensor)
+                cast = casts(fixed, prisms, reach)
+                marked = masks.marks(may_shade(fixed, cast, tile))
+                at = sensor, prisms, marked, tile.columns, tile.heights, width
+                return soft_sight(*at, spare_own=spare_own)
+
+            nothing = jnp.zeros((levels, each, f.shape[1]), f.dtype)
+            return jax.lax.cond((f > 0).any(), shaded, lambda _: nothing, sensor)
+
+        clears = jax.lax.map(clear, (sensors, f))  # (S, Z, F, C)
+        visible = leave_one_out(f[:, :, None] * clears, failures)
+        counts = bits(counted)
+        return (
+            (visible * counts[None]).sum(1).sum(-1),
+            (whole[:, :, None] * counts[None]).sum(1).sum(-1),
+            (visible[0].sum(0) * real[:, None]).sum(0),
+            (clears * real[None, None, :, None]).sum(2) if sighted else nobody,
+        )
+
+    seen, original, columns, sights = jax.lax.map(some, (split, in_parts(counted)))
+    seen, original = (x.swapaxes(0, 1).reshape(len(whole), -1)[:, :total] for x in (seen, original))
+    return Watched(seen, original, columns.sum(0), sights.sum(0) if sighted else None)

@@ -262,8 +262,9 @@ def view_margins(
 
 def in_order(found: Sequence[Array], groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]) -> Array:
     """What was found of one group of sensors after the other, (s, ...) each, in their order."""
-    order = np.argsort(np.concatenate([index for _, index in groups]))
-    return jnp.concatenate(found)[order]
+    order = np.concatenate([index for _, index in groups])
+    whole = jnp.concatenate(found)
+    return whole if (order[1:] > order[:-1]).all() else whole[np.argsort(order)]
 
 
 def soft_view(

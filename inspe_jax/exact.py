@@ -92,8 +92,8 @@ class Watched(NamedTuple):
 
     seen: Num[Array, "1+G T"]
     original: Num[Array, "1+G T"]
-    columns: Num[Array, "N C"]
-    sights: Num[Array, "S N C Z"] | None
+    columns: Num[Array, "*N C"]
+    sights: Num[Array, "S *N C Z"] | None
 
 
 def _watch_all(
@@ -139,7 +139,7 @@ def _watch_all(
 
 
 def joined(parts: list[Watched]) -> Watched:
-    """What was counted in one run of frames after the other, in all tiles."""
+    """What was counted in one run of frames after the other."""
     seen, original, columns, sights = zip(*parts, strict=True)
     return Watched(
         jnp.concatenate(seen, 1),

@@ -57,13 +57,16 @@ class Softness(NamedTuple):
         One width is that of fields and shadows; which voxels in a field the rays meet is read
         exactly. As a sensor moves, its rays leave voxels and enter others, which all but cancels:
         the slopes of single rays are many times that of the score, and noise to a search.
-        Raises InspeError where a width is negative.
+        Raises InspeError where a width is negative or not a finite number.
         """
         given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
         widths = []
         for width in given:
             if width is not None and not isinstance(width, jax.core.Tracer):
-                width = float(width)
+                try:
+                    width = float(width + 0)  # not of a text
+                except (TypeError, ValueError):
+                    raise InspeError(f"softness {width!r}: a number of metres, 0 or more") from None
                 if not 0 <= width < float("inf"):
                     raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
             widths.append(None if exact(width) else jnp.asarray(width, float))

@@ -59,7 +59,9 @@ def measure_softly(
         f = _views(tile, poses, crew, voxel / 2, softness)
         runs = zip(solids, world.shares, strict=True)
         watched = joined([watch(tile, f, solid, share.prisms) for solid, share in runs])
-        q = f if watched.sights is None else f * watched.sights / world.frame_count
+        q = f
+        if watched.sights is not None:
+            q = f * watched.sights.swapaxes(1, 2) / world.frame_count
         covered = leave_one_out(f, crew.failures)
         resolved = leave_one_out(q * reliability, crew.failures)
         return covered.sum(1), covered[0].sum(1), resolved, watched._replace(sights=None)
@@ -101,7 +103,7 @@ def _watch(
     reference: str,
     sighted: bool,
 ) -> Watched:
-    """Go through the frames, in one tile; ``sights`` are (S, Z, C)."""
+    """Go through the frames, in one tile."""
     total, levels = len(prisms.top), f.shape[1]
     reach = 0.0 if width is None else REACH * width
     parts = -(-total // FRAMES)
@@ -150,7 +152,7 @@ def _watch(
             (visible * counts[None]).sum(1).sum(-1),
             (whole[:, :, None] * counts[None]).sum(1).sum(-1),
             (visible[0].sum(0) * real[:, None]).sum(0),
-            (clears * real[None, None, :, None]).sum(2) if sighted else nobody,
+            (clears * real[None, None, :, None]).sum(2).swapaxes(1, 2) if sighted else nobody,
         )
 
     seen, original, columns, sights = jax.lax.map(some, (split, in_parts(counted)))

@@ -117,6 +117,30 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "size",
+    [
+        dict(voxel=0.1, radius=10.0, frames=2, count=2),  # more levels than a word has bits
+        dict(voxel=2.0, radius=20.0, frames=131, count=3),  # two runs of frames
+    ],
+)
+def test_slabs_of_levels_and_runs_of_frames_are_put_together(size):
+    """All vehicles against all columns again; of two vehicles both win in every slab."""
+    scene = world(seed=3, **size)
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=5, heights=(3.0, 6.0))
+    crew, poses = Crew.of(layout, ((0,), (1,))), poses_about_center(scene, layout)
+    poses = poses * jnp.array([0.3, 0.3, 1, 1, 1, 1], poses.dtype)[None]  # near the middle
+    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    softness, voxel = Softness.of(0.5), scene.voxels.size
+    expected = jax.jit(lambda poses: measure(field, poses, crew, voxel, softness))(poses)
+    found = measure_softly(whole_world_of(scene), poses, crew, voxel, softness)
+    assert 0.05 < float(expected.coverage[0]) < 1
+    for name in found._fields:
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        np.testing.assert_allclose(ours, theirs, 1e-5, 2e-6, err_msg=name)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("specs", [[CAMERA] * 6, [LIDAR] * 2, [CAMERA] * 3 + [LIDAR]])
 def test_soft_and_exact_scores_rank_layouts_alike(specs):
     """Spearman at least 0.95 over 200 random layouts at a working softness of 1 m."""
@@ -384,6 +408,12 @@ def test_softness_below_zero_is_refused(softness):
     layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
     with pytest.raises(InspeError, match="softness -1: 0"):
         inspe_jax.evaluate(scene, layout, softness=softness)
+
+
+@pytest.mark.parametrize("softness", ["0.5", [0.5], np.ones(2)])
+def test_softness_that_is_no_number_is_refused(softness):
+    with pytest.raises(InspeError, match="a number of metres"):
+        Softness.of(softness)
 
 
 @pytest.mark.parametrize("nothing", [0, 0.0, np.int64(0), np.zeros(()), jnp.zeros(())])

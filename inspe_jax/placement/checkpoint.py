@@ -98,6 +98,8 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     try:
         with path.open("rb") as f, np.load(f, allow_pickle=False) as data:
             return _unpack({name: data[name] for name in data.files})
+    except InspeError as e:
+        raise InspeError(f"{path}: {e}") from None
     except _NOT_A_CHECKPOINT as e:
         raise InspeError(
             f"{path}: not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
@@ -107,6 +109,8 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
 def _unpack(data: dict[str, np.ndarray]) -> Checkpoint:
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
+        if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
+            raise InspeError("written by another version of inspe_jax; delete it to begin anew")
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
     state: State = {
         name.removeprefix(_ARRAY): value for name, value in data.items() if name.startswith(_ARRAY)

@@ -14,7 +14,7 @@ from inspe_jax.placement.run import Method, Run, State
 DRAFT = 0.05
 """Share of the budget within which the first draft must be had for a burst from there."""
 BEFORE = 0.5
-"""Share of the budget, without that burst, at which Adam takes over at the latest."""
+"""Share of the budget, less that burst, at which Adam takes over at the latest."""
 AGAIN = 0.7
 """Another round is begun if it will be on trial until this share of the budget."""
 UNTIL = 0.85
@@ -42,7 +42,9 @@ def begin(run: Run) -> State:
         "count": 0,
         "pace": np.full(1, -np.inf),
         "began": run.spent,
+        "drafted": False,
         "draft": np.inf,
+        "aside": np.zeros(2),
     } | _within(greedy.begin(run))
 
 
@@ -54,29 +56,37 @@ def step(run: Run, state: State) -> State | None:
     """
     if "line" in state:
         return _burst(run, state)
+    if state["drafted"]:
+        return _from_draft(run, state)
     placing = _placing(state)
-    late = placing["round"] == 0 and run.share(run.spent - state["began"]) >= BEFORE
+    late = placing["round"] == 0 and run.share(run.spent - state["aside"]) >= BEFORE
     if state["polished"] < placing["round"] and (placing["phase"] == "move" or late):
         return _before_adam(run, state, placing)
-    drafted = placing["phase"] == "look" and len(run.history) > 1  # the start and the first draft
-    if drafted and state["draft"] == np.inf and run.done <= DRAFT:
-        return _from_draft(run, state)
+    scored = len(run.history)
     after = greedy.step(run, placing)
     began = state["began"] if after["round"] == placing["round"] else run.spent
-    return _beside(state) | {"began": began} | _within(after)
+    drafted = after["phase"] == "look" and len(run.history) > scored
+    drafted = drafted and run.share(run.spent - began) <= DRAFT
+    return _beside(state) | {"began": began, "drafted": drafted} | _within(after)
 
 
 def _from_draft(run: Run, state: State) -> State:
     """A burst from the best so far; then placement goes on as if it had taken no time.
 
-    ``draft`` is the score that it began at.
+    ``draft`` is the score that it began at, ``aside`` what it took.
     """
     before, score = run.spent, run.best
     burst = state | charted(run.problem, run.best_x[None]) | {"line": np.zeros(1, int)}
     burst = advance(run, burst, lambda: (SOFTNESS, RATE), BURST)
     run.offer(layouts(run.problem, burst)[0])
-    began = state["began"] + run.spent - before
-    return state | {"count": burst["count"], "draft": score, "began": began}
+    aside = run.spent - before
+    return state | {
+        "count": burst["count"],
+        "drafted": False,
+        "draft": score,
+        "aside": aside,
+        "began": state["began"] + aside,
+    }
 
 
 def _before_adam(run: Run, state: State, placing: State) -> State:
@@ -131,7 +141,7 @@ def _after_adam(run: Run, state: State) -> State:
     placing = _placing(state)
     trial = TRIAL * (run.spent - state["placed"]) / len(state["path"])
     ends = run.spent + (state["placed"] - state["began"]) + trial
-    kept = {key: state[key] for key in ("polished", "count", "pace", "draft")}
+    kept = {key: state[key] for key in ("polished", "count", "pace", "drafted", "draft", "aside")}
     kept["began"] = run.spent
     if run.share(ends) <= AGAIN:
         return kept | _within(greedy.next_round(placing))

@@ -181,7 +181,7 @@ def test_the_first_draft_has_a_burst_of_its_own(ran):
     assert draft.best == after["draft"] < burst.score
     assert after["count"] == greedy_adam.BURST
     differ = {key for key in before if not np.array_equal(before[key], after[key])}
-    assert differ == {"count", "draft", "began"}
+    assert differ == {"count", "drafted", "draft", "aside", "began"}
     assert before.keys() == after.keys()
 
 
@@ -208,7 +208,7 @@ def test_rounds_go_on_while_there_is_time_for_another():
     """The last took 0.1 of the budget to place and 0.05 a burst: the next is on trial for 0.25."""
     state = {"polished": 0, "count": 0, "pace": np.ones(2), "path": np.ones(2)}
     state |= {"greedy round": 0, "greedy phase": "move"}
-    state["draft"] = np.inf
+    state |= {"drafted": False, "draft": np.inf, "aside": np.zeros(1)}
     for began, then in ((0.2, "look"), (0.3, "move")):
         state |= {"began": np.array([began]), "placed": np.array([began + 0.1])}
         spent = np.array([began + 0.2])

@@ -556,6 +556,10 @@ def test_a_file_that_is_no_checkpoint_is_refused_and_left_alone(scene, layout, k
     np.savez(tmp_path / "bad.npz", **whole, **{"array: x": np.array([None])})
     with pytest.raises(InspeError, match="not a checkpoint"):
         load_checkpoint(tmp_path / "bad.npz")
+    older = str(whole["record"]).replace("inspe_jax checkpoint 2", "inspe_jax checkpoint 1")
+    np.savez(tmp_path / "bad.npz", **whole | {"record": np.array(older)})
+    with pytest.raises(InspeError, match=r"bad\.npz: written by another version"):
+        load_checkpoint(tmp_path / "bad.npz")
 
 
 def test_a_state_comes_back_as_it_was(tmp_path, kept):

@@ -309,6 +309,16 @@ def test_sensors_hang_where_they_are_asked_to(problem, start):
         assert np.allclose(np.asarray(layout.poses)[2:4, 2], heights, atol=1e-3)
 
 
+def test_few_layouts_are_projected_as_many_are(problem):
+    """One or two by NumPy, more by what is compiled."""
+    wild = problem.space.random(np.random.default_rng(3), 12)
+    wild += np.random.default_rng(4).normal(size=wild.shape) * 5 * problem.space.scale
+    many = candidates.project(problem.space, wild)
+    few = np.concatenate([candidates.project(problem.space, wild[k : k + 2]) for k in (0, 2, 4)])
+    assert np.abs(many - wild).max() > 1
+    np.testing.assert_allclose(few, many[:6], atol=1e-4)
+
+
 def test_limits_are_those_of_the_constraints(scene):
     constraints = Constraints(heights=(4.0, 9.0))
     space = Space(scene, crew(scene), constraints)

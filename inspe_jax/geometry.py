@@ -165,19 +165,25 @@ def _crossings(
     return jnp.where(inside, high, low), jnp.where(inside, FAR, high)
 
 
-def plan_margin(
-    x: Float[Array, "*n"],
-    y: Float[Array, "*n"],
-    ex: Float[Array, "*n"],
-    ey: Float[Array, "*n"],
-    half: tuple[Float[Array, "*n"], Float[Array, "*n"]],
-) -> Float[Array, "*n"]:
+class Line(NamedTuple):
+    """Sight lines in plan, in a rectangle's own frame: from (x, y) by (ex, ey) [m]."""
+
+    x: Float[Array, "*n"]
+    y: Float[Array, "*n"]
+    ex: Float[Array, "*n"]
+    ey: Float[Array, "*n"]
+
+
+Half = tuple[Float[Array, "*n"], Float[Array, "*n"]]
+"""Half a rectangle's sides [m]."""
+
+
+def plan_margin(line: Line, half: Half) -> Float[Array, "*n"]:
     """How deep a sight line cuts a rectangle in plan [m]; negative by how far it misses.
 
-    In the rectangle's own frame the line runs from (x, y) by (ex, ey). Separating axes of a
-    segment and a rectangle: the rectangle's two, and the line's normal.
+    Separating axes of a segment and a rectangle: the rectangle's two, and the line's normal.
     """
-    a, b = half
+    (x, y, ex, ey), (a, b) = line, half
     length = jnp.sqrt(jnp.maximum(ex * ex + ey * ey, 1e-12))
     support = a * jnp.abs(ey) + b * jnp.abs(ex)
     # A line without length, straight down, has no normal; the other two axes decide.
@@ -198,35 +204,24 @@ class Cut(NamedTuple):
     leaves: Float[Array, "*n"]
 
 
-def plan_cut(
-    x: Float[Array, "*n"],
-    y: Float[Array, "*n"],
-    ex: Float[Array, "*n"],
-    ey: Float[Array, "*n"],
-    half: tuple[Float[Array, "*n"], Float[Array, "*n"]],
-) -> Cut:
-    """How sight lines cut a rectangle in plan, in its own frame: from (x, y) by (ex, ey).
+def plan_cut(line: Line, half: Half) -> Cut:
+    """How sight lines cut a rectangle in plan.
 
     A line that misses has no t₀ and t₁: then they are held to its :func:`stretch`.
     """
-    first, last = stretch(x, y, ex, ey, half)
-    (x_in, x_out), (y_in, y_out) = _slab(x, ex, half[0]), _slab(y, ey, half[1])
+    first, last = stretch(line, half)
+    x_in, x_out = _slab(line.x, line.ex, half[0])
+    y_in, y_out = _slab(line.y, line.ey, half[1])
     return Cut(
-        plan_margin(x, y, ex, ey, half),
+        plan_margin(line, half),
         jnp.clip(jnp.maximum(x_in, y_in), first, last),
         jnp.clip(jnp.minimum(x_out, y_out), first, last),
     )
 
 
-def stretch(
-    x: Float[Array, "*n"],
-    y: Float[Array, "*n"],
-    ex: Float[Array, "*n"],
-    ey: Float[Array, "*n"],
-    half: tuple[Float[Array, "*n"], Float[Array, "*n"]],
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+def stretch(line: Line, half: Half) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """From where to where along sight lines a rectangle lies, beside them or on them, in t."""
-    a, b = half
+    (x, y, ex, ey), (a, b) = line, half
     squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
     middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
     return jnp.clip(middle - spread, 0.0, 1.0), jnp.clip(middle + spread, 0.0, 1.0)

@@ -1,7 +1,6 @@
 """A table of candidate poses for every sensor, and what each of them sees of one sample."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -87,10 +86,6 @@ class Table:
             kinds.append(Kind(tuple(sensors), foot, height, yaw, pitch))
         return cls(problem, tally, feet, stand, kinds)
 
-    @cached_property
-    def _members(self) -> tuple[tuple[int, ...], ...]:
-        return self.problem.layout.members()
-
     @property
     def parts(self) -> list[Kind]:
         """The kind of each chunk of candidates, in the order in which they are looked at.
@@ -139,8 +134,8 @@ class Table:
 
     def mast(self, picks: Picks, s: int) -> tuple[int, float, float]:
         """Foot of the sensor's unit, −1 while it has none, and its others' lowest and highest."""
-        unit = self.problem.layout.sensors[s].unit
-        others = [t for t in self._members[unit] if t in picks and t != s]
+        sensors = self.problem.layout.sensors
+        others = [t for t in picks if t != s and sensors[t].unit == sensors[s].unit]
         kinds = [(self.kind_of(t), picks[t]) for t in others]
         heights = [float(kind.height[k]) for kind, k in kinds]
         foot = int(kinds[0][0].foot[kinds[0][1]]) if kinds else -1

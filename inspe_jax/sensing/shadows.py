@@ -11,6 +11,7 @@ from inspe_jax.geometry import (
     FAR,
     NEVER,
     Cut,
+    Line,
     Prism,
     Shade,
     below_top,
@@ -138,7 +139,7 @@ def soft_sight(
     cuts = []
     for key in best:
         won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
-        cut = plan_cut(*_own_frame(won, sx, sy, x, y), (won[4], won[5]))
+        cut = plan_cut(_own_frame(won, sx, sy, x, y), (won[4], won[5]))
         hides = jnp.where(key > spare, step(cut.beside, width), 0.0)
         cuts.append((cut, won[6] - sz, hides))
 
@@ -152,13 +153,11 @@ def soft_sight(
     return jax.lax.map(level, heights[:, None])
 
 
-def _own_frame(
-    prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: Array
-) -> tuple[Array, Array, Array, Array]:
-    """The line from (sx, sy) to (x, y) in a prism's own frame: where from, and by how much."""
+def _own_frame(prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: Array) -> Line:
+    """The line from (sx, sy) to (x, y) in a prism's own frame."""
     cx, cy, cos, sin = prism[:4]
     dx, dy, ox, oy = sx - cx, sy - cy, x - sx, y - sy
-    return (
+    return Line(
         *(cos * dx + sin * dy, cos * dy - sin * dx),
         *(cos * ox + sin * oy, cos * oy - sin * ox),
     )
@@ -178,13 +177,13 @@ def _hides(
     prism is taken as where the stretch ends that the prism takes up along it.
     """
     a, b, top = prism[4:]
-    px, py, ex, ey = _own_frame(prism, sensor[0], sensor[1], x, y)
-    beside = plan_margin(px, py, ex, ey, (a, b))
-    cut = Cut(beside, *stretch(px, py, ex, ey, (a, b)))
+    line = _own_frame(prism, sensor[0], sensor[1], x, y)
+    beside = plan_margin(line, (a, b))
+    cut = Cut(beside, *stretch(line, (a, b)))
     below = below_top(cut, top - sensor[2], sensor[2] - lowest)
     hides = step(beside, width) * jnp.maximum(below + REACH * width, 0.0)
     if spare_own:
-        stands = (jnp.abs(px + ex) < a) & (jnp.abs(py + ey) < b)
+        stands = (jnp.abs(line.x + line.ex) < a) & (jnp.abs(line.y + line.ey) < b)
         hides = jnp.where(stands, 0.0, hides)
     return hides
 

@@ -104,10 +104,8 @@ def test_what_is_compiled_goes_with_its_problem(name):
 def test_a_soft_sample_is_every_vehicle_against_every_column(problem):
     """What gradients are of, against the same measures in the open; to rounding."""
     fields = take(problem.fields, problem.draw(np.random.default_rng(0), 300, 3))
-    x, crew = (
-        jnp.asarray(problem.space.random(np.random.default_rng(1), 1)[0], float),
-        problem.crews[0],
-    )
+    x = jnp.asarray(problem.space.random(np.random.default_rng(1), 1)[0], float)
+    crew = problem.crews[0]
 
     @jax.jit
     def expected(poses):

@@ -55,7 +55,7 @@ def main() -> None:
     scene = world(options.quick, options.seed)
     weight = scene.voxels.weight / scene.voxels.weight.sum()
     catalogue = inspe_jax.devices()
-    names = ["paper-lidar-32", "paper-camera-midday"] if options.quick else list(catalogue)
+    names = ["paper-lidar-32", "paper-camera"] if options.quick else list(catalogue)
     poses = 2 if options.quick else 3
 
     rows: list[dict[str, Any]] = []

@@ -275,7 +275,7 @@ def least(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
     tile, half = world.tiles.tile, scene.voxels.size / 2
     prisms = about_center(scene).prisms
     voxels = columns = crossed = 0.0
-    moved = float(sum(share.solid.nbytes for share in world.shares))
+    moved = float(sum(np.asarray(share.solid).nbytes for share in world.shares))
     for grid, index in layout.groups():
         for s in index:
             views = np.asarray(in_view_masks(grid, poses[s], tile, half)) != 0  # (N, C)

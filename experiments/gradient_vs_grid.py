@@ -36,9 +36,9 @@ from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
 BUILT_INS = ("four_way", "t_junction", "roundabout")
 TOWNS = (("Town03", 422), ("Town04", 53), ("Town05", 53), ("Town07", 725), ("Town10HD", 189))
 MIXES = {
-    "cameras": {"paper-camera-midday": 8},
+    "cameras": {"paper-camera": 8},
     "lidars": {"paper-lidar-32": 4},
-    "both": {"paper-camera-midday": 8, "paper-lidar-32": 4},
+    "both": {"paper-camera": 8, "paper-lidar-32": 4},
 }
 PLACES = (*BUILT_INS, *(f"{town} {junction}" for town, junction in TOWNS))
 GRADIENT = [method.name for method in GRADIENTS]

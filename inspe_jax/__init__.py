@@ -28,10 +28,13 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
 from inspe_jax.scene.traffic import TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.devices import Device, device, devices
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
 from inspe_jax.sensing.visibility import in_view, line_of_sight
+from inspe_jax.study.plan import Study, load_study
+from inspe_jax.study.sweep import sweep
 
 __version__ = "0.1.0"
 
@@ -40,6 +43,7 @@ __all__ = [
     "STRATEGIES",
     "CameraSpec",
     "Case",
+    "Conditions",
     "Constraints",
     "Contribution",
     "Device",
@@ -56,6 +60,7 @@ __all__ = [
     "Scores",
     "Sensor",
     "Softness",
+    "Study",
     "TrafficFrames",
     "Unit",
     "VoxelGrid",
@@ -71,6 +76,7 @@ __all__ = [
     "load_layout",
     "load_result",
     "load_scene",
+    "load_study",
     "make_layout",
     "methods",
     "optimise",
@@ -79,5 +85,6 @@ __all__ = [
     "save_result",
     "save_scene",
     "strategy",
+    "sweep",
     "tolerance",
 ]

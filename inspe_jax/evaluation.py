@@ -15,11 +15,12 @@ from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
 from inspe_jax.soft import measure_softly
-from inspe_jax.world import whole_world_of, world_of
+from inspe_jax.world import bare_world_of, whole_world_of, world_of
 
 VISIBILITIES = ("in_view", "line_of_sight")
 """What information gain calls visible: f as in the paper, or f × the share of frames in sight."""
@@ -60,6 +61,14 @@ class Scores:
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
 
+    @property
+    def conditions(self) -> Conditions:
+        """The light and weather that they are of."""
+        return Conditions.of(*(self.settings.get(key, getattr(FAIR, key)) for key in _CONDITIONS))
+
+
+_CONDITIONS = ("light", "weather")
+
 
 def evaluate(
     scene: Scene,
@@ -69,6 +78,7 @@ def evaluate(
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
     softness: Any = 0.0,
+    conditions: Conditions = FAIR,
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
@@ -77,16 +87,18 @@ def evaluate(
     gain, one of :data:`VISIBILITIES`; ``softness`` [m] is 0 for the exact scores, or the width
     that fields of view and shadows are read with, or a :class:`~inspe_jax.numerics.Softness`. With
     poses P (S, 6) traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
-    differentiable in P; read exactly it is a step function, with gradient 0.
+    differentiable in P; read exactly it is a step function, with gradient 0. ``conditions`` are the
+    light and the weather that the sensors work in.
 
     Raises InspeError where a sensor is in the
     ground or out of reach of the scene, an option is unknown, the arrays would not
     fit in memory, or there is no traffic and so no entropy to resolve; unless
     information gain has weight 0, and then it is 0.
     """
-    check_options(weights, occlusion_reference, visibility)
+    check_options(weights, occlusion_reference, visibility, conditions)
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
+    layout = conditions.layout(layout)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     traced = isinstance(poses, jax.core.Tracer)
     each = () if traced else tuple((s,) for s in range(len(layout)))
@@ -97,7 +109,7 @@ def evaluate(
         world, fixed = (whole_world_of if traced else world_of)(scene), jax.lax.stop_gradient(poses)
         measured = measure_exactly(world, fixed, crew, voxel, **options)
     else:
-        measured = measure_softly(whole_world_of(scene), poses, crew, voxel, width, **options)
+        measured = measure_softly(bare_world_of(scene), poses, crew, voxel, width, **options)
     measured = jax.tree.map(_array, measured)
     if weights[2] > 0:
         check_entropy(scene, measured.entropy)
@@ -127,6 +139,8 @@ def evaluate(
             occlusion_reference=occlusion_reference,
             visibility=visibility,
             softness=softness,
+            light=conditions.light,
+            weather=conditions.weather_text,
         ),
     )
 
@@ -149,6 +163,7 @@ def evaluate_many(
     weights: tuple[float, float, float] = metrics.WEIGHTS,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
+    conditions: Conditions = FAIR,
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M times S world poses.
 
@@ -157,7 +172,7 @@ def evaluate_many(
     ``poses`` are x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`.
     Raises InspeError as that does, and where ``poses`` has another shape or is traced.
     """
-    check_options(weights, occlusion_reference, visibility)
+    check_options(weights, occlusion_reference, visibility, conditions)
     try:
         poses = np.asarray(poses, float)
     except (TypeError, ValueError):  # a traced array's error is a TypeError
@@ -176,6 +191,7 @@ def evaluate_many(
     ]
     for one in layouts:
         check_layout(scene, one)
+    layout = conditions.layout(layout)
     world = whole_world_of(scene)
     if weights[2] > 0:
         check_entropy(scene, metrics.entropy(world.occupancy).sum())
@@ -203,9 +219,16 @@ def _numbers(x: Any) -> Any:
 
 
 def check_options(
-    weights: tuple[float, float, float], occlusion_reference: str, visibility: str
+    weights: tuple[float, float, float],
+    occlusion_reference: str,
+    visibility: str,
+    conditions: Conditions = FAIR,
 ) -> None:
     """Raise InspeError where an option of :func:`evaluate` is unknown."""
+    if not isinstance(conditions, Conditions):
+        raise InspeError(
+            f"conditions {conditions!r}: give them as inspe_jax.Conditions.of('night', 'rain:10')"
+        )
     if occlusion_reference not in metrics.OCCLUSION_REFERENCES:
         raise metrics.unknown_reference(occlusion_reference)
     if visibility not in VISIBILITIES:

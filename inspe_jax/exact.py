@@ -356,6 +356,7 @@ def see(
     jobs: list[Job] = []
     for part in shared_out(poses):
         work = partial(_see, grid, half, part, share, spare_own=spare_own)
+        assert share.solid is not None  # it is not bare
         jobs.append(((_see, grid, half, part.shape, share.solid.shape, spare_own), work))
     views, seen = (np.concatenate(found) for found in zip(*run(jobs), strict=True))
     return world.tiles.by_voxel(views), world.tiles.by_voxel(seen)

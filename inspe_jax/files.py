@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
+import yaml
 from pydantic import BaseModel, ValidationError
 
 from inspe_jax.errors import InspeError, nearest
@@ -66,6 +67,32 @@ def _inner_model(annotation: Any) -> Any:
         if found is not None:
             return found
     return None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML, in which the same key twice is an error and not the last one's win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping; raises YAMLError on a key given twice."""
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.YAMLError(f"the key '{twice}' is given twice, {node.start_mark}".strip())
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds. Raises InspeError where it is missing, or is not YAML."""
+    check_input(path)
+    return parse_yaml(path.read_bytes(), str(path))
+
+
+def parse_yaml(text: str | bytes, where: str) -> Any:
+    """What a YAML text holds. Raises InspeError, which names ``where``, on any other text."""
+    try:
+        return yaml.load(text if isinstance(text, str) else text.decode("utf-8"), _Loader)
+    except (yaml.YAMLError, UnicodeDecodeError) as e:
+        raise InspeError(f"{where}: not YAML: {' '.join(str(e).split())}") from e
 
 
 def check_input(path: Path) -> None:

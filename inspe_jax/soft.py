@@ -19,7 +19,7 @@ from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import REACH, Softness, Width, leave_one_out
 from inspe_jax.sensing.in_view import in_order, soft_view
 from inspe_jax.sensing.shadows import casts, may_shade, soft_sight
-from inspe_jax.sensing.tiles import Tile
+from inspe_jax.sensing.tiles import Tile, solid_in
 from inspe_jax.world import World
 
 FRAMES = 20
@@ -39,8 +39,9 @@ def measure_softly(
 ) -> Measures:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
-    As :func:`~inspe_jax.measures.measure`, of a world whose shares have all tiles. Differentiable
-    in the poses, in reverse mode; not in the softness.
+    As :func:`~inspe_jax.measures.measure`, of a world whose shares have all tiles; its masks are
+    not asked for, but found tile by tile. Differentiable in the poses, in reverse mode; not in
+    the softness.
     """
     softness, sighted = jax.lax.stop_gradient(softness), visibility == "line_of_sight"
     reliability = jnp.asarray(crew.reliability, float)[:, None, None]
@@ -54,11 +55,9 @@ def measure_softly(
     )
 
     @jax.checkpoint  # kept for the gradient, what every tile needs would be gigabytes
-    def look(part: tuple[Tile, list[Array]]) -> tuple[Array, Array, Array, Watched]:
-        tile, solids = part
+    def look(tile: Tile) -> tuple[Array, Array, Array, Watched]:
         f = _views(tile, poses, crew, voxel / 2, softness)
-        runs = zip(solids, world.shares, strict=True)
-        watched = joined([watch(tile, f, solid, share.prisms) for solid, share in runs])
+        watched = joined([watch(tile, f, share.prisms) for share in world.shares])
         q = f
         if watched.sights is not None:
             q = f * watched.sights.swapaxes(1, 2) / world.frame_count
@@ -66,8 +65,8 @@ def measure_softly(
         resolved = leave_one_out(q * reliability, crew.failures)
         return covered.sum(1), covered[0].sum(1), resolved, watched._replace(sights=None)
 
-    tiles, solids = world.tiles, [share.solid for share in world.shares]
-    columns, by_level, resolved, watched = jax.lax.map(look, (tiles.tile, solids))
+    tiles = world.tiles
+    columns, by_level, resolved, watched = jax.lax.map(look, tiles.tile)
     columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
     by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(world.column, tiles.tile.there.shape[1])
@@ -94,7 +93,6 @@ def _views(
 def _watch(
     tile: Tile,
     f: Float[Array, "S Z C"],
-    solid: UInt[Array, "T C"],
     prisms: Prism,
     *,
     sensors: Float[Array, "S 3"],
@@ -122,7 +120,7 @@ def _watch(
         z = jnp.arange(levels, dtype=words.dtype).reshape(-1, *[1] * words.ndim)
         return ((words[None] >> z) & words.dtype.type(1)).astype(float)
 
-    there = tile.there[None]
+    there, solid = tile.there[None], solid_in(tile, prisms)
     counted = solid & there if reference == "targets" else there & ~solid
     covered = leave_one_out(f, failures)
     whole = covered if reference == "covered" else jnp.ones_like(covered)

@@ -31,14 +31,14 @@ FRAMES = 128
 class Share:
     """Some of the tiles and some of the frames: what one core goes through.
 
-    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle. The tiles are
-    every ``step``-th from the ``first``, the frames those from ``begin``. Where it is ``split``,
-    every device has some of the frames.
+    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle, None in a bare
+    world. The tiles are every ``step``-th from the ``first``, the frames those from ``begin``.
+    Where it is ``split``, every device has some of the frames.
     """
 
     tile: Tile
     prisms: Prism
-    solid: UInt[Array, "n F C"]
+    solid: UInt[Array, "n F C"] | None
     first: int = field(metadata={"static": True}, default=0)
     step: int = field(metadata={"static": True}, default=1)
     begin: int = field(metadata={"static": True}, default=0)
@@ -92,6 +92,12 @@ def whole_world_of(scene: Scene) -> World:
     return _kept(scene, "whole", _make_whole)
 
 
+def bare_world_of(scene: Scene) -> World:
+    """The same without the masks of solid voxels, for soft scores: as constants of what is
+    compiled for a gradient they would be there several times over."""
+    return _kept(scene, "bare", lambda scene: _make_whole(scene, bare=True))
+
+
 def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
     kept = _worlds.setdefault(scene, {})
     key = kind, jnp.zeros((), float).dtype
@@ -100,12 +106,12 @@ def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
     return kept[key]
 
 
-def _make_whole(scene: Scene) -> World:
+def _make_whole(scene: Scene, bare: bool = False) -> World:
     world, prisms = world_of(scene), about_center(scene).prisms
     shares, tile = [], world.tiles.tile
     for begin in range(0, world.frame_count, FRAMES):
         part = jax.tree.map(lambda leaf: leaf[begin : begin + FRAMES], prisms)  # noqa: B023
-        shares.append(Share(tile, part, solid(tile, part), begin=begin))
+        shares.append(Share(tile, part, None if bare else solid(tile, part), begin=begin))
     return replace(world, shares=tuple(shares), split=None)
 
 
@@ -168,16 +174,19 @@ def world_of_sample(sample: Field) -> World:
 
 
 def world_in_one_tile(sample: Field) -> World:
-    """The same in one tile, traced or not."""
+    """The same in one tile, traced or not, and bare."""
     tiles = one_tile(sample.ground)
-    return _in_one_share(sample, tiles, sample.weight[:: tiles.level_count])
+    return _in_one_share(sample, tiles, sample.weight[:: tiles.level_count], bare=True)
 
 
-def _in_one_share(sample: Field, tiles: Tiles, weight: Float[Array, " MC"]) -> World:
+def _in_one_share(
+    sample: Field, tiles: Tiles, weight: Float[Array, " MC"], bare: bool = False
+) -> World:
     assert sample.occupancy is not None  # that of all frames
     ground = sample.ground
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
-    share = Share(tiles.tile, ground.prisms, solid(tiles.tile, ground.prisms))
+    inside = None if bare else solid(tiles.tile, ground.prisms)
+    share = Share(tiles.tile, ground.prisms, inside)
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
     column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)

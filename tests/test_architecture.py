@@ -19,6 +19,7 @@ LADDER = [
     ("sensing",),
     ("metrics", "measures", "world", "exact", "soft", "evaluation"),
     ("placement",),
+    ("study",),
     ("report",),
     ("cli",),
 ]
@@ -29,6 +30,8 @@ ROOMS = {
     "optax": ("placement/adam.py",),
     "matplotlib": ("report/",),
     "typer": ("cli/",),
+    "distributed": ("study/",),
+    "dask": ("study/",),
 }
 LEVEL = {room: i for i, row in enumerate(LADDER) for room in row}
 

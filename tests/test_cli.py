@@ -20,7 +20,7 @@ LAYOUT = """
 units:
   - base: [8.0, 8.0]
     sensors:
-      - {device: paper-camera-midday, height: 6.0, yaw_deg: -135, pitch_deg: -20}
+      - {device: paper-camera, height: 6.0, yaw_deg: -135, pitch_deg: -20}
       - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
 """
 
@@ -29,7 +29,7 @@ AWAY = """
 units:
   - base: [9.6, 9.6]
     sensors:
-      - {device: paper-camera-midday, height: 6.0, yaw_deg: 45, pitch_deg: -20}
+      - {device: paper-camera, height: 6.0, yaw_deg: 45, pitch_deg: -20}
 """
 
 
@@ -214,8 +214,8 @@ def test_compare_ranks_methods(inspe, files):
 
 
 def test_pareto_finds_what_is_worth_its_money(inspe, files):
-    devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera-midday:0-1")
-    prices = ("--price", "paper-camera-midday=1,000")
+    devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera:0-1")
+    prices = ("--price", "paper-camera=1,000")
     arguments = ("--method", "random", "--evaluations", 3, "--out", "w")
     status, text, _ = inspe("pareto", "s.npz", *devices, *prices, *arguments)
     assert status == 0
@@ -250,7 +250,42 @@ def test_tolerance_prints_and_writes_the_same(inspe, files):
     (files / "t.json").unlink()
 
 
-COMMANDS = ["scene", "layout", "score", "optimise", "compare", "pareto", "tolerance"]
+def test_light_and_weather(inspe, files):
+    """In a score; and in a search, where every light is a scene of its own."""
+    fair, foul = (
+        json.loads(inspe("score", "s.npz", "layout.yaml", "--json", "-", *more)[1])
+        for more in ((), ("--light", "night", "--weather", "fog:50"))
+    )
+    assert foul["surrogate"] < fair["surrogate"]
+    assert (foul["settings"]["light"], foul["settings"]["weather"]) == ("night", "fog:50")
+    title = inspe("score", "s.npz", "layout.yaml", "--light", "dusk")[1]
+    assert "dusk, clear" in title
+    both = ("--light", "midday,night", "--weather", "fog:50", "--worst")
+    arguments = ("--method", "random", "--evaluations", 2, "--out", "foggy")
+    status, _, _ = inspe("optimise", "s.npz", "layout.yaml", *both, *arguments)
+    assert status == 0
+    record = json.loads((files / "foggy" / "result.json").read_text())
+    lights = [row["light"] for row in record["settings"]["scenes"]]
+    assert lights == ["midday", "night"]
+    night = ("--light", "night", "--weather", "fog:50", "--json", "-")
+    start = json.loads(inspe("score", "s.npz", "foggy/start.yaml", *night)[1])
+    assert record["objective_before"] == pytest.approx(start["surrogate"], abs=1e-4)
+
+
+def test_a_study_is_checked_and_counted_before_it_is_run(inspe, files):
+    text = "scenes: [{file: s.npz}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
+    (files / "study.yaml").write_text(text % "midday, night")
+    status, words, _ = inspe("sweep", "study.yaml", "--dry-run")
+    assert status == 0
+    assert "study: 4 jobs, 2 layouts on 1 scene" in words
+    assert not (files / "sweep").exists()
+    (files / "dark.yaml").write_text(text % "dark")
+    status, _, words = inspe("sweep", "dark.yaml")
+    assert status == 2
+    assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
+
+
+COMMANDS = ["scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -290,12 +325,17 @@ BAD = [
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps its settings"),
     (("scene", "page.xodr"), "say which place: --junction ID, or --center X Y"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
-    (("score", "s.npz", "list.yaml"), "must hold keys with values: name, units"),
+    (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, units"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
     (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
     (("layout", "s.npz", "--strategy", "L-x"), "L-x"),
-    (("layout", "s.npz", "--camera", "paper-camera-noon"), "paper-camera-"),
+    (("layout", "s.npz", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
+    (("score", "s.npz", "--light", "noon"), "light 'noon': one of midday, dusk, night"),
+    (("score", "s.npz", "--weather", "rain:x"), "rain:NUMBER, between 0.1 and 200 mm/h"),
+    (("optimise", "s.npz", "--light", "midday,noon"), "light 'noon': one of"),
+    (("tolerance", "s.npz", "--weather", "hail"), "weather 'hail': one of clear, rain, fog"),
+    (("sweep", "missing.yaml"), "missing.yaml: no such file"),
     (("optimise", "s.npz", "--method", "adm"), "no method 'adm': adam"),
     (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),

@@ -21,7 +21,7 @@ from inspe_jax.sensing.in_view import in_view_margins
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.sensing.shadows import soft_sight
 from inspe_jax.soft import measure_softly
-from inspe_jax.world import whole_world_of
+from inspe_jax.world import bare_world_of
 
 NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2 * np.pi, 18.0)
 METRICS = ("coverage", "occlusion", "information_gain")
@@ -105,7 +105,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
         return total(measure(field, poses, crew, voxel, softness, **options))
 
     def tiled(poses):
-        return total(measure_softly(whole_world_of(scene), poses, crew, voxel, softness, **options))
+        return total(measure_softly(bare_world_of(scene), poses, crew, voxel, softness, **options))
 
     slope, found = jax.jit(jax.grad(tiled, has_aux=True))(poses)
     expected_slope, expected = jax.jit(jax.grad(plain, has_aux=True))(poses)
@@ -133,7 +133,7 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(size):
     field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     softness, voxel = Softness.of(0.5), scene.voxels.size
     expected = jax.jit(lambda poses: measure(field, poses, crew, voxel, softness))(poses)
-    found = measure_softly(whole_world_of(scene), poses, crew, voxel, softness)
+    found = measure_softly(bare_world_of(scene), poses, crew, voxel, softness)
     assert 0.05 < float(expected.coverage[0]) < 1
     for name in found._fields:
         ours, theirs = getattr(found, name), getattr(expected, name)

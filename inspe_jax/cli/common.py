@@ -39,6 +39,10 @@ SceneArgument = Annotated[
 LayoutArgument = Annotated[
     str, typer.Argument(metavar="[LAYOUT]", help="A layout .yaml, or a strategy by name.")
 ]
+LightOption = Annotated[str, typer.Option(help="Light: midday, dusk or night.")]
+WeatherOption = Annotated[
+    str, typer.Option(help="Weather: clear; rain:10, in mm/h; or fog:200, in m of optical range.")
+]
 PlotOption = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Draw it: .png, .svg or .pdf.")
 ]
@@ -160,12 +164,20 @@ def progress(what: str) -> Iterator[Any]:
     if not err.is_terminal:
         yield None
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as TimeLeft
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeLeft())
+    # The time left is from all steps so far: some take minutes each.
+    with Progress(*columns, console=err, transient=True, speed_estimate_period=1e9) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+        def tell(done: int, total: int) -> None:
+            if bar.tasks[0].total is None:  # what was done before it began says nothing of speed
+                bar.reset(task, total=total, completed=done)
+            bar.update(task, completed=done)
+
+        yield tell
 
 
 @contextmanager

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from inspe_jax.cli.common import WeatherOption
 from inspe_jax.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.placement.constraints import Constraints
-    from inspe_jax.placement.problem import Objective
+    from inspe_jax.placement.problem import Case, Objective
     from inspe_jax.scene.scene import Scene
+    from inspe_jax.sensing.conditions import Conditions
 
 WeightsOption = Annotated[
     tuple[float, float, float],
@@ -78,10 +80,31 @@ class SearchOptions:
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Heights of sensors above the ground [m]."),
     ] = (3.0, 12.0)
+    light: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B,…", help="Light: midday, dusk, night; several count as several scenes."
+        ),
+    ] = "midday"
+    weather: WeatherOption = "clear"
 
     def seconds_each(self) -> float | None:
         """The budget in seconds of each of several searches."""
         return 20.0 if self.seconds is None and self.evaluations is None else self.seconds
+
+    def conditions(self) -> "list[Conditions]":
+        """Every light that is asked for, with the weather."""
+        from inspe_jax.sensing.conditions import Conditions
+
+        return [Conditions.of(light, self.weather) for light in self.light.split(",")]
+
+    def cases(self, scene: "Scene") -> "list[Case]":
+        """The scene and those of ``--also``, each in every light."""
+        from inspe_jax.placement.problem import Case
+        from inspe_jax.scene.scene import load_scene
+
+        worlds = [scene, *(load_scene(other) for other in self.also or ())]
+        return [Case(world, conditions) for world in worlds for conditions in self.conditions()]
 
     def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":
         """What to maximise within what, checked before any scene is read."""
@@ -89,8 +112,12 @@ class SearchOptions:
         from inspe_jax.placement.problem import Objective
         from inspe_jax.placement.run import check_budget
 
-        if self.worst and not self.also:
-            raise InspeError("--worst: the worst of several scenes; name more with --also")
+        conditions = self.conditions()
+        if self.worst and not self.also and len(conditions) == 1:
+            raise InspeError(
+                "--worst: the worst of several scenes; name more with --also, or more than one "
+                "--light"
+            )
         check_budget(self.seconds_each(), self.evaluations)
         wanted = Objective(
             weights=self.weights,
@@ -135,13 +162,6 @@ def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
         return called
 
     return decorate
-
-
-def scenes(also: list[str] | None) -> "list[Scene]":
-    """The scenes of ``--also``."""
-    from inspe_jax.scene.scene import load_scene
-
-    return [load_scene(other) for other in also or ()]
 
 
 def _places(given: list[str]) -> str | dict[str, str]:

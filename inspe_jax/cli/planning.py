@@ -13,7 +13,9 @@ from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
     LayoutArgument,
+    LightOption,
     SceneArgument,
+    WeatherOption,
     app,
     busy,
     check_record,
@@ -33,7 +35,6 @@ from inspe_jax.cli.options import (
     WeightsOption,
     counts,
     prices,
-    scenes,
     takes,
 )
 
@@ -71,8 +72,8 @@ def pareto(
     Examples:
 
     - `inspe pareto`  (one to four 16-channel LiDARs at the built-in four-way)
-    - `inspe pareto j189.npz --device hesai-xt32:0-2 --device paper-camera-midday:0,4,8
-      --price hesai-xt32=5000 --price paper-camera-midday=800 --seconds 30`
+    - `inspe pareto j189.npz --device hesai-xt32:0-2 --device paper-camera:0,4,8
+      --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
     """
     from inspe_jax.placement.optimise import DEFAULT_METHOD
@@ -89,10 +90,10 @@ def pareto(
     wanted = counts(device or list(DEFAULT_DEVICES))
     total = len(mixes(wanted, objective))
     with busy(f"reading {source}"):
-        worlds = [load_scene(source), *scenes(options.also)]
+        cases = options.cases(load_scene(source))
     with search_bar("searching") as tell:
         found = search(
-            worlds,
+            cases,
             wanted,
             method=method or DEFAULT_METHOD,
             seconds=options.seconds_each(),
@@ -132,6 +133,8 @@ def tolerance(
     samples: Annotated[int, typer.Option(help="Random installations.")] = 50,
     seed: Annotated[int, typer.Option(help="Seed of their errors.")] = 0,
     weights: WeightsOption = (0.3, 0.5, 0.2),
+    light: LightOption = "midday",
+    weather: WeatherOption = "clear",
     record: Annotated[
         str | None,
         typer.Option("--json", metavar="FILE|-", help="Write it all as JSON; - for stdout."),
@@ -148,18 +151,20 @@ def tolerance(
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
     """
-    from inspe_jax.placement.problem import Objective
+    from inspe_jax.placement.problem import Case, Objective
     from inspe_jax.placement.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
+    from inspe_jax.sensing.conditions import Conditions
 
     check_record(record)
     objective = Objective(weights=weights)
     objective.check()
+    conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors)
     with progress("installations") as report:
         found = installed(
-            world,
+            Case(world, conditions),
             placed,
             position=position,
             angle=float(np.radians(angle)),

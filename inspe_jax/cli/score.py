@@ -12,8 +12,10 @@ from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
     LayoutArgument,
+    LightOption,
     PlotOption,
     SceneArgument,
+    WeatherOption,
     app,
     busy,
     check_record,
@@ -195,6 +197,8 @@ def score(
     visibility: Annotated[
         str, typer.Option(help="Visibility in information gain: in_view or line_of_sight.")
     ] = "in_view",
+    light: LightOption = "midday",
+    weather: WeatherOption = "clear",
 ) -> None:
     """Score a layout on a scene: coverage, occlusion, information gain and P_sm.
 
@@ -203,15 +207,18 @@ def score(
     - `inspe score`  (the built-in four-way with cameras at its corners)
     - `inspe score roundabout Cam-c/L-c --plot roundabout.png`
     - `inspe score j189.npz layout.yaml --json -`
+    - `inspe score j189.npz layout.yaml --light night --weather rain:10`
     """
     from inspe_jax.evaluation import evaluate
     from inspe_jax.files import check_output
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scores_record, scores_table
+    from inspe_jax.sensing.conditions import Conditions
 
     check_output(plot, FORMATS)
     check_record(record)
+    conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors)
     with busy("scoring"):
@@ -221,6 +228,7 @@ def score(
             weights=weights,
             occlusion_reference=occlusion_reference,
             visibility=visibility,
+            conditions=conditions,
         )
     show(scores_table(scores, placed), scores_record(scores, world, placed), record)
     if plot:

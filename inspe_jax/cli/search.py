@@ -25,7 +25,6 @@ from inspe_jax.cli.options import (
     MethodOption,
     OutOption,
     SearchOptions,
-    scenes,
     takes,
 )
 
@@ -66,6 +65,7 @@ def optimise(
     - `inspe optimise`  (the built-in four-way, from cameras at its corners, in a minute)
     - `inspe optimise roundabout Cam-d1/L-d1 --method grid --seconds 120 --out grid`
     - `inspe optimise j189.npz layout.yaml --also j189_night.npz --worst --places poles`
+    - `inspe optimise j189.npz layout.yaml --light midday,night --weather rain:10`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     """
     from inspe_jax.files import check_output
@@ -77,10 +77,10 @@ def optimise(
     objective, constraints = options.checked()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors)
-        worlds = [world, *scenes(options.also)]
+        cases = options.cases(world)
     with search_bar("searching") as tell:
         result = search.optimise(
-            worlds,
+            cases,
             placed,
             method or search.DEFAULT_METHOD,
             options.seconds,
@@ -98,8 +98,10 @@ def optimise(
         drawn = _draw(world, result, folder)
     names = "layout.yaml, start.yaml, result.json and history.csv"
     out.print(f"wrote {names} into {folder}; drew {drawn}", highlight=False, soft_wrap=True)
+    around = result.scores.conditions
     out.print(
-        f"next: inspe score {source} {folder / 'layout.yaml'} --plot plan.png",
+        f"next: inspe score {source} {folder / 'layout.yaml'}"
+        f"{' ' * bool(around.options)}{around.options} --plot plan.png",
         highlight=False,
         soft_wrap=True,
     )
@@ -140,7 +142,7 @@ def compare(
     objective, constraints = options.checked()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors)
-        worlds = [world, *scenes(options.also)]
+        cases = options.cases(world)
     runs = [(name, seed) for name in names for seed in range(seeds)]
 
     def share(name: str, seed: int, done: float) -> float:
@@ -148,7 +150,7 @@ def compare(
 
     with search_bar("comparing") as tell:
         results = search.compare(
-            worlds,
+            cases,
             placed,
             names,
             options.seconds_each(),

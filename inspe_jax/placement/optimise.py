@@ -235,7 +235,8 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     def scores(of: Layout) -> Scores:
         return evaluate(
             case.scene,
-            case.layout(of),
+            of,
+            conditions=case.conditions,
             weights=objective.weights,
             occlusion_reference=objective.occlusion_reference,
             visibility=objective.visibility,
@@ -278,7 +279,8 @@ def _settings(problem: Problem) -> dict[str, Any]:
                 "name": case.scene.name,
                 "source": case.scene.intersection.source,
                 "settings": dict(case.scene.settings),
-                "swap": dict(case.swap),
+                "light": case.conditions.light,
+                "weather": case.conditions.weather_text,
             }
             for case in problem.cases
         ],

@@ -41,7 +41,7 @@ class Mix:
 
     @property
     def name(self) -> str:
-        """Such as "4 hesai-xt32 + 2 paper-camera-midday"."""
+        """Such as "4 hesai-xt32 + 2 paper-camera"."""
         return called(self.counts)
 
 
@@ -118,7 +118,7 @@ def pareto(
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
         try:
             (result,) = compare(
-                [_with_what_there_is(case, row) for case in cases],
+                cases,
                 start,
                 (method,),
                 seconds=seconds,
@@ -199,11 +199,6 @@ def mixes(
     if len(within) > MOST:
         raise InspeError(f"{len(within)} mixes, and {_ADVICE}")
     return within
-
-
-def _with_what_there_is(case: Case, row: Mapping[str, int]) -> Case:
-    """A case that swaps only devices which a mix has."""
-    return replace(case, swap={name: to for name, to in case.swap.items() if row.get(name)})
 
 
 def _share(

@@ -6,7 +6,7 @@ rank candidates by. *Soft*: margins read softly on a sample; what gradients are 
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial, wraps
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from inspe_jax.measures import Crew, Field, Measures
 from inspe_jax.numerics import Softness, step
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
@@ -111,24 +112,10 @@ def total_price(price: Mapping[str, float], count: Mapping[str, int]) -> float:
 
 @dataclass(frozen=True)
 class Case:
-    """One scene to score on; ``swap`` replaces devices by name, as by night."""
+    """One scene to score on, and the light and weather that the sensors work in there."""
 
     scene: Scene
-    swap: Mapping[str, str] = field(default_factory=dict)
-
-    def layout(self, layout: Layout) -> Layout:
-        """The layout with the devices that it has in this case."""
-        names = {sensor.spec.name for sensor in layout.sensors}
-        for name in self.swap:
-            if name not in names:
-                raise InspeError(f"swap of '{name}': the layout has {', '.join(sorted(names))}")
-        swapped = (
-            replace(sensor, spec=device(self.swap[sensor.spec.name]).spec)
-            if sensor.spec.name in self.swap
-            else sensor
-            for sensor in layout.sensors
-        )
-        return replace(layout, sensors=tuple(swapped))
+    conditions: Conditions = FAIR
 
 
 def cases_of(scenes: Scene | Case | Sequence[Scene | Case]) -> tuple[Case, ...]:
@@ -198,7 +185,7 @@ class Problem:
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self.crews = tuple(Crew.of(case.layout(layout), failures) for case in self.cases)
+        self.crews = tuple(Crew.of(case.conditions.layout(layout), failures) for case in self.cases)
         self._constraints = constraints or Constraints()
         self.compiled: dict[Callable[[Problem], Any], Any] = {}
         self.known: set[Hashable] = set()

@@ -21,6 +21,7 @@ with its intersection.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -181,14 +182,14 @@ def strategy(
     scene: Scene,
     name: str,
     *,
-    camera: str = "paper-camera-midday",
-    lidar: str | None = None,
+    camera: str | Spec = "paper-camera",
+    lidar: str | Spec | None = None,
     camera_height: float | None = None,
     lidar_height: float | None = None,
 ) -> Layout:
     """The layout that a strategy of :data:`STRATEGIES` gives on a scene.
 
-    ``name`` in any case. ``camera`` and ``lidar`` name devices of the catalogue;
+    ``name`` in any case. ``camera`` and ``lidar`` name devices of the catalogue, or are specs;
     None is the paper's LiDAR for the strategy (its discussion of L-d2 has the
     32-beam one: ``lidar="paper-lidar-32"``). ``camera_height`` and
     ``lidar_height`` [m above the ground] replace the usual 6 and 5 m, at the
@@ -199,6 +200,37 @@ def strategy(
     height out of range, and where the intersection has fewer than two arms or
     nowhere to put a pole.
     """
+    chosen = choose(name, camera, lidar, camera_height, lidar_height)
+    row, place = STRATEGIES[chosen.name], scene.intersection
+    if len(place.arms) < 2:
+        raise InspeError(
+            f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
+            "at least 2 roads that meet"
+        )
+    reach = chosen.camera.grid.reach
+    site = Site(place, scene.voxels.radius, reach, camera_height, lidar_height)
+    views: list[tuple[View, Spec]] = []
+    for rule, spec in ((row.cameras, chosen.camera), (row.lidars, chosen.lidar)):
+        views += [(view, spec) for view in rule(site)] if rule else []
+    return join(chosen.name, place, views)
+
+
+class Chosen(NamedTuple):
+    """A strategy by its own name, and the devices for it."""
+
+    name: str
+    camera: Spec
+    lidar: Spec
+
+
+def choose(
+    name: str,
+    camera: str | Spec = "paper-camera",
+    lidar: str | Spec | None = None,
+    camera_height: float | None = None,
+    lidar_height: float | None = None,
+) -> Chosen:
+    """What the options of :func:`strategy` mean on any scene; raises InspeError as that does."""
     known = {key.lower(): key for key in STRATEGIES}
     key = known.get(name.strip().lower())
     if key is None:
@@ -206,31 +238,20 @@ def strategy(
             f"no strategy '{name}': {', '.join(STRATEGIES)}{nearest(name, tuple(STRATEGIES))}"
         )
     row = STRATEGIES[key]
-    place = scene.intersection
-    if len(place.arms) < 2:
-        raise InspeError(
-            f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
-            "at least 2 roads that meet"
-        )
-    seeing = _device("camera", camera, CameraSpec)
-    ranging = _device("lidar", lidar or row.lidar, LidarSpec)
     low, high = row.heights
     for option, height in (("camera_height", camera_height), ("lidar_height", lidar_height)):
         if height is not None and not low <= height <= high:
             raise InspeError(
                 f"{option} {height:g} m is out of range for {key}: between {low:g} and {high:g} m"
             )
-    site = Site(place, scene.voxels.radius, seeing.grid.reach, camera_height, lidar_height)
-    views: list[tuple[View, Spec]] = []
-    for rule, spec in ((row.cameras, seeing), (row.lidars, ranging)):
-        views += [(view, spec) for view in rule(site)] if rule else []
-    return join(key, place, views)
+    seeing = _device("camera", camera, CameraSpec)
+    return Chosen(key, seeing, _device("lidar", lidar or row.lidar, LidarSpec))
 
 
-def _device(option: str, name: str, kind: type[CameraSpec] | type[LidarSpec]) -> Spec:
-    spec = device(name).spec
+def _device(option: str, of: str | Spec, kind: type[CameraSpec] | type[LidarSpec]) -> Spec:
+    spec = device(of).spec if isinstance(of, str) else of
     if not isinstance(spec, kind):
-        raise InspeError(f"{option} '{name}' is a {spec.kind}: name a {kind.kind} device")
+        raise InspeError(f"{option} '{spec.name}' is a {spec.kind}: name a {kind.kind} device")
     return spec
 
 

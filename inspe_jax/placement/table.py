@@ -70,7 +70,7 @@ class Table:
         heights, pitches = limits(space, space.start(layout)[0])
         groups: dict[object, list[int]] = {}
         for s, sensor in enumerate(layout.sensors):
-            grids = tuple(case.layout(layout).sensors[s].spec.grid for case in problem.cases)
+            grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
             sector = space.constraints.yaw.get(sensor.name)
             key = (grids, sector, *heights[s].round(3), *pitches[s].round(3))
             groups.setdefault(key, []).append(s)

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.errors import InspeError
-from inspe_jax.placement.problem import Objective, Problem
+from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.run import check_seed
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.world import whole_world_of
+from inspe_jax.world import bare_world_of
 
 SOFTNESS = 0.2
 """Softness of the slopes [m]: edges of fields of view and shadows are averaged over about so much.
@@ -66,7 +66,7 @@ class Tolerance:
 
 
 def tolerance(
-    scene: Scene,
+    scene: Scene | Case,
     layout: Layout,
     *,
     position: float = 0.1,
@@ -82,7 +82,8 @@ def tolerance(
     Every sensor is shifted along x, y and z and turned in yaw and pitch by independent
     normal errors with standard deviations ``position`` [m] and ``angle`` [rad], ``samples``
     times; the scores are exact. Slopes are those of the soft score at ``softness`` [m]: the exact
-    one is a staircase with no slope of its own. ``progress(done, total)`` is called on the way.
+    one is a staircase with no slope of its own. A case brings its own light and weather.
+    ``progress(done, total)`` is called on the way.
 
     Raises InspeError where an option is out of range, or as :func:`inspe_jax.evaluate` does.
     """
@@ -98,8 +99,8 @@ def tolerance(
         raise InspeError(f"softness {softness:g} m: more than 0; the exact score has no slope")
     problem = Problem(scene, layout, objective)
     planned = problem.exact_of(layout)
-    poses = poses_about_center(scene, layout)
-    worlds = [whole_world_of(case.scene) for case in problem.cases]
+    poses = poses_about_center(problem.cases[0].scene, layout)
+    worlds = [bare_world_of(case.scene) for case in problem.cases]
     slope = np.asarray(_slope(problem)(poses, worlds, jnp.asarray(softness, float)), float)
     per = np.array([POSITION_STEP] * 3 + [np.radians(1.0)] * 3)
     rows = tuple(
@@ -124,6 +125,8 @@ def tolerance(
             samples=samples,
             seed=seed,
             softness=softness,
+            light=problem.cases[0].conditions.light,
+            weather=problem.cases[0].conditions.weather_text,
             objective=asdict(problem.objective),
         ),
     )

@@ -95,6 +95,7 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
     scores are not of this scene.
     """
     raster, extent = seen_raster(scene.voxels, scores.seen_share)
+    layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     facts = (
         f"coverage C {scores.coverage:.3f},  occlusion O {scores.occlusion:.3f},  "
@@ -105,7 +106,7 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
     keys = plan_keys(scene, layout)
     rows = 7 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
     with house_style():
-        title = f"{layout.name} at {scene.name}"
+        title = f"{layout.name} at {scene.name}{scores.conditions.words}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
         frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
         image = draw_seen(ax, scene, layout, poses, raster, extent, frame)

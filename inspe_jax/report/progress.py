@@ -57,7 +57,11 @@ def before_after(
     if [(s.name, s.unit) for s in before.sensors] != [(s.name, s.unit) for s in after.sensors]:
         raise InspeError(f"{before.name} and {after.name} are not of the same sensors")
     maps = [
-        (of, np.asarray(of.poses, float), *seen_raster(scene.voxels, of_scores.seen_share))
+        (
+            of_scores.conditions.layout(of),
+            np.asarray(of.poses, float),
+            *seen_raster(scene.voxels, of_scores.seen_share),
+        )
         for of, of_scores in ((before, scores_before), (after, scores))
     ]
     center, radius = scene.voxels.center[:2], scene.voxels.radius
@@ -66,8 +70,9 @@ def before_after(
     with house_style():
         fig = Figure(figsize=(WIDTH, height), facecolor="white")
         left = _LEFT / WIDTH
-        fig.text(left, 1 - 0.10 / height, fit(f"{before.name} at {scene.name}", 68), size=10,
-                 weight="bold", va="top", parse_math=False)  # fmt: skip
+        title = fit(f"{before.name} at {scene.name}{scores.conditions.words}", 68)
+        fig.text(left, 1 - 0.10 / height, title, size=10, weight="bold", va="top",
+                 parse_math=False)  # fmt: skip
         facts = f"radius {radius:g} m, voxel {scene.voxels.size:g} m; frame {frame} of the traffic"
         fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
         both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)

@@ -20,6 +20,7 @@ from inspe_jax.placement.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.devices import Device
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
@@ -51,7 +52,8 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     members = _members(scores, layout)
     weights = [f"{w:g}" for w in scores.settings.get("weights", ())] or [""] * 3
 
-    total = _table(f"Scores of {layout.name}", "metric", "symbol", "weight", "score")
+    title = f"Scores of {layout.name}{scores.conditions.words}"
+    total = _table(title, "metric", "symbol", "weight", "score")
     for (name, symbol), weight in zip(METRICS.items(), [*weights, ""], strict=True):
         look = "bold" if name == "surrogate" else ""
         total.add_row(_words(name), symbol, weight, f"{getattr(scores, name):.3f}", style=look)
@@ -76,7 +78,8 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
 
 def before_after_table(result: Result) -> RenderableType:
     """The four scores before and after a search, and its objective where that is something else."""
-    table = _table(f"{result.start.name}, before and after", "metric", "symbol", *_CHANGE)
+    title = f"{result.start.name}{result.scores.conditions.words}, before and after"
+    table = _table(title, "metric", "symbol", *_CHANGE)
     rows = [
         (_words(name), symbol, getattr(result.scores_before, name), getattr(result.scores, name))
         for name, symbol in METRICS.items()
@@ -112,6 +115,20 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
     return table
 
 
+def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
+    """The rows of a study by layout: mean ± standard deviation over scenes and settings."""
+    table = _table("Mean ± standard deviation", "layout", "jobs", "failed", *METRICS.values())
+    by: dict[str, list[Mapping[str, str]]] = {}
+    for row in rows:
+        by.setdefault(row["layout"], []).append(row)
+    for name, own in by.items():
+        done = [row for row in own if row["status"] == "done"]
+        scores = (np.array([float(row[key]) for row in done]) for key in METRICS)
+        words = (f"{x.mean():.3f} ± {x.std():.2f}" if len(x) else "" for x in scores)
+        table.add_row(Text(name), str(len(own)), str(len(own) - len(done)), *words)
+    return table
+
+
 def comparison_table(results: Sequence[Result]) -> RenderableType:
     """What several searches came to, a row a method, the best median first."""
     by: dict[str, list[Result]] = {}
@@ -142,7 +159,8 @@ def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
     """Slopes of each sensor, and the score before and after random installation errors."""
     step = f"per {100 * POSITION_STEP:g} cm"
     heads = [f"{name}\n{step}" for name in "xyz"] + [f"{name}\nper 1°" for name in _TURNS]
-    slopes = _table(f"What P_sm of {layout.name} gains", "#", "sensor", *heads)
+    around = Conditions.of(found.settings["light"], found.settings["weather"])
+    slopes = _table(f"What P_sm of {layout.name}{around.words} gains", "#", "sensor", *heads)
     for k, row in enumerate(found.slopes):
         values = (row.x, row.y, row.z, row.yaw, row.pitch)
         slopes.add_row(str(k + 1), Text(row.sensor), *(f"{value:+.5f}" for value in values))

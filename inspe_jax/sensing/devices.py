@@ -88,20 +88,23 @@ _Limits = Annotated[list[_Elevation], Field(min_length=2, max_length=2)]
 _Text = Annotated[str, Field(min_length=1)]
 
 
-class _Entry(BaseModel):
+class _Keys(BaseModel):
     # Strict: a quoted number is a mistake to report, not to convert.
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     kind: Literal["camera", "lidar"]
+    reliability: Annotated[float, Field(ge=0, le=1)] = 1.0
+
+
+class _About(BaseModel):
     title: _Text
     maker: _Text
     source: _Text
     note: str = ""
     price_usd: _Positive | None = None
-    reliability: Annotated[float, Field(ge=0, le=1)] = 1.0
 
 
-class _LidarEntry(_Entry):
+class _LidarKeys(_Keys):
     range_m: _Positive
     azimuth_step_deg: Annotated[float, Field(ge=0.001, le=360)]
     azimuth_fov_deg: Annotated[float, Field(gt=0, le=360)] = 360.0
@@ -151,49 +154,117 @@ class _LidarEntry(_Entry):
         return table
 
 
-class _CameraEntry(_Entry):
+class _CameraKeys(_Keys):
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
     depth_m: _Positive
     downsample: Annotated[float, Field(gt=0, le=1)]
     hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
     focal_px: _Positive | None = None
+    principal_px: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
     def spec(self, name: str, where: str) -> CameraSpec:
-        """The spec [pixel, m]; the principal point is the middle of the image."""
+        """The spec [pixel, m]; the principal point is the middle of the image if not given."""
         if (self.hfov_deg is None) == (self.focal_px is None):
             raise InspeError(f"{where}: give either hfov_deg or focal_px")
         focal = self.focal_px
         if self.hfov_deg is not None:
             focal = float(self.width / 2 / np.tan(np.radians(self.hfov_deg) / 2))
         assert focal is not None
+        cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         return CameraSpec(
             name=name,
             width=self.width,
             height=self.height,
             focal=focal,
-            principal=(self.width / 2, self.height / 2),
+            principal=(cx, cy),
             downsample=self.downsample,
             depth=self.depth_m,
             reliability=self.reliability,
         )
 
 
+class _LidarEntry(_LidarKeys, _About):
+    pass
+
+
+class _CameraEntry(_CameraKeys, _About):
+    pass
+
+
+_KEYS: dict[str, type[_LidarKeys] | type[_CameraKeys]] = dict(lidar=_LidarKeys, camera=_CameraKeys)
 _ENTRIES: dict[str, type[_LidarEntry] | type[_CameraEntry]] = {
     "lidar": _LidarEntry,
     "camera": _CameraEntry,
 }
+_EITHER = (("hfov_deg", "focal_px"), ("elevations_deg", "elevation_range_deg"))
+"""Keys of which a device has one."""
+
+
+def spec_of(table: Any, name: str, where: str) -> Spec:
+    """The spec of a device of one's own, in the keys of a catalogue that make a spec.
+
+    ``like`` may name a device of the built-in catalogue whose keys it has where it gives none.
+    Raises InspeError that names ``where``, the key and what is allowed.
+    """
+    table = _checked_kind(table, where, like=True)
+    if "like" in table:
+        try:
+            base = table_of(device(table.pop("like")).spec)
+        except InspeError as e:
+            raise InspeError(f"{where}: like: {e}") from None
+        for pair in _EITHER:
+            if any(key in table for key in pair):
+                base = {key: value for key, value in base.items() if key not in pair}
+        if "elevation_range_deg" in table and "channels" not in table:
+            table["channels"] = base["channels"]
+        elif "elevations_deg" in table:
+            base.pop("channels", None)
+        table = base | table
+    return check_model(_KEYS[table["kind"]], table, where).spec(name, where)
+
+
+def table_of(spec: Spec) -> dict[str, Any]:
+    """The keys of a catalogue that make a spec: those that :func:`spec_of` reads back."""
+    if isinstance(spec, CameraSpec):
+        return dict(
+            kind="camera",
+            width=spec.width,
+            height=spec.height,
+            focal_px=spec.focal,
+            principal_px=list(spec.principal),
+            downsample=spec.downsample,
+            depth_m=spec.depth,
+            reliability=spec.reliability,
+        )
+    fov = float(np.degrees(spec.azimuth_fov))
+    return dict(
+        kind="lidar",
+        channels=len(spec.elevations),
+        elevations_deg=np.degrees(spec.elevations).round(9).tolist(),
+        azimuth_fov_deg=fov,
+        azimuth_step_deg=fov / spec.azimuth_count,
+        range_m=spec.reach,
+        reliability=spec.reliability,
+    )
+
+
+def _checked_kind(table: Any, where: str, like: bool = False) -> dict[str, Any]:
+    """A device's table, of a kind that there is. Raises InspeError."""
+    if not isinstance(table, dict):
+        raise InspeError(f"{where}: must be a table of one device, got {table!r}")
+    if like and "like" in table:
+        return dict(table)
+    if "kind" not in table:
+        raise InspeError(f"{where}: kind: missing key")
+    if table["kind"] not in ("lidar", "camera"):
+        raise InspeError(f"{where}: kind: must be 'lidar' or 'camera', got {table['kind']!r}")
+    return dict(table)
 
 
 def _device(name: str, table: Any, where: str) -> Device:
-    if not isinstance(table, dict):
-        raise InspeError(f"{where}: must be a table of one device, got {table!r}")
-    if "kind" not in table:
-        raise InspeError(f"{where}: kind: missing key")
-    kind = table["kind"]
-    if kind not in ("lidar", "camera"):
-        raise InspeError(f"{where}: kind: must be 'lidar' or 'camera', got {kind!r}")
-    entry = check_model(_ENTRIES[kind], table, where)
+    table = _checked_kind(table, where)
+    entry = check_model(_ENTRIES[table["kind"]], table, where)
     return Device(
         name=name,
         kind=entry.kind,

@@ -6,12 +6,18 @@ The file, in metres and degrees of the world frame::
       - name: north-east pole
         base: [12.0, 11.5]           # x, y; a third number is the height of the base
         sensors:
-          - device: paper-camera-midday
+          - device: paper-camera
             height: 6.0              # above the base
             offset: [0.0, 0.5]       # x, y from the base (0, 0 if left out)
             yaw_deg: -135.0          # counter-clockwise from +x
             pitch_deg: -15.0         # positive nose-up (0 if left out)
             roll_deg: 0.0            # (0 if left out)
+
+A device that the catalogue has not is described in the file itself, in the catalogue's keys; or
+as one that is like another but for some of them::
+
+    devices:
+      my-camera: {like: paper-camera, depth_m: 45}
 """
 
 import os
@@ -26,10 +32,10 @@ from jaxtyping import Array, Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from inspe_jax.errors import InspeError
-from inspe_jax.files import check_input, check_model, write_text
+from inspe_jax.files import check_model, read_yaml, write_text
 from inspe_jax.geometry import rotation
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.devices import device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
 UNIT_PLAN = 2.0
@@ -195,19 +201,8 @@ class _UnitEntry(_Strict):
 
 class _LayoutFile(_Strict):
     name: str | None = None
+    devices: dict[str, Any] = {}
     units: Annotated[list[_UnitEntry], Field(min_length=1)]
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML, in which the same key twice is an error and not the last one's win."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """The mapping; raises YAMLError on a key given twice."""
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
-        if twice is not None:
-            raise yaml.YAMLError(f"the key '{twice}' is given twice, {node.start_mark}".strip())
-        return super().construct_mapping(node, deep)
 
 
 def load_layout(path: str | os.PathLike[str], scene: Scene | None = None) -> Layout:
@@ -217,14 +212,17 @@ def load_layout(path: str | os.PathLike[str], scene: Scene | None = None) -> Lay
     one. Raises InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
-    check_input(path)
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
-        raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
+    return parse_layout(read_yaml(path), str(path), path.stem, scene)
+
+
+def parse_layout(content: Any, where: str, name: str, scene: Scene | None = None) -> Layout:
+    """A layout from what a layout file holds, as :func:`load_layout`; messages name ``where``."""
     if not content:
-        raise InspeError(f"{path}: the layout is empty: it needs 'units', each with 'sensors'")
-    entry = check_model(_LayoutFile, content, str(path))
+        raise InspeError(f"{where}: the layout is empty: it needs 'units', each with 'sensors'")
+    entry = check_model(_LayoutFile, content, where)
+    own = {
+        key: spec_of(table, key, f"{where}: devices.{key}") for key, table in entry.devices.items()
+    }
     sensors: list[Sensor] = []
     units: list[Unit] = []
     poses: list[Pose] = []
@@ -234,24 +232,32 @@ def load_layout(path: str | os.PathLike[str], scene: Scene | None = None) -> Lay
         z = unit.base[2] if len(unit.base) == 3 else float(on_ground)
         units.append(Unit(unit.name or f"unit {u + 1}", (x, y, z)))
         for k, item in enumerate(unit.sensors):
-            where = f"{path}: units[{u}].sensors[{k}].device"
             try:
-                spec = device(item.device).spec
+                spec = own.get(item.device) or device(item.device).spec
             except InspeError as e:
-                raise InspeError(f"{where}: {e}") from None
+                raise InspeError(f"{where}: units[{u}].sensors[{k}].device: {e}") from None
             sensors.append(Sensor(item.name or f"{units[u].name} {k + 1}", spec, u))
             (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
             poses.append(Pose(x + dx, y + dy, z + height, *angles.tolist()))
-    return make_layout(sensors, units, np.array(poses), entry.name or path.stem, str(path))
+    return make_layout(sensors, units, np.array(poses), entry.name or name, where)
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
     """Write a layout file that :func:`load_layout` reads back to the same poses, to 1e-9.
 
-    Raises InspeError where the file could not be read back: a device that is not
-    in the catalogue, a pitch beyond the vertical.
+    Raises InspeError as :func:`layout_text` does.
     """
+    write_text(path, layout_text(layout))
+
+
+def layout_text(layout: Layout) -> str:
+    """What :func:`save_layout` writes.
+
+    Devices that the catalogue has not, or has otherwise, go along. Raises InspeError where it
+    could not be read back: two devices of one name, a pitch beyond the vertical.
+    """
+    own = _own_devices(layout)
     poses = np.asarray(layout.poses, float)
     units: list[dict[str, Any]] = []
     for u, unit in enumerate(layout.units):
@@ -259,7 +265,6 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
         for pose, sensor in zip(poses, layout.sensors, strict=True):
             if sensor.unit != u:
                 continue
-            device(sensor.spec.name)
             dx, dy, dz = (pose[:3] - np.array(unit.base)).round(9).tolist()
             roll, pitch, yaw = np.degrees(pose[3:]).round(9).tolist()
             entries.append(
@@ -274,7 +279,18 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
                 )
             )
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
-    content = {"name": layout.name, "units": units}
-    check_model(_LayoutFile, content, f"{layout.name}, to be saved as {path}")
+    content = {"name": layout.name, **({"devices": own} if own else {}), "units": units}
+    check_model(_LayoutFile, content, f"{layout.name}, to be saved")
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    write_text(path, "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text)
+    return "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text
+
+
+def _own_devices(layout: Layout) -> dict[str, dict[str, Any]]:
+    """The devices that are not as the catalogue has them, by name."""
+    known, found = devices(), {}
+    for spec in dict.fromkeys(sensor.spec for sensor in layout.sensors):
+        if spec.name in found:
+            raise InspeError(f"{layout.name}, to be saved: two devices are named '{spec.name}'")
+        if spec.name not in known or known[spec.name].spec != spec:
+            found[spec.name] = table_of(spec)
+    return found

@@ -142,24 +142,25 @@ def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "s
 @jax.jit
 def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
     """Masks of the voxels of N tiles that are inside a vehicle, in each of T frames."""
+    return jax.lax.map(lambda one: solid_in(one, prisms), tile)
+
+
+def solid_in(tile: Tile, prisms: Prism) -> UInt[Array, "T C"]:
+    """The same of one tile."""
     frames = jnp.arange(len(prisms.top))
     span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1])  # (T, B)
+    x, y = prisms.center[..., 0] - tile.center[0], prisms.center[..., 1] - tile.center[1]
+    near = jnp.hypot(x, y) < span + tile.radius + CLOSE
+    near &= prisms.valid & (prisms.top > tile.low)
 
-    def one(tile: Tile) -> Array:
-        x, y = prisms.center[..., 0] - tile.center[0], prisms.center[..., 1] - tile.center[1]
-        near = jnp.hypot(x, y) < span + tile.radius + CLOSE
-        near &= prisms.valid & (prisms.top > tile.low)
+    def higher(top: Array, index: Array, some: Array) -> Array:
+        prism = jax.tree.map(lambda leaf: leaf[frames, index][:, None], prisms)
+        prism = prism._replace(valid=prism.valid & some[:, None])
+        return jnp.maximum(top, top_over(prism, *tile.columns[:, None]))
 
-        def higher(top: Array, index: Array, some: Array) -> Array:
-            prism = jax.tree.map(lambda leaf: leaf[frames, index][:, None], prisms)
-            prism = prism._replace(valid=prism.valid & some[:, None])
-            return jnp.maximum(top, top_over(prism, *tile.columns[:, None]))
-
-        start = jnp.full((len(frames), tile.columns.shape[1]), NEVER, tile.columns.dtype)
-        top = masks.fold_marked(masks.marks(near.T), higher, start)
-        return levels(tile.heights[:, None] < top[None], tile.there.dtype) & tile.there[None]
-
-    return jax.lax.map(one, tile)
+    start = jnp.full((len(frames), tile.columns.shape[1]), NEVER, tile.columns.dtype)
+    top = masks.fold_marked(masks.marks(near.T), higher, start)
+    return levels(tile.heights[:, None] < top[None], tile.there.dtype) & tile.there[None]
 
 
 def levels(flags: Bool[Array, "Z ..."], kind: jnp.dtype) -> UInt[Array, "..."]:

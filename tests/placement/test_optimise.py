@@ -21,6 +21,7 @@ from inspe_jax.placement.run import BudgetSpent, Method, Run
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
 EVALUATIONS = 250
@@ -398,15 +399,19 @@ def test_a_start_that_tears_units_apart_draws_them_together(scene, quick):
 
 
 def test_several_scenes_and_the_worst(scene, layout, quick):
-    dark = Case(scene, {"paper-camera-midday": "paper-camera-night"})
+    dark = Case(scene, Conditions.of("night", "rain:5"))
     result = quick("climb", climb)(
         [scene, dark], layout, evaluations=2, objective=Objective(over="worst")
     )
-    assert [row["swap"] for row in result.settings["scenes"]] == [
-        {},
-        {"paper-camera-midday": "paper-camera-night"},
+    assert [(row["light"], row["weather"]) for row in result.settings["scenes"]] == [
+        ("midday", "clear"),
+        ("night", "rain:5"),
     ]
     assert result.settings["objective"]["over"] == "worst"
+    apart = [evaluate(scene, layout, conditions=case.conditions) for case in (Case(scene), dark)]
+    worst = min(scores.surrogate for scores in apart)
+    assert result.objective_before == pytest.approx(worst, abs=1e-6)
+    assert apart[1].surrogate < apart[0].surrogate
 
 
 def test_methods_are_compared_on_equal_terms(scene, layout, quick):

@@ -19,7 +19,7 @@ from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout
 @pytest.fixture(scope="module")
 def result():
     scene = world(radius=10, voxel=1.0)
-    spec = device("paper-camera-midday").spec
+    spec = device("paper-camera").spec
     sensors = [Sensor("a", spec, 0), Sensor("b", spec, 1)]
     units = [Unit("north", (9.0, 8.0, 0.1)), Unit("south", (-9.0, -8.0, -0.1))]
     poses = np.array([[9, 8.5, 6, 0, -0.4, -2.2], [-9, -8, 5.0, 0, -0.3, 0.7]])

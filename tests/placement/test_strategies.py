@@ -15,6 +15,7 @@ from inspe_jax.scene.intersection import Arm, Intersection, Route, mouth_crosswa
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene
+from inspe_jax.sensing.devices import device
 
 FOUR, TEE, WYE = (0, 90, 180, 270), (0, 180, 270), (30, 150, 270)
 FIVE = (0, 72, 144, 216, 288)
@@ -143,11 +144,11 @@ def test_devices_are_the_papers_unless_named():
     def devices(name, **options):
         return {s.spec.name for s in strategy(scene_named("four"), name, **options).sensors}
 
-    assert devices("Cam-c") == {"paper-camera-midday"}
+    assert devices("Cam-c") == {"paper-camera"}
     assert devices("L-c") == devices("L-d2") == {"paper-lidar-64"}
-    assert devices("Cam-d1/L-d1") == {"paper-camera-midday", "paper-lidar-32"}
+    assert devices("Cam-d1/L-d1") == {"paper-camera", "paper-lidar-32"}
     assert devices("L-d2", lidar="paper-lidar-32") == {"paper-lidar-32"}
-    assert devices("Cam-d1", camera="paper-camera-night") == {"paper-camera-night"}
+    assert devices("Cam-d1", camera="basler-aca1600-60gc") == {"basler-aca1600-60gc"}
 
 
 # ── Where it stands ─────────────────────────────────────────────────────────
@@ -341,7 +342,7 @@ def test_shorter_sight_and_higher_poles_look_steeper():
     def dip(**options):
         return -np.asarray(strategy(scene, "Cam-d1", **options).poses)[:, 4]
 
-    assert (dip(camera="paper-camera-night") > dip()).all()
+    assert (dip(camera=replace(device("paper-camera").spec, depth=10.0)) > dip()).all()
     assert (dip(camera_height=9.0) > dip()).all()
 
 
@@ -424,7 +425,7 @@ def test_names_in_any_case():
         ("L-c", {"lidar_height": 4.0}, r"lidar_height 4 m .* L-c: between 5 and 12 m"),
         ("L-c", {"lidar_height": float("nan")}, r"lidar_height nan m is out of range"),
         ("Cam-c", {"camera": "paper-lidar-32"}, r"camera 'paper-lidar-32' is a lidar"),
-        ("L-c", {"lidar": "paper-camera-dusk"}, r"lidar 'paper-camera-dusk' is a camera"),
+        ("L-c", {"lidar": "paper-camera"}, r"lidar 'paper-camera' is a camera"),
         ("L-c", {"lidar": "no-such-thing"}, r"no-such-thing"),
     ],
 )

@@ -1,7 +1,10 @@
 """Layout files: what a good one means, and the one message of every bad one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds import LIDAR, place_sensors, world
@@ -16,7 +19,7 @@ units:
   - name: pole
     base: [12.0, -3.0, 0.5]
     sensors:
-      - device: paper-camera-midday
+      - device: paper-camera
         height: 6.0
         offset: [0.5, -0.25]
         yaw_deg: 90
@@ -36,7 +39,7 @@ def test_a_file_gives_world_poses(tmp_path):
     expected = [[12.5, -3.25, 6.5, 0, np.radians(-15), np.pi / 2], [12, -3, 5.5, 0, 0, 0]]
     np.testing.assert_allclose(layout.poses, expected, atol=1e-12)
     assert [s.spec for s in layout.sensors] == [
-        device("paper-camera-midday").spec,
+        device("paper-camera").spec,
         device("paper-lidar-32").spec,
     ]
     assert layout.units == (Unit("pole", (12.0, -3.0, 0.5)),)
@@ -52,7 +55,7 @@ def test_a_file_gives_world_poses(tmp_path):
         ),
         (("units:", "unit:"), r"unit: unknown key; did you mean units\?"),
         (("        height: 6.0\n", ""), r"units\[0\].sensors\[0\].height: missing key"),
-        (("device: paper-camera-midday", "device: paper-camera-middy"), "paper-camera-midday"),
+        (("device: paper-camera", "device: paper-camera-middy"), "paper-camera"),
         (("height: 6.0", "height: .nan"), r"height: .*finite"),
         (("height: 6.0", "height: high"), r"sensors\[0\].height: .*'high'"),
         (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: needs at least 2, has 1"),
@@ -77,7 +80,7 @@ def test_a_file_gives_world_poses(tmp_path):
             (GOOD, "units:\n  - base: [0, 0]\n    sensors: []"),
             r"units\[0\].sensors: needs at least 1, has 0",
         ),
-        ((GOOD, "just words"), "the file: must hold keys with values: name, units"),
+        ((GOOD, "just words"), "the file: must hold keys with values: devices, name, units"),
         ((GOOD, "units: [}"), "not YAML"),
     ],
 )
@@ -140,10 +143,73 @@ def test_a_unit_at_its_limit_and_sensors_out_of_order_reload_the_same(tmp_path):
     assert layout.pose(2).yaw == 2
 
 
+def test_devices_of_ones_own_go_along(tmp_path):
+    """Those that the catalogue has not, and those that it has otherwise; no others."""
+    catalogued = device("paper-camera").spec
+    wide = replace(catalogued, name="wide", focal=200.0, principal=(390.0, 310.0), reliability=0.5)
+    dim = replace(device("paper-lidar-32").spec, reach=33.0)
+    pose = [1.0, 2.0, 5.0, 0, 0, 0]
+    layout = place_sensors(*((spec, pose) for spec in (wide, dim, catalogued, LIDAR)))
+    save_layout(layout, tmp_path / "l.yaml")
+    again = load_layout(tmp_path / "l.yaml")
+    assert yaml.safe_load((tmp_path / "l.yaml").read_text())["devices"].keys() == {
+        "wide", "paper-lidar-32", "test-lidar",
+    }  # fmt: skip
+    for one, same in zip(layout.sensors, again.sensors, strict=True):
+        assert same.name == one.name
+        for key, value in vars(one.spec).items():
+            if not key.startswith("_") and key != "grid":
+                assert getattr(same.spec, key) == pytest.approx(value, abs=1e-9), key
+
+
+def test_a_device_like_another(tmp_path):
+    own = """
+devices:
+  far: {like: paper-camera, depth_m: 60, hfov_deg: 90}
+  few: {like: paper-lidar-32, elevation_range_deg: [-30, 0], reliability: 0.5}
+  table: {like: paper-lidar-64, elevations_deg: [-10, 0]}
+  eight: {like: paper-lidar-64, elevation_range_deg: [-10, 0], channels: 8}
+units:
+  - base: [0, 0]
+    sensors: [%s]
+"""
+    names = ("far", "few", "table", "eight", "paper-camera")
+    sensors = ", ".join(f"{{device: {name}, height: 5, yaw_deg: 0}}" for name in names)
+    far, few, table, eight, plain = (
+        sensor.spec for sensor in load_layout(write(tmp_path, own % sensors)).sensors
+    )
+    assert plain == device("paper-camera").spec
+    assert far == replace(plain, name="far", depth=60.0, focal=pytest.approx(400.0))
+    assert (len(few.elevations), few.reach, few.reliability) == (32, 50.0, 0.5)
+    np.testing.assert_allclose(np.degrees(few.elevations)[[0, -1]], [-30, 0], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(table.elevations), [-10, 0])
+    np.testing.assert_allclose(np.degrees(eight.elevations), np.linspace(-10, 0, 8), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("{like: paper-camara}", r"devices.x: like: no device 'paper-camara'.*mean paper-camera"),
+        ("{depth_m: 3}", r"devices.x: kind: missing key"),
+        ("{kind: radar}", r"devices.x: kind: must be 'lidar' or 'camera', got 'radar'"),
+        ("{like: paper-camera, range_m: 3}", r"devices.x: range_m: unknown key"),
+        ("{like: paper-camera, depth_m: -3}", r"devices.x: depth_m: .*greater than 0"),
+        ("{like: paper-lidar-32, channels: 3}", r"devices.x: channels: 3, but elevations_deg has"),
+        ("3", r"devices.x: must be a table of one device, got 3"),
+    ],
+)
+def test_bad_devices_of_ones_own(tmp_path, table, message):
+    path = write(tmp_path, f"devices:\n  x: {table}\n" + GOOD.lstrip())
+    with pytest.raises(InspeError, match=message) as caught:
+        load_layout(path)
+    assert str(caught.value).startswith(str(path))
+
+
 def test_what_could_not_be_read_back_is_not_written(tmp_path):
-    unknown = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0, 0, 0]))
-    with pytest.raises(InspeError, match="no device 'test-lidar'"):
-        save_layout(unknown, tmp_path / "l.yaml")
+    other = replace(LIDAR, reach=12.0)
+    two = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0, 0, 0]), (other, [1.0, 2.0, 6.0, 0, 0, 0]))
+    with pytest.raises(InspeError, match="two devices are named 'test-lidar'"):
+        save_layout(two, tmp_path / "l.yaml")
     spec = device("paper-lidar-32").spec
     steep = place_sensors((spec, [1.0, 2.0, 5.0, 0, 2.0, 0]))
     with pytest.raises(InspeError, match="pitch_deg"):

@@ -1,0 +1,273 @@
+"""Claim: the surrogate metrics order the paper's nine placements as its Table 2 does.
+
+Nine placements on ten intersections (``intersections.yaml``), at three densities and three light
+levels, as one study: C, O, IG and P_sm of each placement as mean ± standard deviation. Then what
+the paper concludes from its table, yes or no with numbers: distributed beats centralised; a LiDAR
+added to cameras helps, cameras added to a LiDAR help less; cameras vary more; P_sm falls with
+density. With ``--optimise SECONDS`` each placement is also where a search begins, on every
+intersection, and what that gains over the best placement by hand is told.
+
+``--paper FILE`` gives the paper's own table to compare with, a CSV with the columns placement,
+metric, mean and std (metric: coverage, occlusion, information_gain or surrogate). Its numbers are
+not in this repository.
+
+The study runs on all cores, or by a Dask scheduler, and goes on where it was stopped.
+"""
+
+import argparse
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from common import MAPS, write_results
+from matplotlib.figure import Figure
+from rich.console import Console
+from scipy.stats import spearmanr
+
+from inspe_jax.cli.common import progress
+from inspe_jax.errors import InspeError
+from inspe_jax.files import write_text
+from inspe_jax.placement.strategies import STRATEGIES
+from inspe_jax.study.plan import Study, make_study
+from inspe_jax.study.sweep import sweep
+
+HERE = Path(__file__).parent
+METRICS = {"coverage": "C", "occlusion": "O", "information_gain": "IG", "surrogate": "P_sm"}
+LIGHTS, DENSITIES = ("midday", "dusk", "night"), ("low", "medium", "high")
+QUICK = [
+    {"built_in": "four_way", "tags": {"kind": "four-way"}},
+    {"built_in": "t_junction", "tags": {"kind": "T"}},
+]
+"""Intersections of a quick run: they need no map."""
+
+console = Console()
+Row = Mapping[str, str]
+Stats = dict[tuple[str, str], tuple[float, float]]
+"""(mean, standard deviation) by placement and metric."""
+
+
+def options() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
+    parser.add_argument("--seed", type=int, default=0, help="of the traffic and the searches")
+    parser.add_argument("--radius", type=float, default=50.0, help="of the region of interest [m]")
+    parser.add_argument("--voxel", type=float, default=0.5, help="size [m]")
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--mix", default="largest", help="largest, as in the paper, or mixed")
+    parser.add_argument("--optimise", type=float, default=0.0, metavar="SECONDS",
+                        help="search from every placement for so long")  # fmt: skip
+    parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
+    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler")
+    found = parser.parse_args()
+    found.out.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def plan(given: argparse.Namespace, **settings: Any) -> Study:
+    """The study: every placement on every intersection."""
+    scenes = QUICK
+    if not given.quick:
+        scenes = yaml.safe_load((HERE / "intersections.yaml").read_text(encoding="utf-8"))
+    size = dict(radius=given.radius, voxel=given.voxel, frames=given.frames)
+    if given.quick:
+        size = dict(radius=20.0, voxel=1.0, frames=3)
+    size |= dict(mix=given.mix, seed=given.seed)
+    content = dict(scenes=scenes, layouts=list(STRATEGIES), settings=size | settings)
+    return make_study(content, MAPS, "intersections.yaml", "table2")
+
+
+def run(study: Study, folder: Path, given: argparse.Namespace) -> list[Row]:
+    """All jobs, with a bar; failures are told."""
+    with progress(study.name) as report:
+        rows = sweep(
+            study,
+            folder,
+            scheduler=given.scheduler,
+            workers=given.workers,
+            progress=report,
+        )
+    for row in rows:
+        if row["status"] != "done":
+            console.print(f"{row['layout']} on {row['scene']}: {row['error']}", highlight=False)
+    return [row for row in rows if row["status"] == "done"]
+
+
+def statistics(rows: list[Row], by: Callable[[Row], str] = lambda row: row["layout"]) -> Stats:
+    """Mean and standard deviation of every metric, of the rows that ``by`` puts together."""
+    values: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        for metric in METRICS:
+            values.setdefault((by(row), metric), []).append(float(row[metric]))
+    return {at: (float(np.mean(x)), float(np.std(x))) for at, x in values.items()}
+
+
+def read_paper(path: Path) -> Stats:
+    """The paper's table from a CSV."""
+    with path.open(newline="", encoding="utf-8") as f:
+        return {
+            (row["placement"], row["metric"]): (float(row["mean"]), float(row["std"]))
+            for row in csv.DictReader(f)
+        }
+
+
+def table(stats: Stats, paper: Stats) -> str:
+    """Placements × metrics in Markdown; beside the paper's, with the differences, if given."""
+    text = "| placement | " + " | ".join(METRICS.values()) + " |\n"
+    text += "|---" * (len(METRICS) + 1) + "|\n"
+    for name in STRATEGIES:
+        cells = []
+        for metric in METRICS:
+            mean, std = stats.get((name, metric), (np.nan, np.nan))
+            words = f"{mean:.3f} ± {std:.3f}"
+            if (name, metric) in paper:
+                theirs, spread = paper[name, metric]
+                words += f" (paper {theirs:.3f} ± {spread:.3f}, {mean - theirs:+.3f})"
+            cells.append(words)
+        text += f"| {name} | {' | '.join(cells)} |\n"
+    for metric, symbol in METRICS.items():
+        both = [name for name in STRATEGIES if (name, metric) in paper and (name, metric) in stats]
+        if len(both) > 2:
+            ours = [stats[name, metric][0] for name in both]
+            theirs_ = [paper[name, metric][0] for name in both]
+            off = float(np.abs(np.subtract(ours, theirs_)).mean())
+            rank = float(spearmanr(ours, theirs_).statistic)
+            text += f"\n{symbol}: Spearman {rank:.3f}, mean absolute difference {off:.3f}\n"
+    return text
+
+
+def orderings(rows: list[Row], stats: Stats) -> str:
+    """What the paper concludes, yes or no with numbers."""
+    if missing := [name for name in STRATEGIES if (name, "surrogate") not in stats]:
+        return f"No conclusions: no job is done of {', '.join(missing)}.\n"
+    mean = {name: stats[name, "surrogate"][0] for name in STRATEGIES}
+    by_day = statistics([row for row in rows if row["light"] == "midday"])
+    density = statistics(rows, lambda row: row["density"])
+    levels = [name for name in DENSITIES if (name, "surrogate") in density]
+    pairs = [name for name in STRATEGIES if "/" in name]
+
+    def gain(pair: str, part: int) -> float:
+        return mean[pair] - mean[pair.split("/")[part]]
+
+    lines = []
+
+    def says(claim: str, holds: bool, facts: str) -> None:
+        lines.append(f"- {claim}: **{'yes' if holds else 'no'}** ({facts})")
+
+    for kind in ("Cam", "L"):
+        central, spread = mean[f"{kind}-c"], [mean[f"{kind}-{d}"] for d in ("d1", "d2")]
+        says(
+            f"distributed beats centralised, {kind}",
+            min(spread) > central,
+            f"{kind}-c {central:.3f}, d1 {spread[0]:.3f}, d2 {spread[1]:.3f}",
+        )
+    lidar, camera = [gain(pair, 0) for pair in pairs], [gain(pair, 1) for pair in pairs]
+    says("adding LiDAR beats cameras alone", min(lidar) > 0, _each(pairs, lidar))
+    says(
+        "adding cameras to LiDAR helps less",
+        all(a < b for a, b in zip(camera, lidar, strict=True)),
+        _each(pairs, camera),
+    )
+    for when, of in (("in all lights", stats), ("at midday alone", by_day)):
+        cameras, lidars = (
+            [of[f"{kind}-{d}", "surrogate"][1] for d in ("c", "d1", "d2")] for kind in ("Cam", "L")
+        )
+        says(
+            f"standard deviation larger for cameras, {when}",
+            min(cameras) > max(lidars),
+            f"cameras {min(cameras):.3f} to {max(cameras):.3f}, "
+            f"LiDARs {min(lidars):.3f} to {max(lidars):.3f}",
+        )
+    falls = [density[name, "surrogate"][0] for name in levels]
+    if len(falls) > 1:
+        words = ", ".join(f"{n} {x:.3f}" for n, x in zip(levels, falls, strict=True))
+        says("P_sm falls with density", bool((np.diff(falls) < 0).all()), words)
+    return "\n".join(lines) + "\n"
+
+
+def _each(names: list[str], values: list[float]) -> str:
+    return ", ".join(f"{name} {value:+.3f}" for name, value in zip(names, values, strict=True))
+
+
+def optimised(rows: list[Row]) -> str:
+    """What searches gain, on every intersection, over the best placement by hand."""
+    text = "| intersection | best by hand | best found | gain | from | mean gain of a placement |\n"
+    text += "|---" * 6 + "|\n"
+    for place in dict.fromkeys(row["scene"] for row in rows):
+        own = [row for row in rows if row["scene"] == place]
+        before = {row["layout"]: float(row["surrogate_before"]) for row in own}
+        after = {row["layout"]: float(row["surrogate"]) for row in own}
+        hand, found = (max(x, key=x.__getitem__) for x in (before, after))
+        each = np.mean([after[name] - before[name] for name in before])
+        text += f"| {place} | {before[hand]:.4f} ({hand}) | {after[found]:.4f} | "
+        text += f"{after[found] - before[hand]:+.4f} | {found} | {each:+.4f} |\n"
+    after_all = statistics(rows)
+    text += "\n| placement | by hand | found from it |\n|---|---|---|\n"
+    for name in dict.fromkeys(row["layout"] for row in rows):
+        starts = [float(row["surrogate_before"]) for row in rows if row["layout"] == name]
+        text += f"| {name} | {np.mean(starts):.4f} | {after_all[name, 'surrogate'][0]:.4f} |\n"
+    return text
+
+
+def draw(stats: Stats, paper: Stats, path: Path) -> None:
+    """Mean and standard deviation of every placement, a panel a metric."""
+    figure = Figure(figsize=(8.4, 5.6), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
+    names = list(STRATEGIES)
+    at = np.arange(len(names))
+    for ax, (metric, symbol) in zip(axes, METRICS.items(), strict=True):
+        both = [("inspe_jax", stats, "#0072b2", -0.12 if paper else 0.0)]
+        both += [("paper", paper, "#d55e00", 0.12)] if paper else []
+        for label, values, color, aside in both:
+            rows = np.array([values.get((name, metric), (np.nan, np.nan)) for name in names])
+            ax.errorbar(at + aside, rows[:, 0], rows[:, 1], fmt="o", ms=4, capsize=2.5,
+                        color=color, label=label)  # fmt: skip
+        ax.set_title(symbol, fontsize=10)
+        ax.grid(axis="y", color="#e0e0e0", lw=0.5)
+        ax.set_xticks(at, names, rotation=45, ha="right", fontsize=8)
+        ax.set_ylim(0, 1.03)
+    for ax in axes[::2]:
+        ax.set_ylabel("mean ± standard deviation", fontsize=8)
+    if paper:
+        axes[0].legend(fontsize=8, loc="lower right")
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """The study, its table, what follows from it, and the figure."""
+    given = options()
+    if not given.quick and not MAPS.is_dir():
+        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
+    stem = "table2_quick" if given.quick else "table2"
+    densities = DENSITIES[1:2] if given.quick else DENSITIES
+    lights = LIGHTS[:1] if given.quick else LIGHTS
+    study = plan(given, density=list(densities), light=list(lights))
+    rows = run(study, given.out / f"{stem}_jobs", given)
+    stats, paper = statistics(rows), read_paper(given.paper) if given.paper else {}
+    text = table(stats, paper) + "\n" + orderings(rows, stats)
+    if given.optimise:
+        searches = plan(given, density="medium", light="midday", method="greedy-adam",
+                        seconds=given.optimise, search_seed=given.seed)  # fmt: skip
+        text += "\n" + optimised(run(searches, given.out / f"{stem}_searches", given))
+    console.print(text, highlight=False, soft_wrap=True)
+    write_text(given.out / f"{stem}.md", text)
+    summary = [
+        dict(placement=name, metric=metric, mean=f"{mean:.6f}", std=f"{std:.6f}")
+        for (name, metric), (mean, std) in stats.items()
+    ]
+    write_results(given.out / f"{stem}.csv", summary, vars(given) | dict(jobs=len(rows)))
+    draw(stats, paper, given.out / f"{stem}.png")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except InspeError as e:
+        raise SystemExit(f"Error: {e}") from e

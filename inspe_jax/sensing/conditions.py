@@ -1,0 +1,146 @@
+"""Light and weather: how far a sensor then perceives, and how reliably.
+
+A catalogue's depth z₀ is meant for midday and clear air. Light scales a camera's. Weather
+weakens what comes back: with extinction k [1/m], what clear air leaves at z₀ is left at the
+effective depth z where
+
+    z · exp(k z) = z₀,    so    z = W(k z₀) / k,
+
+W being Lambert's function. For a LiDAR that is its range equation, power ∝ exp(−2 k z) / z²; for
+a camera, contrast exp(−k z) times the size of an object in its image, ∝ 1/z. Reliability is
+multiplied by a share of its own, which falls as extinction grows. The figures and their sources
+are in ``conditions.toml``; published losses of detectors hold a loss of range as well, so depth
+and reliability together lean to the pessimistic side.
+"""
+
+import tomllib
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from scipy.special import lambertw
+
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec, Spec
+
+CLEAR = "clear"
+"""The weather that takes nothing."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Light midday, dusk or night; weather clear, rain or fog.
+
+    ``intensity`` is the rain's rate [mm/h] or the meteorological optical range in fog [m]; None is
+    the usual one, and clear weather has none. Raises InspeError on an unknown name, or an
+    intensity out of range.
+    """
+
+    light: str = "midday"
+    weather: str = CLEAR
+    intensity: float | None = None
+
+    def __post_init__(self) -> None:  # no pytree, so made by users only
+        for kind, given, known in (
+            ("light", self.light, lights()),
+            ("weather", self.weather, (CLEAR, *_figures()["weather"])),
+        ):
+            if given not in known:
+                raise InspeError(
+                    f"{kind} '{given}': one of {', '.join(known)}{nearest(given, known)}"
+                )
+        if self.weather == CLEAR:
+            if self.intensity is not None:
+                raise InspeError(f"weather clear:{self.intensity:g}: clear has no intensity")
+            return
+        row = _figures()["weather"][self.weather]
+        low, high = row["limits"]
+        if self.intensity is None:
+            object.__setattr__(self, "intensity", row["usual"])
+        elif not low <= self.intensity <= high:
+            raise InspeError(
+                f"weather {self.weather_text}: {self.weather}:NUMBER, between {low:g} and "
+                f"{high:g} {row['unit']}"
+            )
+
+    @classmethod
+    def of(cls, light: str = "midday", weather: str = CLEAR) -> "Conditions":
+        """Conditions by name, weather with its intensity as "rain:10" or "fog:200", or without.
+
+        Raises InspeError as the constructor does.
+        """
+        name, colon, number = weather.strip().lower().partition(":")
+        try:
+            intensity = float(number) if colon else None
+        except ValueError:
+            intensity = np.nan
+        return cls(light.strip().lower(), name, intensity)
+
+    def __str__(self) -> str:
+        return f"{self.light}, {self.weather_text}"
+
+    @property
+    def weather_text(self) -> str:
+        """The weather as :meth:`of` reads it."""
+        return self.weather if self.intensity is None else f"{self.weather}:{self.intensity:.12g}"
+
+    @property
+    def words(self) -> str:
+        """What a title adds: nothing at midday in clear air."""
+        return "" if self == FAIR else f", {self}"
+
+    @property
+    def options(self) -> str:
+        """What the command line needs for them."""
+        given = dict(light=self.light, weather=self.weather_text)
+        usual = dict(light=FAIR.light, weather=FAIR.weather_text)
+        return " ".join(f"--{key} {v}" for key, v in given.items() if v != usual[key])
+
+    def spec(self, spec: Spec) -> Spec:
+        """A sensor as it is in these conditions: its depth or reach [m] and its reliability."""
+        camera = isinstance(spec, CameraSpec)
+        depth, share = spec.grid.reach, 1.0
+        if camera:
+            light = _figures()["light"][self.light]
+            depth, share = depth * light["camera_depth"], light["camera_reliability"]
+        if self.intensity is not None:
+            weather = _figures()["weather"][self.weather]
+            row = weather[spec.kind]
+            worse = (self.intensity / weather["usual"]) ** row["exponent"]
+            depth = effective_depth(depth, row["factor"] * self.intensity ** row["exponent"])
+            share *= row["reliability"] ** worse
+        reach = {"depth" if camera else "reach": depth}
+        return replace(spec, **reach, reliability=spec.reliability * share)  # type: ignore[arg-type]
+
+    def layout(self, layout: Layout) -> Layout:
+        """The same sensors as they are in these conditions."""
+        if self == FAIR:
+            return layout
+        seen = {sensor.spec: self.spec(sensor.spec) for sensor in layout.sensors}
+        sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in layout.sensors)
+        return replace(layout, sensors=tuple(sensors))
+
+
+def effective_depth(depth: float, extinction: float) -> float:
+    """z with z · exp(k z) = z₀ [m], for a depth z₀ [m] and an extinction k [1/m]."""
+    if extinction == 0:
+        return depth
+    return float(lambertw(extinction * depth).real / extinction)
+
+
+def lights() -> tuple[str, ...]:
+    """The lights there are figures for."""
+    return tuple(_figures()["light"])
+
+
+@cache
+def _figures() -> dict[str, Any]:
+    resource = files("inspe_jax.sensing").joinpath("conditions.toml")
+    return tomllib.loads(resource.read_text(encoding="utf-8"))
+
+
+FAIR = Conditions()
+"""Midday and clear air, which catalogues are meant for."""

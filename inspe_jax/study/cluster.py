@@ -1,0 +1,104 @@
+"""Dask: a client of a running scheduler, or of a cluster on this machine."""
+
+import logging
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import jax
+from distributed import Client, LocalCluster, Worker, WorkerPlugin
+
+from inspe_jax.cores import cores
+from inspe_jax.errors import InspeError
+from inspe_jax.study.work import versions
+
+
+@contextmanager
+def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A client of the scheduler at an address; or, without one, of a cluster of so many workers
+    on this machine, a process a core if not given, which ends with it.
+
+    Raises InspeError where no scheduler answers, or its workers are none or of other versions.
+    """
+    if scheduler is not None:
+        try:
+            there = Client(scheduler, timeout=TIMEOUT)
+        except (OSError, TimeoutError, ValueError) as e:
+            raise InspeError(f"scheduler '{scheduler}' does not answer: {e}") from e
+        with there:
+            _check_workers(there, scheduler)
+            yield there
+        return
+    count = workers or cores()
+    with (
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            # Dask knows nothing of JAX's memory, and would pause a worker for it without a word.
+            memory_limit=None,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            env=_environment(),
+        ) as cluster,
+        Client(cluster) as here,
+    ):
+        here.register_plugin(Own(count))
+        yield here
+
+
+TIMEOUT = 10
+"""How long a scheduler may take to answer [s]."""
+
+
+def _check_workers(there: Client, scheduler: str) -> None:
+    if not there.nthreads():
+        raise InspeError(f"scheduler '{scheduler}' has no workers yet: start some")
+    for worker, found in there.run(versions, on_error="return").items():
+        if isinstance(found, Exception):
+            raise InspeError(f"worker {worker} cannot work: {type(found).__name__}: {found}")
+        for name, version in versions().items():
+            if found.get(name) != version:
+                raise InspeError(
+                    f"worker {worker} has {name} {found.get(name)}, and this is {version}: rows "
+                    "of different versions do not belong in one table"
+                )
+
+
+class Own(WorkerPlugin):
+    """What each of so many workers of our own does first.
+
+    It keeps to its share of the cores, as far as the system can do that: without it all of them
+    would use all cores, each at the others' expense. And it leaves Ctrl-C to who started it.
+    """
+
+    name = "inspe-jax"
+
+    def __init__(self, count: int) -> None:
+        self.shares: list[list[int]] = []
+        if hasattr(os, "sched_getaffinity"):  # not on macOS or Windows
+            own = sorted(os.sched_getaffinity(0))
+            self.shares = [own[k % len(own) :: count] for k in range(count)]
+
+    def setup(self, worker: Worker) -> None:
+        """Before the worker works: JAX looks at its cores when it starts."""
+        with suppress(ValueError):  # not in the main thread
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if self.shares and isinstance(worker.name, int) and os.path.isdir("/proc/self/task"):
+            share = self.shares[worker.name % len(self.shares)]
+            for thread in os.listdir("/proc/self/task"):
+                with suppress(ProcessLookupError):  # it may have ended meanwhile
+                    os.sched_setaffinity(int(thread), share)
+
+
+def _environment() -> dict[str, str]:
+    """What workers take over of how JAX is set up here: where it keeps what it compiles."""
+    config = jax.config
+    folder = config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    if folder is None or not config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
+        return {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+    return {
+        "JAX_COMPILATION_CACHE_DIR": str(folder),
+        "JAX_COMPILATION_CACHE_MAX_SIZE": str(config.jax_compilation_cache_max_size),  # type: ignore[attr-defined]
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }

@@ -1,0 +1,145 @@
+"""Results on disk: a row a job in ``results.csv``, appended as it comes, in order at the end.
+
+Each row is one line, written at once and put on disk, so that a run which is killed leaves whole
+rows and at most one that is cut short, which is dropped when the run is taken up again.
+"""
+
+import csv
+import io
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import IO
+
+from filelock import FileLock, Timeout
+
+from inspe_jax.errors import InspeError
+from inspe_jax.files import write_text
+from inspe_jax.placement.result import csv_text, prepare_folder
+from inspe_jax.study.plan import Study
+from inspe_jax.study.work import Row, columns, tags, versions
+
+TABLE, LAYOUTS = "results.csv", "layouts"
+
+_ADVICE = "name another folder, or delete it to begin anew"
+
+
+class Results:
+    """The results of one study in a folder; only one run at a time may hold them.
+
+    ``rows`` are those that there are, by their jobs' keys.
+    """
+
+    def __init__(self, study: Study, folder: str | os.PathLike[str]) -> None:
+        """Raises InspeError where the folder cannot be written, is in use by another run, or has
+        results of another study or version."""
+        self.study = study
+        self.columns = columns(study)
+        self.folder = prepare_folder(folder)
+        self.path = self.folder / TABLE
+        self._lock = FileLock(self.folder / f".{TABLE}.lock")
+        try:
+            self._lock.acquire(timeout=0)
+        except Timeout:
+            raise InspeError(f"{self.folder}: another run is at work in it") from None
+        self._file: IO[str] | None = None
+        try:
+            self.rows = self._taken_up()
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def __enter__(self) -> "Results":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file:
+            self._file.close()
+        self._lock.release()
+
+    def add(self, row: Row, layout: str | None = None) -> None:
+        """Append a row; and the layout that a search found, first, as ``layouts/KEY.yaml``."""
+        if layout is not None:
+            (self.folder / LAYOUTS).mkdir(exist_ok=True)
+            write_text(self.folder / LAYOUTS / f"{row['key']}.yaml", layout)
+        if self._file is None:
+            new = not self.path.exists()
+            self._file = self.path.open("a", newline="", encoding="utf-8")
+            if new:
+                self._file.write(_line(self.columns))
+        self._file.write(_line(row.get(name, "") for name in self.columns))
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self.rows[row["key"]] = {name: row.get(name, "") for name in self.columns}
+
+    def in_order(self) -> list[Row]:
+        """The rows there are, in the order of the study's jobs."""
+        return [self.rows[job.key] for job in self.study.jobs if job.key in self.rows]
+
+    def finish(self) -> list[Row]:
+        """Put the rows in order on disk as well; gives them."""
+        if self._file:
+            self._file.close()
+            self._file = None
+        rows = self.in_order()
+        write_text(self.path, csv_text(rows))
+        return rows
+
+    def forget_failures(self) -> None:
+        """Drop the rows of jobs that failed, so that they are tried again."""
+        self.rows = {key: row for key, row in self.rows.items() if row["status"] == "done"}
+        if self.rows:
+            write_text(self.path, csv_text(list(self.rows.values())))
+        else:
+            self.path.unlink(missing_ok=True)
+
+    def _taken_up(self) -> dict[str, Row]:
+        if not self.path.exists():
+            return {}
+        content, head = self.path.read_bytes(), _line(self.columns).encode("utf-8")
+        if head.startswith(content):  # cut short in its head, or just behind it
+            self.path.unlink()
+            return {}
+        if not content.startswith(head):
+            raise InspeError(f"{self.path}: has other columns than this study's results; {_ADVICE}")
+        whole = content[: content.rfind(b"\n") + 1]
+        rows = list(csv.DictReader(io.StringIO(whole.decode("utf-8"))))
+        self._check(rows)
+        if len(whole) < len(content):
+            write_text(self.path, whole.decode("utf-8"))
+        found = {row["key"]: row for row in rows}
+        for job in self.study.jobs:  # they may have been changed since
+            if job.key in found:
+                found[job.key] |= tags(job)
+        return found
+
+    def _check(self, rows: Sequence[Row]) -> None:
+        known = {job.key for job in self.study.jobs}
+        strange = [row for row in rows if row["key"] not in known]
+        if strange:
+            raise InspeError(
+                f"{self.path}: {len(strange)} of its {len(rows)} rows are no jobs of this study, "
+                f"as {strange[0]['layout']} on {strange[0]['scene']}; {_ADVICE}"
+            )
+        for row in rows:
+            for name, version in versions().items():
+                if row[name] != version:
+                    raise InspeError(
+                        f"{self.path}: was begun with {name} {row[name]}, and this is {version}; "
+                        f"{_ADVICE}"
+                    )
+
+
+def _line(values: Iterable[str]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(list(values))
+    return text.getvalue()
+
+
+def read_results(folder: str | os.PathLike[str]) -> list[Row]:
+    """The rows in a folder. Raises InspeError where there are none."""
+    path = Path(folder) / TABLE
+    if not path.is_file():
+        raise InspeError(f"{path}: no such file; run the study first")
+    with path.open(newline="", encoding="utf-8") as f:
+        return list(csv.DictReader(f))

@@ -1,0 +1,159 @@
+"""Light and weather: the equation they solve, figures worked out by hand, and what they reach."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from inspe_jax import Conditions, build_scene, built_in, device, evaluate, evaluate_many, strategy
+from inspe_jax.errors import InspeError
+from inspe_jax.sensing.conditions import effective_depth, lights
+
+CAMERA, LIDAR = device("paper-camera").spec, device("paper-lidar-64").spec
+WEATHERS = ("clear", "rain:1", "rain:10", "rain:50", "fog:1000", "fog:200", "fog:50")
+
+
+@pytest.mark.parametrize("depth", [5.0, 30.0, 200.0])
+@pytest.mark.parametrize("extinction", [1e-6, 0.01, 0.3])
+def test_what_clear_air_leaves_at_the_depth_is_left_at_the_effective_one(depth, extinction):
+    z = effective_depth(depth, extinction)
+    assert z < depth
+    assert z * np.exp(extinction * z) == pytest.approx(depth, rel=1e-9)
+
+
+@pytest.mark.parametrize("light", lights())
+@pytest.mark.parametrize("weather", WEATHERS)
+def test_conditions_only_ever_take_something(light, weather):
+    around = Conditions.of(light, weather)
+    for spec in (CAMERA, LIDAR):
+        got = around.spec(spec)
+        assert got.grid.reach <= spec.grid.reach
+        assert 0 < got.reliability <= 1
+        assert replace(got, reliability=1.0, **_reach(spec)) == spec  # and nothing else changes
+
+
+def _reach(spec):
+    return {"depth" if spec.kind == "camera" else "reach": spec.grid.reach}
+
+
+def test_the_paper_s_camera_in_three_lights():
+    """About 30 m by day and 10 m by night."""
+    depths = [Conditions.of(light).spec(CAMERA).depth for light in ("midday", "dusk", "night")]
+    np.testing.assert_allclose(depths, [30, 20, 10])
+
+
+def test_a_lidar_brings_its_own_light():
+    assert Conditions.of("night").spec(LIDAR) == LIDAR
+
+
+@pytest.mark.parametrize("kind", ["rain", "fog"])
+@pytest.mark.parametrize("spec", [CAMERA, LIDAR], ids=lambda spec: spec.kind)
+def test_more_rain_and_thicker_fog_are_worse(kind, spec):
+    amounts = {"rain": (0.1, 1, 10, 50, 200), "fog": (50_000, 1000, 200, 50, 10)}[kind]
+    got = [Conditions.of("midday", f"{kind}:{n}").spec(spec) for n in amounts]
+    reach = np.array([g.grid.reach for g in got])
+    sure = np.array([g.reliability for g in got])
+    assert (np.diff(reach) < 0).all()
+    assert (np.diff(sure) <= 0).all()
+    assert reach[0] > 0.98 * spec.grid.reach  # hardly any is hardly felt
+    assert sure[0] > 0.98 * spec.reliability
+
+
+def test_rain_and_fog_by_hand():
+    """Rain of 10 mm/h: 1.58 · 10^0.63 = 6.74 dB/km, 1.55 per km: 100 m become z with
+    z exp(0.00155 z) = 100, so 87.3 m. Fog of 200 m: k = ln 20 / 200; 30 m become 21.7 m."""
+    assert Conditions.of("midday", "rain:10").spec(LIDAR).reach == pytest.approx(87.3, abs=0.1)
+    assert Conditions.of("midday", "fog:200").spec(CAMERA).depth == pytest.approx(21.7, abs=0.05)
+
+
+def test_the_usual_intensity_leaves_the_published_share():
+    for weather, spec, share in (
+        ("rain", LIDAR, 44.5 / 52.3),
+        ("fog", LIDAR, 42.2 / 52.3),
+        ("rain", CAMERA, 1.0),
+        ("fog", CAMERA, np.mean([72.54, 64.79]) / 91.55),
+    ):
+        assert Conditions.of("midday", weather).spec(spec).reliability == pytest.approx(
+            share, abs=0.005
+        )
+    night = (13.5 / 33.7) / (35.4 / 62.8)
+    assert Conditions.of("night").spec(CAMERA).reliability == pytest.approx(night, abs=0.005)
+
+
+@pytest.mark.parametrize(("light", "weather"), [("dusk", "rain:10"), (" Night ", "FOG:75.5")])
+def test_names_are_read_and_written(light, weather):
+    around = Conditions.of(light, weather)
+    assert Conditions.of(*str(around).split(", ")) == around
+    assert str(Conditions()) == "midday, clear"
+
+
+@pytest.mark.parametrize(
+    ("light", "weather", "message"),
+    [
+        ("noon", "clear", r"light 'noon': one of midday, dusk, night"),
+        ("nihgt", "clear", r"did you mean night\?"),
+        ("midday", "snow", r"weather 'snow': one of clear, rain, fog"),
+        ("midday", "clear:1", r"clear has no intensity"),
+        ("midday", "rain:", r"weather rain:nan: rain:NUMBER, between 0.1 and 200 mm/h"),
+        ("midday", "rain:lots", r"rain:NUMBER"),
+        ("midday", "rain:-3", r"between 0.1 and 200 mm/h"),
+        ("midday", "rain:nan", r"between 0.1 and 200 mm/h"),
+        ("midday", "fog:1", r"fog:NUMBER, between 10 and 50000 m of met"),
+    ],
+)
+def test_bad_input(light, weather, message):
+    with pytest.raises(InspeError, match=message):
+        Conditions.of(light, weather)
+
+
+def test_the_constructor_checks_as_well():
+    assert Conditions("night", "rain") == Conditions.of("night", "rain:10")
+    for wrong in (("noon",), ("night", "hail"), ("night", "fog", 0.0), ("night", "clear", 1.0)):
+        with pytest.raises(InspeError):
+            Conditions(*wrong)
+
+
+# ── In scores ───────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=30, voxel=1.0, frames=4, density=20)
+
+
+def test_scores_are_those_of_the_sensors_as_they_are_then(scene):
+    layout, around = strategy(scene, "Cam-d1/L-d1"), Conditions.of("night", "fog:100")
+    scores = evaluate(scene, layout, conditions=around)
+    by_hand = evaluate(scene, around.layout(layout))
+    assert scores.surrogate == by_hand.surrogate
+    assert (scores.settings["light"], scores.settings["weather"]) == ("night", "fog:100")
+    many = evaluate_many(scene, layout, [layout.poses], conditions=around)
+    assert many.surrogate[0] == pytest.approx(scores.surrogate, abs=1e-6)
+    clear = evaluate(scene, layout)
+    assert scores.coverage <= clear.coverage == 1
+    for name in ("occlusion", "information_gain", "surrogate"):
+        assert getattr(scores, name) < getattr(clear, name)
+
+
+def test_soft_scores_have_gradients_in_them(scene):
+    layout, around = strategy(scene, "Cam-d1"), Conditions.of("dusk", "rain:20")
+
+    def score(poses):
+        return evaluate(scene, layout.with_poses(poses), softness=0.5, conditions=around).surrogate
+
+    slope = jax.grad(score)(jax.numpy.asarray(layout.poses, float))
+    assert np.isfinite(slope).all()
+    assert (np.abs(slope[:, [0, 1, 4, 5]]) > 0).all()
+
+
+def test_names_alone_are_no_conditions(scene):
+    with pytest.raises(InspeError, match=r"give them as inspe_jax.Conditions.of"):
+        evaluate(scene, strategy(scene, "L-c"), conditions="night")
+
+
+def test_a_layout_is_checked_as_it_was_bought(scene):
+    """Fog does not turn a layout into one for another scene."""
+    layout = strategy(scene, "Cam-d1", camera_height=12.0)
+    scores = evaluate(scene, layout, conditions=Conditions.of("night", "fog:10"))
+    assert scores.coverage < 0.05

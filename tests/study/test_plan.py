@@ -1,0 +1,222 @@
+"""Study files: which jobs they mean, and the one message of every bad one."""
+
+import shutil
+from itertools import product
+
+import pytest
+import yaml
+
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene, save_scene
+from inspe_jax.sensing.layout import save_layout
+from inspe_jax.study.plan import AS_IT_IS, SETTINGS, load_study
+from inspe_jax.study.work import placed
+
+STUDY = """
+scenes:
+  - built_in: four_way
+  - {built_in: roundabout, radius: 30, name: circle, tags: {kind: roundabout}, note: one voxel size}
+layouts:
+  - Cam-d1
+  - {strategy: l-d2, lidar: paper-lidar-32, name: thirty-two}
+settings:
+  voxel: 1
+  density: [low, 33]
+  light: [midday, night]
+  weather: [clear, "rain:10"]
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text, **changes):
+        content = yaml.safe_load(text) | changes
+        path = tmp_path / "study.yaml"
+        path.write_text(yaml.safe_dump(content))
+        return load_study(path)
+
+    return read
+
+
+def test_every_combination_is_a_job(read):
+    study = read(STUDY)
+    assert study.name == "study"
+    assert study.tags == ("kind",)
+    got = [
+        (j.source.name, j.settings["density"], j.layout.name, j.settings["light"],
+         j.settings["weather"]) for j in study.jobs
+    ]  # fmt: skip
+    assert got == list(
+        product(
+            ("four_way", "circle"),
+            ("low", 33),
+            ("Cam-d1", "thirty-two"),
+            ("midday", "night"),
+            ("clear", "rain:10"),
+        )
+    )
+    assert len({job.key for job in study.jobs}) == 32
+    assert len({job.scene for job in study.jobs}) == 4
+    for job in study.jobs:
+        assert set(job.settings) == set(SETTINGS)
+        assert job.settings["radius"] == (30 if job.source.name == "circle" else 50)
+        assert (job.settings["voxel"], job.settings["frames"]) == (1, 100)
+        assert (job.settings["method"], job.settings["seconds"]) == (AS_IT_IS, None)
+    assert study.jobs[0].layout.strategy == "Cam-d1"
+    assert study.jobs[4].layout.options == (("lidar", "paper-lidar-32"),)
+
+
+def test_what_a_job_is_called_depends_on_all_that_its_result_does(read):
+    """And on nothing else: not on its study's name, on notes or tags, or how rain is spelt."""
+    keys = {job.key for job in read(STUDY).jobs}
+    for same in (
+        STUDY.replace("settings:", "name: again\nsettings:"),
+        STUDY.replace("one voxel size", "something else"),
+        STUDY.replace("kind: roundabout", "size: large"),
+        STUDY.replace("rain:10", "RAIN"),
+    ):
+        assert same != STUDY
+        assert {job.key for job in read(same).jobs} == keys
+    half = {job.key for job in read(STUDY.replace("paper-lidar-32", "paper-lidar-64")).jobs}
+    assert len(half & keys) == len(keys) / 2
+    for setting in ("seed: 1", "frames: 99", "mix: largest", "visibility: line_of_sight"):
+        other = {job.key for job in read(STUDY + f"  {setting}\n").jobs}
+        assert not other & keys
+
+
+def test_a_search_has_a_budget_and_a_score_has_none(read):
+    study = read(
+        STUDY,
+        settings=dict(method=["none", "grid"], seconds=[5, 10], search_seed=[0, 1], density="low"),
+    )
+    per_layout = [
+        (job.settings["method"], job.settings["seconds"], job.settings["search_seed"])
+        for job in study.jobs
+        if job.source.name == "circle" and job.layout.name == "Cam-d1"
+    ]
+    assert per_layout == [
+        ("none", None, None),
+        *(("grid", seconds, seed) for seconds in (5, 10) for seed in (0, 1)),
+    ]
+    default = read(STUDY, settings=dict(method="grid"))
+    assert default.jobs[0].settings["seconds"] == 60
+
+
+def test_weights_are_three_or_several_such(read):
+    one = read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5]))
+    assert {tuple(job.settings["weights"]) for job in one.jobs} == {(0.2, 0.3, 0.5)}
+    two = read(STUDY, settings=dict(weights=[[0.2, 0.3, 0.5], [1, 0, 0]]))
+    assert len(two.jobs) == 2 * len(one.jobs)
+
+
+def test_devices_of_ones_own(read, tmp_path):
+    """They reach the sensors that name them, and their figures are part of what a job is."""
+    own = {"far": {"like": "paper-camera", "depth_m": 60}}
+    layouts = [{"strategy": "Cam-d1", "camera": "far", "name": "far"}, "Cam-d1"]
+    study = read(STUDY, devices=own, layouts=layouts)
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
+    specs = {
+        job.layout.name: {sensor.spec for sensor in placed(job.layout, scene).sensors}
+        for job in study.jobs
+    }
+    (far,), (near,) = specs["far"], specs["Cam-d1"]
+    assert (far.name, far.depth, near.name, near.depth) == ("far", 60, "paper-camera", 30)
+    own["far"]["depth_m"] = 61
+    other = read(STUDY, devices=own, layouts=layouts)
+    same = {job.key for job in study.jobs} & {job.key for job in other.jobs}
+    assert len(same) == len(study.jobs) / 2
+    with pytest.raises(InspeError, match=r"devices.far: depth_m: .*greater than 0"):
+        read(STUDY, devices={"far": {"like": "paper-camera", "depth_m": 0}})
+
+
+def test_saved_scenes_and_layout_files(read, tmp_path):
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
+    save_scene(scene, tmp_path / "saved.npz")
+    from inspe_jax.placement.strategies import strategy
+
+    save_layout(strategy(scene, "L-c"), tmp_path / "mine.yaml")
+    study = read(STUDY, scenes=[{"file": "saved.npz"}], layouts=["mine.yaml"])
+    (first, *_), settings = study.jobs, study.jobs[0].settings
+    assert (settings["radius"], settings["voxel"], settings["density"]) == ("15", "2", "5")
+    assert len(study.jobs) == 4  # its density is what it is
+    assert first.layout.text == (tmp_path / "mine.yaml").read_text()
+    keys = [job.key for job in study.jobs]
+
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    for name in ("saved.npz", "mine.yaml", "study.yaml"):
+        shutil.copy(tmp_path / name, folder / name)
+    assert [job.key for job in load_study(folder / "study.yaml").jobs] == keys
+    text = (tmp_path / "mine.yaml").read_text()
+    (folder / "mine.yaml").write_text(text.replace("yaw_deg: 0.0", "yaw_deg: 1.0"))
+    assert not set(keys) & {job.key for job in load_study(folder / "study.yaml").jobs}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(scenes=[]), r"study.yaml: scenes: needs at least 1, has 0"),
+        (dict(scenes=[{}]), r"scenes\[0\]: give one of built_in, map and file"),
+        (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
+        (dict(scenes=[{"built_in": "four_way", "map": "a.xodr"}]), r"give one of built_in, map"),
+        (dict(scenes=[{"built_in": "four_way", "junction": 3}]), r"junction and center are for"),
+        (dict(scenes=[{"built_in": "four_way", "radios": 3}]), r"unknown key; did you mean radius"),
+        (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
+        (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),
+        (dict(scenes=[{"file": "a.npz"}]), r"a.npz: no such file"),
+        (dict(scenes=[{"built_in": "four_way", "radius": -1}]), r"radius.*greater than 0"),
+        (dict(layouts=["Cam-d9"]), r"layouts\[0\]: no strategy 'Cam-d9'.*did you mean Cam-d"),
+        (dict(layouts=["a.yaml"]), r"a.yaml: no such file"),
+        (dict(layouts=["L-c", "l-c"]), r"layouts: two are named 'L-c'"),
+        (dict(layouts=[{"name": "x"}]), r"layouts\[0\]: give either a strategy or a file"),
+        (dict(layouts=[{"strategy": "L-c", "lidar": "no"}]), r"layouts\[0\]: no device 'no'"),
+        (
+            dict(layouts=[{"strategy": "L-c", "lidar": "paper-camera"}]),
+            r"layouts\[0\]: lidar 'paper-camera' is a camera",
+        ),
+        (
+            dict(layouts=[{"strategy": "L-c", "lidar_height": 99.0}]),
+            r"layouts\[0\]: lidar_height 99",
+        ),
+        (dict(layouts=[{"strategy": "L-c", "name": "two\nlines"}]), r"layouts\[0\].name: string"),
+        (dict(scenes=[{"built_in": "four_way", "tags": {"a": "b\tc"}}]), r"scenes\[0\].tags.a"),
+        (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
+        (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
+        (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
+        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
+        (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
+        (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
+        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights\[0\]: needs at least 3"),
+        (dict(settings=dict(frames=0)), r"settings.frames\[0\]: .*greater than or equal to 1"),
+        (dict(settings=dict(seconds=[])), r"settings.seconds: needs at least 1"),
+        (dict(settings=dict(light=None)), r"settings.light\[0\]: input should be a valid string"),
+        (dict(settings=dict(occlusion_reference="all")), r"occlusion_reference 'all': one of"),
+        (dict(settings=dict(lights="dusk")), r"settings.lights: unknown key; did you mean light"),
+    ],
+)
+def test_bad_studies(read, changes, message):
+    with pytest.raises(InspeError, match=message):
+        read(STUDY, **changes)
+
+
+def test_a_file_that_is_no_study(tmp_path):
+    path = tmp_path / "study.yaml"
+    for text, message in (
+        ("", "the study is empty"),
+        ("[1, 2]", "the study is empty"),
+        ("scenes: [", "not YAML"),
+        ("scenes: 1\nscenes: 2", "given twice"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InspeError, match=message):
+            load_study(path)
+
+
+def test_a_map_needs_to_know_which_place(read, tmp_path):
+    (tmp_path / "a.xodr").write_text("<OpenDRIVE/>")
+    for entry in ({"map": "a.xodr"}, {"map": "a.xodr", "junction": 1, "center": [0, 0]}):
+        with pytest.raises(InspeError, match="say which place of the map: junction or center"):
+            read(STUDY, scenes=[entry])
+    (first, *_) = read(STUDY, scenes=[{"map": "a.xodr", "center": [0, 1.5]}]).jobs
+    assert first.source.name == "a 0, 1.5"

@@ -1,0 +1,122 @@
+"""Rows on disk: appended whole, taken up again, and put in order at the end."""
+
+import csv
+
+import pytest
+
+from inspe_jax.errors import InspeError
+from inspe_jax.study.plan import make_study
+from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.work import columns, failed, head, versions
+
+
+@pytest.fixture
+def study(tmp_path):
+    return make_study(
+        dict(scenes=[{"built_in": "four_way"}], layouts=["L-c"], settings=dict(seed=[0, 1, 2])),
+        tmp_path,
+    )
+
+
+def row(job):
+    return head(job) | versions() | dict(surrogate="0.5", status="done", error="")
+
+
+def test_rows_are_on_disk_as_they_come_and_in_order_at_the_end(study, tmp_path):
+    folder = tmp_path / "out"
+    with Results(study, folder) as results:
+        for count, job in enumerate(reversed(study.jobs), 1):
+            results.add(row(job), "a layout\n")
+            assert len(read_results(folder)) == count
+        rows = results.finish()
+    assert [r["key"] for r in rows] == [job.key for job in study.jobs]
+    assert read_results(folder) == rows
+    assert list(rows[0]) == list(columns(study))
+    assert rows[1]["seed"] == "1"
+    assert (folder / "layouts" / f"{study.jobs[0].key}.yaml").read_text() == "a layout\n"
+
+
+def test_a_row_cut_short_is_dropped(study, tmp_path):
+    folder, path = tmp_path / "out", tmp_path / "out" / "results.csv"
+    with Results(study, folder) as results:
+        for job in study.jobs[:2]:
+            results.add(row(job))
+    whole = path.read_bytes()
+    for end in range(len(whole) + 1):
+        path.write_bytes(whole[:end])
+        with Results(study, folder) as results:
+            lines = whole[:end].count(b"\n")
+            assert len(results.rows) == max(0, lines - 1), end
+            for job in study.jobs:
+                if job.key not in results.rows:
+                    results.add(row(job))
+            assert [r["key"] for r in results.finish()] == [job.key for job in study.jobs]
+
+
+def test_tags_are_those_that_the_study_has_now(tmp_path):
+    def tagged(kind):
+        scene = {"built_in": "four_way", "tags": {"kind": kind}}
+        return make_study(dict(scenes=[scene], layouts=["L-c"]), tmp_path)
+
+    before, now = tagged("T"), tagged("four-way")
+    with Results(before, tmp_path / "out") as results:
+        results.add(row(before.jobs[0]))
+    with Results(now, tmp_path / "out") as results:
+        assert [r["tag_kind"] for r in results.finish()] == ["four-way"]
+
+
+def test_only_one_run_at_a_time(study, tmp_path):
+    with (
+        Results(study, tmp_path / "out"),
+        pytest.raises(InspeError, match="another run is at work in it"),
+    ):
+        Results(study, tmp_path / "out")
+    with Results(study, tmp_path / "out"):
+        pass
+
+
+def test_failures_are_forgotten_only_when_asked(study, tmp_path):
+    folder = tmp_path / "out"
+    bad, good, _ = study.jobs
+    with Results(study, folder) as results:
+        results.add(head(bad) | versions() | failed("two\nlines, and a comma"))
+        results.add(row(good))
+    assert read_results(folder)[0]["error"] == "two lines, and a comma"
+    with Results(study, folder) as results:
+        assert set(results.rows) == {bad.key, good.key}
+        results.forget_failures()
+        assert set(results.rows) == {good.key}
+        assert [r["key"] for r in read_results(folder)] == [good.key]
+
+
+def test_results_of_something_else_are_left_alone(study, tmp_path):
+    folder = tmp_path / "out"
+    with Results(study, folder) as results:
+        results.add(row(study.jobs[0]))
+    other = make_study(
+        dict(scenes=[{"built_in": "four_way"}], layouts=["L-c"], settings=dict(seed=9)), tmp_path
+    )
+    with pytest.raises(InspeError, match=r"1 of its 1 rows are no jobs of this study, as L-c on"):
+        Results(other, folder)
+    tagged = make_study(
+        dict(scenes=[{"built_in": "four_way", "tags": {"a": "b"}}], layouts=["L-c"]), tmp_path
+    )
+    with pytest.raises(InspeError, match="has other columns than this study's results"):
+        Results(tagged, folder)
+    path = folder / "results.csv"
+    for text in (b"my own notes", b"\xff\xfe\n", b"a,b\n1,2\n"):
+        (tmp_path / "other").mkdir(exist_ok=True)
+        (tmp_path / "other" / "results.csv").write_bytes(text)
+        with pytest.raises(InspeError, match="has other columns"):
+            Results(study, tmp_path / "other")
+        assert (tmp_path / "other" / "results.csv").read_bytes() == text
+    rows = read_results(folder)
+    rows[0]["jax"] = "0.0.1"
+    with path.open("w", newline="") as f:
+        table = csv.DictWriter(f, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+    with pytest.raises(InspeError, match=r"was begun with jax 0.0.1, and this is"):
+        Results(study, folder)
+    with pytest.raises(InspeError, match="no such file; run the study first"):
+        read_results(tmp_path)

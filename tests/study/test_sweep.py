@@ -1,0 +1,249 @@
+"""Jobs done by processes: killed and taken up again, in part failing, the table stays the same."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import distributed
+import psutil
+import pytest
+import yaml
+from distributed import CancelledError
+
+from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
+from inspe_jax.errors import InspeError
+from inspe_jax.sensing.layout import load_layout
+from inspe_jax.study.plan import load_study
+from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.sweep import _sent, sweep
+
+STUDY = dict(
+    scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
+    layouts=["L-c", {"strategy": "L-d2", "name": "roadside"}],
+    settings=dict(radius=20, voxel=2, frames=2, density=[5, 8], weather=["clear", "fog"]),
+)
+
+
+LAYOUT = """
+name: far away
+units:
+  - base: [900, 900]
+    sensors: [{device: paper-lidar-32, height: 5, yaw_deg: 0}]
+"""
+
+
+def write(folder: Path, **changes) -> Path:
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump(STUDY | changes))
+    return path
+
+
+def begin(path: Path, out: Path, *options: str) -> subprocess.Popen:
+    """`inspe sweep` in a process and a group of its own; what is compiled is kept between runs."""
+    command = "from inspe_jax.cli import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", command, "sweep", str(path), "--out", str(out), *options],
+        env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(path.parent / "compiled")},
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_rows(process: subprocess.Popen, out: Path, count: int) -> None:
+    table = out / "results.csv"
+    end = time.monotonic() + 240
+    while not table.exists() or table.read_text().count("\n") <= count:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> tuple[Path, bytes]:
+    folder = tmp_path_factory.mktemp("whole")
+    path = write(folder)
+    process = begin(path, folder / "out", "--workers", "2")
+    out, err = process.communicate(timeout=500)
+    assert process.returncode == 0, err
+    assert "roadside" in out
+    return path, (folder / "out" / "results.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_rows_are_what_a_score_says(undisturbed):
+    path, _ = undisturbed
+    rows = read_results(path.parent / "out")
+    assert [row["key"] for row in rows] == [job.key for job in load_study(path).jobs]
+    assert {row["status"] for row in rows} == {"done"}
+    assert [row["tag_kind"] for row in rows] == [""] * 8 + ["T"] * 8
+    for row in (rows[1], rows[-1]):
+        scene = build_scene(
+            built_in(row["scene"]), radius=20, voxel=2, frames=2, density=int(row["density"])
+        )
+        layout = strategy(scene, {"roadside": "L-d2"}.get(row["layout"], row["layout"]))
+        scores = evaluate(scene, layout, conditions=Conditions.of("midday", row["weather"]))
+        for name in ("coverage", "occlusion", "information_gain", "surrogate"):
+            assert float(row[name]) == pytest.approx(getattr(scores, name), abs=1e-6)
+        assert int(row["sensors"]) == len(layout)
+
+
+@pytest.mark.slow
+def test_a_running_scheduler_does_the_same(undisturbed, tmp_path):
+    """On all cores at once, so that sums may be rounded otherwise."""
+    path, _ = undisturbed
+    study = load_study(path)
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        rows = sweep(study, tmp_path / "out", scheduler=cluster.scheduler_address)
+    for row, same in zip(rows, read_results(path.parent / "out"), strict=True):
+        assert row["key"] == same["key"]
+        assert float(row["surrogate"]) == pytest.approx(float(same["surrogate"]), abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
+    path, whole = undisturbed
+    process = begin(path, tmp_path / "out", "--workers", "2")
+    wait_for_rows(process, tmp_path / "out", 3)
+    kill_a_worker(process)
+    _, err = process.communicate(timeout=500)
+    assert process.returncode == 0, err
+    assert (tmp_path / "out" / "results.csv").read_bytes() == whole
+
+
+def kill_a_worker(process: subprocess.Popen) -> None:
+    """The child that has used most time: a worker at work, not the tracker of resources."""
+    children = psutil.Process(process.pid).children(recursive=True)
+    worker = max(children, key=lambda child: sum(child.cpu_times()[:2]))
+    assert worker.cpu_percent(0.3) > 20
+    worker.send_signal(signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
+    """Killed twice over; its workers go with it."""
+    path, whole = undisturbed
+    before = 0
+    for count in (2, 5):
+        process = begin(path, tmp_path / "out", "--workers", "2")
+        wait_for_rows(process, tmp_path / "out", count)
+        workers = psutil.Process(process.pid).children(recursive=True)
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+        end = time.monotonic() + 60
+        while any(map(lives, workers)):
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        with Results(load_study(path), tmp_path / "out") as results:  # less a row cut short
+            assert len(results.rows) >= max(count, before)
+            before = len(results.rows)
+    process = begin(path, tmp_path / "out", "--workers", "2")
+    _, err = process.communicate(timeout=500)
+    assert process.returncode == 0, err
+    assert (tmp_path / "out" / "results.csv").read_bytes() == whole
+
+
+def lives(process: psutil.Process) -> bool:
+    """Whether it still runs; nobody may have asked for its end."""
+    try:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
+    path, _ = undisturbed
+    process = begin(path, tmp_path / "out", "--workers", "1")
+    wait_for_rows(process, tmp_path / "out", 1)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers as well
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command goes on from here" in err
+    assert "Traceback" not in err
+    assert read_results(tmp_path / "out")
+
+
+def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):
+    """No traffic: no entropy. A place with no road. A layout that is elsewhere. And searches."""
+    (tmp_path / "broken.xodr").write_text("<OpenDRIVE/>")
+    (tmp_path / "far.yaml").write_text(LAYOUT)
+    path = write(
+        tmp_path,
+        scenes=[{"built_in": "four_way"}, {"map": "broken.xodr", "junction": 1}],
+        layouts=["L-c", "far.yaml"],
+        settings=dict(radius=20, voxel=2, frames=2, density=[0, 5], method=["none", "random"],
+                      evaluations=3),
+    )  # fmt: skip
+    told = []
+    study = load_study(path)
+    rows = sweep(study, tmp_path / "out", workers=1, progress=lambda *at: told.append(at))
+    assert told == [(n, 16) for n in range(17)]
+    by = {
+        (row["scene"], row["density"], row["layout"], row["method"]): (row["status"], row["error"])
+        for row in rows
+    }
+    assert "needs traffic" in by["four_way", "0", "L-c", "none"][1]
+    assert "is this layout for another scene" in by["four_way", "5", "far away", "none"][1]
+    assert "broken.xodr" in by["broken 1", "5", "L-c", "none"][1]
+    assert by["four_way", "5", "L-c", "none"] == ("done", "")
+    assert by["four_way", "5", "L-c", "random"] == ("done", "")
+    assert sum(row["status"] == "done" for row in rows) == 2
+    (found,) = (row for row in rows if row["status"] == "done" and row["method"] == "random")
+    assert float(found["surrogate"]) >= float(found["surrogate_before"]) > 0
+    moved = load_layout(tmp_path / "out" / "layouts" / f"{found['key']}.yaml")
+    scene = build_scene(built_in("four_way"), radius=20, voxel=2, frames=2, density=5)
+    assert evaluate(scene, moved).surrogate == pytest.approx(float(found["surrogate"]), abs=1e-6)
+    assert sweep(study, tmp_path / "out") == rows  # nothing is left to do, and no worker starts
+    again = sweep(study, tmp_path / "out", workers=1, retry=True)
+    assert again == rows
+
+
+@pytest.mark.parametrize("error", [CancelledError("gone"), ValueError("what")])
+def test_what_is_lost_on_the_way(error, tmp_path, monkeypatch):
+    """A result that cannot be fetched: the scheduler is gone, or this one job has failed."""
+    study = load_study(write(tmp_path))
+
+    def result():
+        raise error
+
+    client = SimpleNamespace(
+        loop=None,
+        nthreads=lambda: {"one": 1},
+        submit=lambda *given, key, **more: SimpleNamespace(key=key, result=result),
+    )
+    monkeypatch.setattr(distributed, "as_completed", Completed)
+    found = _sent(client, study.jobs[:1], 1)
+    if isinstance(error, ValueError):
+        assert [(job.key, str(e)) for job, e in found] == [(study.jobs[0].key, "what")]
+    else:
+        with pytest.raises(InspeError, match="the same command goes on from here"):
+            next(found)
+
+
+class Completed(list):
+    """Futures that are all done."""
+
+    def __init__(self, loop=None):
+        super().__init__()
+
+    add = list.append
+
+
+def test_bad_options(tmp_path):
+    study = load_study(write(tmp_path))
+    with pytest.raises(InspeError, match="workers 0: 1 or more"):
+        sweep(study, tmp_path / "out", workers=0)
+    with pytest.raises(InspeError, match=r"scheduler '127.0.0.1:1' does not answer"):
+        sweep(study, tmp_path / "out", scheduler="127.0.0.1:1")

@@ -20,13 +20,19 @@ MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 """Town maps beside the checkout, where there are any."""
 
 
-def arguments(description: str | None) -> argparse.Namespace:
-    """The options of every experiment: ``--quick``, ``--out`` and ``--seed``."""
+def command_line(description: str | None) -> argparse.ArgumentParser:
+    """What every experiment takes, to which it may add: ``--quick`` and ``--out``."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
+    return parser
+
+
+def arguments(description: str | None) -> argparse.Namespace:
+    """The options of most experiments: ``--quick``, ``--out`` and ``--seed``."""
+    parser = command_line(description)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

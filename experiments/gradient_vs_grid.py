@@ -20,7 +20,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from common import MAPS, write_settings
+from common import MAPS, command_line, write_settings
 from matplotlib.figure import Figure
 from rich.console import Console
 
@@ -52,11 +52,7 @@ console = Console()
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
+    parser = command_line(__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, help="for each search")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--methods", default=",".join(METHODS), help="with commas")

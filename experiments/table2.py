@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, write_results
+from common import MAPS, command_line, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import spearmanr
@@ -31,11 +31,11 @@ from inspe_jax.cli.common import progress
 from inspe_jax.errors import InspeError
 from inspe_jax.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
+from inspe_jax.report.tables import METRICS
 from inspe_jax.study.plan import Study, make_study
 from inspe_jax.study.sweep import sweep
 
 HERE = Path(__file__).parent
-METRICS = {"coverage": "C", "occlusion": "O", "information_gain": "IG", "surrogate": "P_sm"}
 LIGHTS, DENSITIES = ("midday", "dusk", "night"), ("low", "medium", "high")
 QUICK = [
     {"built_in": "four_way", "tags": {"kind": "four-way"}},
@@ -51,11 +51,7 @@ Stats = dict[tuple[str, str], tuple[float, float]]
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=0, help="of the traffic and the searches")
     parser.add_argument("--radius", type=float, default=50.0, help="of the region of interest [m]")
     parser.add_argument("--voxel", type=float, default=0.5, help="size [m]")

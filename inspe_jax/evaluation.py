@@ -64,10 +64,9 @@ class Scores:
     @property
     def conditions(self) -> Conditions:
         """The light and weather that they are of."""
-        return Conditions.of(*(self.settings.get(key, getattr(FAIR, key)) for key in _CONDITIONS))
-
-
-_CONDITIONS = ("light", "weather")
+        return Conditions.of(
+            **{key: self.settings.get(key, FAIR.record[key]) for key in FAIR.record}
+        )
 
 
 def evaluate(
@@ -139,8 +138,7 @@ def evaluate(
             occlusion_reference=occlusion_reference,
             visibility=visibility,
             softness=softness,
-            light=conditions.light,
-            weather=conditions.weather_text,
+            **conditions.record,
         ),
     )
 

@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from inspe_jax.errors import InspeError, nearest
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+"""For models of what people write: a quoted number is a mistake to report, not to convert."""
 
 
 def check_model(model: type[Model], content: Any, where: str) -> Model:

@@ -71,6 +71,7 @@ def optimise(
     from inspe_jax.files import check_output
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import check_folder, save_result
+    from inspe_jax.sensing.conditions import FAIR
 
     check_folder(folder)
     check_output(checkpoint, (".npz",))
@@ -98,10 +99,13 @@ def optimise(
         drawn = _draw(world, result, folder)
     names = "layout.yaml, start.yaml, result.json and history.csv"
     out.print(f"wrote {names} into {folder}; drew {drawn}", highlight=False, soft_wrap=True)
-    around = result.scores.conditions
+    around = "".join(
+        f" --{key} {value}"
+        for key, value in result.scores.conditions.record.items()
+        if value != FAIR.record[key]
+    )
     out.print(
-        f"next: inspe score {source} {folder / 'layout.yaml'}"
-        f"{' ' * bool(around.options)}{around.options} --plot plan.png",
+        f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png",
         highlight=False,
         soft_wrap=True,
     )

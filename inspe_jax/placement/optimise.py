@@ -261,7 +261,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             "start": begun if isinstance(begun, str) else begun.name,
             **_settings(problem),
         },
-        versions=_versions(),
+        versions=versions(LIBRARIES),
         notes=tuple(notes),
     )
 
@@ -279,8 +279,7 @@ def _settings(problem: Problem) -> dict[str, Any]:
                 "name": case.scene.name,
                 "source": case.scene.intersection.source,
                 "settings": dict(case.scene.settings),
-                "light": case.conditions.light,
-                "weather": case.conditions.weather_text,
+                **case.conditions.record,
             }
             for case in problem.cases
         ],
@@ -298,9 +297,10 @@ def _settings(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _versions() -> dict[str, str]:
+def versions(libraries: Sequence[str]) -> dict[str, str]:
+    """Versions of this package, of Python and of libraries."""
     own = {"inspe_jax": inspe_jax.__version__, "python": platform.python_version()}
-    return own | {name: metadata.version(name) for name in LIBRARIES}
+    return own | {name: metadata.version(name) for name in libraries}
 
 
 # ── Options ─────────────────────────────────────────────────────────────────

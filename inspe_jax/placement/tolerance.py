@@ -125,8 +125,7 @@ def tolerance(
             samples=samples,
             seed=seed,
             softness=softness,
-            light=problem.cases[0].conditions.light,
-            weather=problem.cases[0].conditions.weather_text,
+            **problem.cases[0].conditions.record,
             objective=asdict(problem.objective),
         ),
     )

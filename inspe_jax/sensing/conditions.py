@@ -93,11 +93,9 @@ class Conditions:
         return "" if self == FAIR else f", {self}"
 
     @property
-    def options(self) -> str:
-        """What the command line needs for them."""
-        given = dict(light=self.light, weather=self.weather_text)
-        usual = dict(light=FAIR.light, weather=FAIR.weather_text)
-        return " ".join(f"--{key} {v}" for key, v in given.items() if v != usual[key])
+    def record(self) -> dict[str, str]:
+        """The names that :meth:`of` reads, for settings that are kept."""
+        return dict(light=self.light, weather=self.weather_text)
 
     def spec(self, spec: Spec) -> Spec:
         """A sensor as it is in these conditions: its depth or reach [m] and its reliability."""

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import check_input, check_model
+from inspe_jax.files import STRICT, check_input, check_model
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 
@@ -89,8 +89,7 @@ _Text = Annotated[str, Field(min_length=1)]
 
 
 class _Keys(BaseModel):
-    # Strict: a quoted number is a mistake to report, not to convert.
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = STRICT
 
     kind: Literal["camera", "lidar"]
     reliability: Annotated[float, Field(ge=0, le=1)] = 1.0

@@ -29,10 +29,10 @@ import jax
 import numpy as np
 import yaml
 from jaxtyping import Array, Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from inspe_jax.errors import InspeError
-from inspe_jax.files import check_model, read_yaml, write_text
+from inspe_jax.files import STRICT, check_model, read_yaml, write_text
 from inspe_jax.geometry import rotation
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device, devices, spec_of, table_of
@@ -175,8 +175,7 @@ def _check_pair(where: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray)
 
 
 class _Strict(BaseModel):
-    # Strict: a quoted number is a mistake to report, not to convert.
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = STRICT
 
 
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]

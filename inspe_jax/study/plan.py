@@ -26,21 +26,21 @@ The file; paths are relative to it, and every setting is one value or a list of 
 
 import hashlib
 import inspect
-import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.evaluation import check_options
-from inspe_jax.files import check_input, check_model, read_yaml
+from inspe_jax.files import STRICT, check_input, check_model, read_yaml
+from inspe_jax.placement.checkpoint import digest
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
 from inspe_jax.placement.strategies import choose
@@ -48,8 +48,9 @@ from inspe_jax.scene.procedural import BUILT_INS
 from inspe_jax.scene.scene import build_scene, density_count, load_scene
 from inspe_jax.scene.traffic import MIXES
 from inspe_jax.sensing.conditions import FAIR, Conditions
-from inspe_jax.sensing.devices import spec_of, table_of
+from inspe_jax.sensing.devices import spec_of
 from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.sensors import Spec
 
 T = TypeVar("T")
 
@@ -79,30 +80,23 @@ class SceneSource:
     content: str = ""
 
     @property
-    def own(self) -> dict[str, Any]:
-        """What tells it from others, wherever its file lies."""
-        paths = dict(map=self.map, file=self.file)
-        return asdict(self) | {key: path and Path(path).name for key, path in paths.items()}
+    def anywhere(self) -> "SceneSource":
+        """The same, wherever its file lies."""
+        map_, file = (path and Path(path).name for path in (self.map, self.file))
+        return replace(self, map=map_, file=file)
 
 
 @dataclass(frozen=True)
 class LayoutSource:
     """Where a layout comes from: a strategy with its ``options``, or the ``text`` of a file.
 
-    ``devices`` are those of the study's own that the options name, as JSON.
+    Among the options, devices of the study's own are specs, and others names.
     """
 
     name: str
     strategy: str | None = None
     options: tuple[tuple[str, Any], ...] = ()
-    devices: tuple[tuple[str, str], ...] = ()
     text: str | None = None
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """The options of :func:`~inspe_jax.placement.strategies.strategy`."""
-        own = {name: spec_of(json.loads(table), name, name) for name, table in self.devices}
-        return {key: own.get(value, value) for key, value in self.options}
 
 
 @dataclass(frozen=True)
@@ -117,12 +111,12 @@ class Job:
     @cached_property
     def key(self) -> str:
         """A short text that is this job's own: of what its result depends on."""
-        return _digest([self.source.own, asdict(self.layout), dict(self.settings)])
+        return digest([self.source.anywhere, self.layout, self.settings])[:16]
 
     @cached_property
     def scene(self) -> str:
         """The same for its scene."""
-        return _digest([self.source.own, {k: self.settings[k] for k in BUILD}])
+        return digest([self.source.anywhere, {k: self.settings[k] for k in BUILD}])[:16]
 
 
 @dataclass(frozen=True)
@@ -143,10 +137,6 @@ def digest_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _digest(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-
-
 # ── The file ────────────────────────────────────────────────────────────────
 
 
@@ -161,8 +151,7 @@ def _rows(value: Any) -> Any:
 
 
 class _Strict(BaseModel):
-    # Strict: a quoted number is a mistake to report, not to convert.
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = STRICT
 
 
 _Count = Annotated[int, Field(ge=0)]
@@ -249,8 +238,7 @@ def make_study(
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     _check_settings(whole, f"{where}: settings")
     own_devices = {
-        key: json.dumps(table_of(spec_of(table, key, f"{where}: devices.{key}")))
-        for key, table in entry.devices.items()
+        key: spec_of(table, key, f"{where}: devices.{key}") for key, table in entry.devices.items()
     }
     layouts = [
         _layout_source(item, own_devices, folder, f"{where}: layouts[{k}]")
@@ -291,8 +279,7 @@ def _combinations(given: Mapping[str, Any], keys: Iterable[str]) -> list[dict[st
 def _defaults() -> dict[str, list[Any]]:
     own = inspect.signature(build_scene).parameters
     return {key: [own[key].default] for key in BUILD} | dict(
-        light=[FAIR.light],
-        weather=[FAIR.weather_text],
+        **{key: [value] for key, value in FAIR.record.items()},
         weights=[list(metrics.WEIGHTS)],
         occlusion_reference=["roi"],
         visibility=["in_view"],
@@ -306,7 +293,7 @@ def _defaults() -> dict[str, list[Any]]:
 def _conditioned(settings: dict[str, Any]) -> dict[str, Any]:
     """Settings, with light and weather spelt in one way."""
     around = Conditions.of(settings["light"], settings["weather"])
-    return settings | dict(light=around.light, weather=around.weather_text)
+    return settings | around.record
 
 
 def _searched(settings: dict[str, Any]) -> dict[str, Any]:
@@ -397,7 +384,7 @@ def _named(entry: Any) -> Any:
 
 
 def _layout_source(
-    entry: _LayoutEntry, devices: Mapping[str, str], folder: Path, where: str
+    entry: _LayoutEntry, devices: Mapping[str, Spec], folder: Path, where: str
 ) -> LayoutSource:
     if (entry.strategy is None) == (entry.file is None):
         raise InspeError(f"{where}: give either a strategy or a file")
@@ -412,10 +399,9 @@ def _layout_source(
         path = folder / entry.file
         name = load_layout(path).name
         return LayoutSource(entry.name or name, text=path.read_text(encoding="utf-8"))
-    own = tuple((key, devices[key]) for key in options.values() if key in devices)
-    source = LayoutSource("", str(entry.strategy), tuple(options.items()), own)
+    options = {key: devices.get(value, value) for key, value in options.items()}
     try:
-        chosen = choose(str(entry.strategy), **source.given)
+        chosen = choose(str(entry.strategy), **options)
     except InspeError as e:
         raise InspeError(f"{where}: {e}") from None
-    return replace(source, name=entry.name or chosen.name, strategy=chosen.name)
+    return LayoutSource(entry.name or chosen.name, chosen.name, tuple(options.items()))

@@ -72,16 +72,12 @@ class Results:
         os.fsync(self._file.fileno())
         self.rows[row["key"]] = {name: row.get(name, "") for name in self.columns}
 
-    def in_order(self) -> list[Row]:
-        """The rows there are, in the order of the study's jobs."""
-        return [self.rows[job.key] for job in self.study.jobs if job.key in self.rows]
-
     def finish(self) -> list[Row]:
         """Put the rows in order on disk as well; gives them."""
         if self._file:
             self._file.close()
             self._file = None
-        rows = self.in_order()
+        rows = [self.rows[job.key] for job in self.study.jobs if job.key in self.rows]
         write_text(self.path, csv_text(rows))
         return rows
 

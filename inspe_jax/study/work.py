@@ -1,19 +1,16 @@
 """What a worker does: builds a scene, and turns a job into a row of the results."""
 
-import platform
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
 
-import inspe_jax
 from inspe_jax.cores import compiled
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores, evaluate
 from inspe_jax.files import check_input, parse_yaml
-from inspe_jax.placement.optimise import optimise
+from inspe_jax.placement import optimise
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural import built_in
@@ -44,8 +41,7 @@ def columns(study: Study) -> tuple[str, ...]:
 @cache
 def versions() -> dict[str, str]:
     """What a result depends on beside its job."""
-    own = {"inspe_jax": inspe_jax.__version__, "python": platform.python_version()}
-    return own | {name: metadata.version(name) for name in ("jax", "numpy")}
+    return optimise.versions(("jax", "numpy"))
 
 
 def build(job: Job) -> Scene | str:
@@ -104,7 +100,7 @@ def work(scene: Scene | str, job: Job, wanted: Row) -> tuple[Row, str | None]:
 def placed(source: LayoutSource, scene: Scene) -> Layout:
     """A job's layout on its scene."""
     if source.strategy is not None:
-        return strategy(scene, source.strategy, **source.given)
+        return strategy(scene, source.strategy, **dict(source.options))
     assert source.text is not None
     return parse_layout(parse_yaml(source.text, source.name), source.name, source.name, scene)
 
@@ -135,7 +131,7 @@ def _scored(scene: Scene, layout: Layout, job: Job) -> tuple[Scores, float | Non
     )
     if given["method"] == AS_IT_IS:
         return evaluate(scene, layout, conditions=around, **options), None, None
-    result = optimise(
+    result = optimise.optimise(
         Case(scene, around),
         layout,
         given["method"],

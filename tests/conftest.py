@@ -9,6 +9,8 @@ import jax
 import pytest
 from worlds import MAPS
 
+from inspe_jax.cores import compiled
+
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_nans", True)
@@ -27,3 +29,11 @@ def maps() -> Path:
         pytest.skip("the town maps are not beside this checkout")
     pytest.importorskip("carla", reason="reading OpenDRIVE needs the CARLA client")
     return MAPS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget_what_was_compiled():
+    """After each file: all the tests' code together takes more memory maps than Linux allows."""
+    yield
+    jax.clear_caches()
+    compiled.clear()

@@ -40,11 +40,18 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
             env=_environment(),
+            # Jobs are given up for dying workers twice over, the second time alone (sweep.py).
+            scheduler_kwargs={"allowed_failures": 1},
         ) as cluster,
         Client(cluster) as here,
     ):
         here.register_plugin(Own(count))
+        # A worker that dies while it starts is not started again, unless somebody asks.
+        cluster.adapt(minimum=count, maximum=count, interval="1s")
         yield here
+        # Dask cannot end one that is just being started again.
+        with suppress(TimeoutError):
+            here.wait_for_workers(count, timeout=TIMEOUT)
 
 
 TIMEOUT = 10

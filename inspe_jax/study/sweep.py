@@ -1,7 +1,7 @@
 """All jobs of a study, done by Dask workers: of a cluster on this machine, or of a running one."""
 
 import os
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 from typing import Any
@@ -102,42 +102,34 @@ def _row(job: Job, found: Any) -> tuple[Row, str | None]:
 def _sent(client: Any, jobs: Sequence[Job], ahead: int) -> Iterator[tuple[Job, Any]]:
     """Jobs and what came of them, a row or an exception, with so many on their way at a time.
 
-    As many scenes are open as there are workers, each at a worker of its own as far as possible:
-    that has the scene then, and has compiled for it.
+    As many scenes are open as there are workers: Dask builds each at the one that has least to
+    do, and sends jobs where their scene is. That worker has compiled for it.
     """
     from distributed import CancelledError, as_completed
 
     run = uuid4().hex[:8]  # a scheduler that others use as well has their keys
     groups = deque(deque(group) for _, group in groupby(jobs, key=lambda job: job.scene))
-    open_groups: deque[tuple[str, Any, deque[Job]]] = deque()  # (worker, scene, jobs left)
+    open_groups: deque[tuple[Any, deque[Job]]] = deque()  # (scene, jobs left)
     # A job's scene is held on to until its result is here: were that lost with its worker before,
     # it could not be found again without.
     sent: dict[str, tuple[Job, Any]] = {}
     running = as_completed(loop=client.loop)
 
-    def submit(function: Callable[..., Any], *arguments: Any, key: str, worker: str) -> Any:
-        return client.submit(
-            function, *arguments, key=key, workers=[worker], allow_other_workers=True, pure=False
-        )
-
     def send() -> None:
         """The next job of the scene whose turn it is."""
-        there = sorted(client.nthreads())
-        while groups and len(open_groups) < max(len(there), 1):
-            busy = Counter(worker for worker, *_ in open_groups)
-            worker = min(there, key=lambda name: busy[name], default="")
+        while groups and len(open_groups) < max(len(client.nthreads()), 1):
             group = groups.popleft()
             key = f"inspe-scene-{run}-{group[0].scene}"
-            open_groups.append((worker, submit(build, group[0], key=key, worker=worker), group))
+            open_groups.append((client.submit(build, group[0], key=key, pure=False), group))
         if open_groups:
-            worker, scene, group = open_groups.popleft()
+            scene, group = open_groups.popleft()
             job = group.popleft()
             key = f"inspe-job-{run}-{job.key}"
-            future = submit(work, scene, job, versions(), key=key, worker=worker)
+            future = client.submit(work, scene, job, versions(), key=key, pure=False)
             sent[future.key] = job, scene
             running.add(future)
             if group:
-                open_groups.append((worker, scene, group))
+                open_groups.append((scene, group))
 
     for _ in range(ahead):
         send()

@@ -20,6 +20,7 @@ from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.sweep import _sent, sweep
+from inspe_jax.study.work import work
 
 STUDY = dict(
     scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
@@ -208,6 +209,26 @@ def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):
     assert sweep(study, tmp_path / "out") == rows  # nothing is left to do, and no worker starts
     again = sweep(study, tmp_path / "out", workers=1, retry=True)
     assert again == rows
+
+
+@pytest.mark.slow
+def test_a_job_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypatch):
+    """Dask suspects every job that a dead worker had before it."""
+    (tmp_path / "deadly.yaml").write_text(LAYOUT.replace("far away", "deadly"))
+    path = write(
+        tmp_path, scenes=[{"built_in": "four_way"}], layouts=["L-c", "L-d1", "deadly.yaml", "L-d2"],
+        settings=dict(radius=20, voxel=2, frames=2, density=5),
+    )  # fmt: skip
+    monkeypatch.setattr("inspe_jax.study.sweep.work", deadly)
+    rows = sweep(load_study(path), tmp_path / "out", workers=1)
+    assert [row["status"] for row in rows] == ["done", "done", "failed", "done"]
+    assert "KilledWorker" in rows[2]["error"]
+
+
+def deadly(scene, job, wanted):
+    if job.layout.name == "deadly":
+        os._exit(1)
+    return work(scene, job, wanted)
 
 
 @pytest.mark.parametrize("error", [CancelledError("gone"), ValueError("what")])

@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import spearmanr
 
-from inspe_jax.cli.common import progress
+from inspe_jax.cli.common import keep_compiled, progress
 from inspe_jax.errors import InspeError
 from inspe_jax.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
@@ -238,6 +238,7 @@ def draw(stats: Stats, paper: Stats, path: Path) -> None:
 
 def main() -> None:
     """The study, its table, what follows from it, and the figure."""
+    keep_compiled()
     given = options()
     if not given.quick and not MAPS.is_dir():
         raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")

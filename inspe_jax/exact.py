@@ -45,7 +45,7 @@ def measure_exactly(
     views = _views(world, poses, crew, voxel / 2)
     sighted = visibility == "line_of_sight"
     watched = _watch_all(world, views, poses[:, :3], crew.failures, occlusion_reference, sighted)
-    return _measures(world, views, watched, crew)
+    return _measures(world, views, watched, jnp.asarray(crew.reliability, float), crew.failures)
 
 
 def _views(
@@ -66,7 +66,7 @@ def _views(
             work = partial(in_view_masks, grids[s], pose, tile, half)
         else:
             work = partial(_split_view(grids[s], half), pose, world.split)
-        jobs.append(((in_view_masks, grids[s], half, tile.heights.shape), work))
+        jobs.append(((in_view_masks, grids[s].endless, half, tile.heights.shape), work))
     views = run(jobs)
     # Of tiles on several devices: together again.
     return jnp.stack(views if world.split is None else [np.asarray(view) for view in views])
@@ -246,11 +246,17 @@ def _watch(
     )
 
 
-@partial(jax.jit, static_argnames="crew")
-def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew: Crew) -> Measures:
+@partial(jax.jit, static_argnames="failures")
+def _measures(
+    world: World,
+    views: UInt[Array, "S N C"],
+    watched: Watched,
+    reliability: Float[Array, " S"],
+    failures: Groups,
+) -> Measures:
     """From masks and counts to the metrics."""
     slabs, levels = world.tiles.slabs, world.tiles.level_count
-    covered = masks.without_one(views, crew.failures)
+    covered = masks.without_one(views, failures)
     counts = masks.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
     shares = counts.astype(float) / levels
     by_level = masks.tally(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(-1)
@@ -262,7 +268,7 @@ def _measures(world: World, views: UInt[Array, "S N C"], watched: Watched, crew:
     else:
         at = watched.sights.reshape(len(views), -1, watched.sights.shape[-1])
         q = at[:, world.column, world.level].astype(float) / world.frame_count
-    resolved = leave_one_out(q * jnp.asarray(crew.reliability, float)[:, None], crew.failures)
+    resolved = leave_one_out(q * reliability[:, None], failures)
     return summed_up(world, shares, by_level, resolved, watched)
 
 

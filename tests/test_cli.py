@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from inspe_jax.cli import main
-from inspe_jax.cli.common import _keep_compiled
+from inspe_jax.cli.common import keep_compiled
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 
@@ -447,7 +447,7 @@ def test_nowhere_to_keep_what_is_compiled_is_no_error(monkeypatch, folder):
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     try:
-        _keep_compiled()
+        keep_compiled()
         assert jax.config.jax_compilation_cache_dir is None
     finally:
         jax.config.update("jax_compilation_cache_dir", before)

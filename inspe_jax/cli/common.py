@@ -85,7 +85,7 @@ def _root(
     import jax
 
     if cache:
-        _keep_compiled()
+        keep_compiled()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
 
@@ -94,7 +94,7 @@ COMPILED = 512 * 2**20
 """Most that what is kept compiled may take up on disk [bytes]; what is used least goes first."""
 
 
-def _keep_compiled() -> None:
+def keep_compiled() -> None:
     """Let JAX keep what it compiles from one run to the next.
 
     As the user set it up for JAX, if so. Where there is nowhere to write to, every run compiles

@@ -65,8 +65,8 @@ class Site:
     """What a rule may ask of an intersection: its arms in order, and where poles stand.
 
     ``radius`` bounds the region of interest [m]; ``depth`` is how far the cameras
-    see [m]; ``camera_height`` and ``lidar_height`` [m] are None where the rule
-    chooses.
+    see [m]; ``camera_height`` and ``lidar_height`` [m] and ``camera_pitch`` [rad]
+    are None where the rule chooses.
     """
 
     place: Intersection
@@ -74,6 +74,7 @@ class Site:
     depth: float
     camera_height: float | None = None
     lidar_height: float | None = None
+    camera_pitch: float | None = None
 
     @property
     def center(self) -> Float[np.ndarray, "2"]:
@@ -300,7 +301,7 @@ class Site:
         5 m in plan and no further than 0.6 of the camera's depth, so that the
         footprint is neither the pole's foot nor beyond what the camera perceives.
         ``mast`` is how far it hangs from the pole towards the junction [m], where
-        it is high enough to clear the traffic.
+        it is high enough to clear the traffic. A site's own ``camera_pitch`` stands instead.
         """
         height = self.camera_height or height
         inward = self.center - foot
@@ -313,7 +314,9 @@ class Site:
         distance = min(max(along, _NEAREST_AIM), max(_DEPTH_SHARE * self.depth, _NEAREST_AIM))
         here, there = self.place.ground(np.array([foot, target]))
         drop = here + height - there - _AIM_HEIGHT
-        return View(post, foot, offset, height, yaw, float(-np.arctan2(drop, distance)))
+        aimed = float(-np.arctan2(drop, distance))
+        pitch = aimed if self.camera_pitch is None else self.camera_pitch
+        return View(post, foot, offset, height, yaw, pitch)
 
     def lidar(self, post: str, foot: Float[np.ndarray, "2"], *, height: float = 5.0) -> View:
         """A level LiDAR on the pole, its zero azimuth towards the centre of the junction.

@@ -186,6 +186,7 @@ def strategy(
     lidar: str | Spec | None = None,
     camera_height: float | None = None,
     lidar_height: float | None = None,
+    camera_pitch_deg: float | None = None,
 ) -> Layout:
     """The layout that a strategy of :data:`STRATEGIES` gives on a scene.
 
@@ -193,22 +194,24 @@ def strategy(
     None is the paper's LiDAR for the strategy (its discussion of L-d2 has the
     32-beam one: ``lidar="paper-lidar-32"``). ``camera_height`` and
     ``lidar_height`` [m above the ground] replace the usual 6 and 5 m, at the
-    centre 7 and 6.5 m. What the strategy has no sensor for is checked and has no
-    effect.
+    centre 7 and 6.5 m; ``camera_pitch_deg`` [degrees, negative is down] replaces
+    what each camera is aimed at. What the strategy has no sensor for is checked
+    and has no effect.
 
     Raises InspeError on an unknown name or device, a device of the other kind, a
-    height out of range, and where the intersection has fewer than two arms or
-    nowhere to put a pole.
+    height or pitch out of range, and where the intersection has fewer than two
+    arms or nowhere to put a pole.
     """
-    chosen = choose(name, camera, lidar, camera_height, lidar_height)
+    chosen = choose(name, camera, lidar, camera_height, lidar_height, camera_pitch_deg)
     row, place = STRATEGIES[chosen.name], scene.intersection
     if len(place.arms) < 2:
         raise InspeError(
             f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
             "at least 2 roads that meet"
         )
-    reach = chosen.camera.grid.reach
-    site = Site(place, scene.voxels.radius, reach, camera_height, lidar_height)
+    pitch = None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg))
+    depth = chosen.camera.grid.reach
+    site = Site(place, scene.voxels.radius, depth, camera_height, lidar_height, pitch)
     views: list[tuple[View, Spec]] = []
     for rule, spec in ((row.cameras, chosen.camera), (row.lidars, chosen.lidar)):
         views += [(view, spec) for view in rule(site)] if rule else []
@@ -229,6 +232,7 @@ def choose(
     lidar: str | Spec | None = None,
     camera_height: float | None = None,
     lidar_height: float | None = None,
+    camera_pitch_deg: float | None = None,
 ) -> Chosen:
     """What the options of :func:`strategy` mean on any scene; raises InspeError as that does."""
     known = {key.lower(): key for key in STRATEGIES}
@@ -244,6 +248,10 @@ def choose(
             raise InspeError(
                 f"{option} {height:g} m is out of range for {key}: between {low:g} and {high:g} m"
             )
+    if camera_pitch_deg is not None and not -90 <= camera_pitch_deg <= 0:
+        raise InspeError(
+            f"camera_pitch_deg {camera_pitch_deg:g}: between -90, straight down, and 0"
+        )
     seeing = _device("camera", camera, CameraSpec)
     return Chosen(key, seeing, _device("lidar", lidar or row.lidar, LidarSpec))
 

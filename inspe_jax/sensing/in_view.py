@@ -1,6 +1,7 @@
 """In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -290,7 +291,6 @@ def soft_view(
 # ── Exactly, as masks ───────────────────────────────────────────────────────
 
 
-@partial(jax.jit, static_argnames=("grid", "half"))
 def in_view_masks(
     grid: RayGrid, pose: Float[Array, "6"], tiles: Tile, half: float
 ) -> UInt[Array, "N C"]:
@@ -301,7 +301,15 @@ def in_view_masks(
     Nearly all are told by their nearest ray (:func:`_sure`), level by level in the tiles that the
     field of view touches; the rest, some 2 %, by the six rays of :func:`_candidates`.
     """
-    stance = _stance(pose)
+    return _masks(grid.endless, grid.reach, pose, tiles, half)
+
+
+@partial(jax.jit, static_argnames=("rays", "half"))
+def _masks(
+    rays: RayGrid, reach: float, pose: Float[Array, "6"], tiles: Tile, half: float
+) -> UInt[Array, "N C"]:
+    """Compiled once for all reaches: light and weather change nothing else."""
+    grid, stance = replace(rays, reach=reach), _stance(pose)
     x, y, up = stance.position
 
     def look(tile: Tile) -> tuple[Array, Array]:

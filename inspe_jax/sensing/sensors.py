@@ -8,7 +8,7 @@ All in the body frame: x forward, y left, z up.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -52,6 +52,11 @@ class RayGrid:
     column_count: int
     wraps: bool
     reach: float
+
+    @property
+    def endless(self) -> "RayGrid":
+        """The same rays without an end."""
+        return replace(self, reach=np.inf)
 
     @cached_property
     def _row_table(self) -> tuple[np.ndarray, float]:

@@ -29,7 +29,7 @@ def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
     half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
     for grid, index in layout.groups():
         for s in index:
-            found[s] = tiles.by_voxel(in_view_masks(grid, poses[s], tiles.tile, half))
+            found[s] = tiles.by_voxel(np.asarray(in_view_masks(grid, poses[s], tiles.tile, half)))
     return found
 
 

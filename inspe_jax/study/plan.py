@@ -204,6 +204,7 @@ class _LayoutEntry(_Strict):
     camera: str | None = None
     lidar: str | None = None
     camera_height: _Length | None = None
+    camera_pitch_deg: float | None = None
     lidar_height: _Length | None = None
 
 
@@ -388,14 +389,14 @@ def _layout_source(
 ) -> LayoutSource:
     if (entry.strategy is None) == (entry.file is None):
         raise InspeError(f"{where}: give either a strategy or a file")
-    options = {
+    options: dict[str, Any] = {
         key: value
-        for key in ("camera", "lidar", "camera_height", "lidar_height")
+        for key in ("camera", "lidar", "camera_height", "lidar_height", "camera_pitch_deg")
         if (value := getattr(entry, key)) is not None
     }
     if entry.file is not None:
         if options:
-            raise InspeError(f"{where}: a file has its own devices; leave out {_set(options)}")
+            raise InspeError(f"{where}: a file has its own devices; leave out {', '.join(options)}")
         path = folder / entry.file
         name = load_layout(path).name
         return LayoutSource(entry.name or name, text=path.read_text(encoding="utf-8"))

@@ -405,6 +405,16 @@ def test_heights_are_above_the_ground_of_the_foot():
         assert above == pytest.approx(8.0 if sensor.spec.kind == "camera" else 5.5)
 
 
+def test_a_pitch_stands_instead_of_an_aim():
+    """Of the cameras alone; 0 is a pitch too."""
+    for pitch in (-17.0, 0.0):
+        layout = strategy(scene_named("four"), "Cam-d1/L-d1", camera_pitch_deg=pitch)
+        cameras = np.array([sensor.spec.kind == "camera" for sensor in layout.sensors])
+        found = np.degrees(np.asarray(layout.poses)[:, 4])
+        np.testing.assert_allclose(found[cameras], pitch, atol=1e-6)
+        np.testing.assert_allclose(found[~cameras], 0.0, atol=1e-6)
+
+
 def test_no_mast_arm_reaches_over_traffic_at_its_height():
     layout = strategy(scene_named("four"), "Cam-d1", camera_height=4.0)
     bases = np.array([layout.units[s.unit].base[:2] for s in layout.sensors])
@@ -424,6 +434,7 @@ def test_names_in_any_case():
         ("L-d1", {"lidar_height": 12.5}, r"lidar_height 12.5 m .* L-d1: between 3 and 12 m"),
         ("L-c", {"lidar_height": 4.0}, r"lidar_height 4 m .* L-c: between 5 and 12 m"),
         ("L-c", {"lidar_height": float("nan")}, r"lidar_height nan m is out of range"),
+        ("Cam-d1", {"camera_pitch_deg": 5.0}, r"camera_pitch_deg 5: between -90, .* and 0"),
         ("Cam-c", {"camera": "paper-lidar-32"}, r"camera 'paper-lidar-32' is a lidar"),
         ("L-c", {"lidar": "paper-camera"}, r"lidar 'paper-camera' is a camera"),
         ("L-c", {"lidar": "no-such-thing"}, r"no-such-thing"),

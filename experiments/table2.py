@@ -42,6 +42,7 @@ QUICK = [
     {"built_in": "t_junction", "tags": {"kind": "T"}},
 ]
 """Intersections of a quick run: they need no map."""
+QUICK_SIZE: dict[str, Any] = dict(radius=20.0, voxel=1.0, frames=3)
 
 console = Console()
 Row = Mapping[str, str]
@@ -74,7 +75,7 @@ def plan(given: argparse.Namespace, **settings: Any) -> Study:
         scenes = yaml.safe_load((HERE / "intersections.yaml").read_text(encoding="utf-8"))
     size = dict(radius=given.radius, voxel=given.voxel, frames=given.frames)
     if given.quick:
-        size = dict(radius=20.0, voxel=1.0, frames=3)
+        size = dict(QUICK_SIZE)
     size |= dict(mix=given.mix, seed=given.seed)
     content = dict(scenes=scenes, layouts=list(STRATEGIES), settings=size | settings)
     return make_study(content, MAPS, "intersections.yaml", "table2")

@@ -39,7 +39,6 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             memory_limit=None,
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
-            env=_environment(),
             # Jobs are given up for dying workers twice over, the second time alone (sweep.py).
             scheduler_kwargs={"allowed_failures": 1},
         ) as cluster,
@@ -72,16 +71,28 @@ def _check_workers(there: Client, scheduler: str) -> None:
                 )
 
 
+COMPILED = (
+    "jax_enable_compilation_cache",
+    "jax_compilation_cache_dir",
+    "jax_compilation_cache_max_size",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+"""JAX's settings of where it keeps what it compiles."""
+
+
 class Own(WorkerPlugin):
     """What each of so many workers of our own does first.
 
-    It keeps to its share of the cores, as far as the system can do that: without it all of them
-    would use all cores, each at the others' expense. And it leaves Ctrl-C to who started it.
+    It keeps what it compiles where this process does. It keeps to its share of the cores, as far
+    as the system can do that: without it all of them would use all cores, each at the others'
+    expense. And it leaves Ctrl-C to who started it.
     """
 
     name = "inspe-jax"
 
     def __init__(self, count: int) -> None:
+        # Not by the environment: the script that workers begin by importing may import JAX.
+        self.settings = {name: getattr(jax.config, name) for name in COMPILED}
         self.shares: list[list[int]] = []
         if hasattr(os, "sched_getaffinity"):  # not on macOS or Windows
             own = sorted(os.sched_getaffinity(0))
@@ -89,6 +100,8 @@ class Own(WorkerPlugin):
 
     def setup(self, worker: Worker) -> None:
         """Before the worker works: JAX looks at its cores when it starts."""
+        for name, value in self.settings.items():
+            jax.config.update(name, value)
         with suppress(ValueError):  # not in the main thread
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         if self.shares and isinstance(worker.name, int) and os.path.isdir("/proc/self/task"):
@@ -96,16 +109,3 @@ class Own(WorkerPlugin):
             for thread in os.listdir("/proc/self/task"):
                 with suppress(ProcessLookupError):  # it may have ended meanwhile
                     os.sched_setaffinity(int(thread), share)
-
-
-def _environment() -> dict[str, str]:
-    """What workers take over of how JAX is set up here: where it keeps what it compiles."""
-    config = jax.config
-    folder = config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if folder is None or not config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
-        return {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-    return {
-        "JAX_COMPILATION_CACHE_DIR": str(folder),
-        "JAX_COMPILATION_CACHE_MAX_SIZE": str(config.jax_compilation_cache_max_size),  # type: ignore[attr-defined]
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-    }

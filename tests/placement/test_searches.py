@@ -9,11 +9,17 @@ from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene
 
 SEEDS = 3
-"""13 make 208 searches, in eight minutes: for when something changes in how sensors may stand."""
+"""16 make 208 searches: for when something changes in how sensors may stand."""
+MAPS = {
+    "roundabout": tuple(METHODS),
+    "t_junction": ("greedy-adam", "grid", "random", "greedy", "cma-es"),
+}
+"""Of the methods that only move within their charts one will do for the second map: the gradients
+of each take half a minute to compile."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["t_junction", "roundabout"])
+@pytest.mark.parametrize("name", MAPS)
 def test_what_every_search_finds_can_be_mounted(name):
     """Every method from random starts. Units of a camera and a LiDAR, and of one sensor.
 
@@ -21,8 +27,9 @@ def test_what_every_search_finds_can_be_mounted(name):
     """
     scene = build_scene(built_in(name), radius=30, voxel=1.0, frames=4, density=10)
     layout = strategy(scene, "Cam-d1/L-d1")
-    results = compare(scene, layout, evaluations=100, seeds=SEEDS, start="random")
-    assert len(results) == SEEDS * len(METHODS)
+    methods = MAPS[name]
+    results = compare(scene, layout, methods, evaluations=100, seeds=SEEDS, start="random")
+    assert len(results) == SEEDS * len(methods)
     lanes = lanes_of(scene.intersection)
     for result in results:
         assert_mountable(scene, result.start, lanes)

@@ -16,6 +16,8 @@ LOOK = 1.0  # step of looking ahead, at most [m]
 HORIZON = 27  # how many steps one looks ahead
 PATIENCE = 8.0  # the longest waiting has its turn after so long, and no sooner after a turn [s]
 STUCK = 120.0  # a user that has not moved for so long [s] goes and comes again elsewhere
+WEDGED = 20.0  # and so does one that stands in a block for so long [s], wedged between others
+TRY = 2.0  # of two that are in each other's way, each tries to go for so long [s]
 ARRIVALS = 4  # that are tried in one step
 
 
@@ -84,7 +86,7 @@ class WaypointModel:
             for _ in range(20):
                 self._draw(who)
                 self.arc[who] = self.rng.random() * self.paths.length[self.path[who]]
-                if self._has_room(who) and not self._in_block(who):
+                if self._has_room(who) and not self._in_block(np.array([who])).any():
                     self._admit(who)
                     break
 
@@ -136,10 +138,11 @@ class WaypointModel:
             self.point[others, :2], self.heading[others], half,
         ).any()  # fmt: skip
 
-    def _in_block(self, who: int | np.intp) -> bool:
-        blocks = self.paths.block[self.path[who]]
-        front, rear = self._ends(np.array([who]))
-        return bool(((self.paths.stop[blocks] < front) & (self.paths.leave[blocks] > rear)).any())
+    def _in_block(self, on: np.ndarray) -> Bool[np.ndarray, " M"]:
+        """Whether any part of each is in a block."""
+        blocks = self.paths.block[self.path[on]]
+        front, rear = (end[:, None] for end in self._ends(on))
+        return ((self.paths.stop[blocks] < front) & (self.paths.leave[blocks] > rear)).any(1)
 
     def _admit(self, who: int | np.intp) -> None:
         blocks = self.paths.block[self.path[who]]
@@ -155,7 +158,9 @@ class WaypointModel:
             outside = np.sort(self.rng.choice(outside, ARRIVALS, replace=False))
         for who in outside:
             self._draw(who)
-            if self._has_room(who) and (not self._in_block(who) or self._first_free(who)):
+            if self._has_room(who) and (
+                not self._in_block(np.array([who])).any() or self._first_free(who)
+            ):
                 self.speed[who] = self.wish[who]  # it looks ahead before it moves
                 self._admit(who)
 
@@ -329,15 +334,21 @@ class WaypointModel:
                 break
             a, b = i[met], j[met]
             a_behind, b_behind = _is_ahead(point, heading, a, b), _is_ahead(point, heading, b, a)
-            both = (a_behind == b_behind) | ~moves[a] | ~moves[b]
-            held = np.concatenate([a[a_behind | both], b[b_behind | both]])
+            # Where that says nothing of who is first, one tries, and then the other: held back
+            # both, they would stand for good.
+            a_later = self.track[on[a]] > self.track[on[b]]
+            a_waits = np.where(
+                a_behind == b_behind, a_later == (self.time % (2 * TRY) < TRY), a_behind
+            )
+            both = ~moves[a] | ~moves[b]
+            held = np.concatenate([a[a_waits | both], b[~a_waits | both]])
             speed[held], moves[held] = 0.0, False
             back = on[held]
             self.arc[back] = was_arc[held]
             self.point[back], self.heading[back] = was_point[held], was_heading[held]
         self.speed[on] = speed
         self.still[on] = np.where(speed > 0, 0.0, self.still[on] + dt)
-        stuck = self.still[on] > STUCK
+        stuck = (self.still[on] > STUCK) | ((self.still[on] > WEDGED) & self._in_block(on))
         self.removed += int(stuck.sum())
         self.active[on[(self.arc[on] >= self.paths.length[self.path[on]]) | stuck]] = False
 

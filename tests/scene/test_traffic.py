@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,7 +21,13 @@ from inspe_jax.scene.traffic import (
     _quota,
     waypoint_traffic,
 )
-from inspe_jax.scene.waypoint_model import WaypointModel, _overlap, _safe_speed, _truncated_normal
+from inspe_jax.scene.waypoint_model import (
+    WEDGED,
+    WaypointModel,
+    _overlap,
+    _safe_speed,
+    _truncated_normal,
+)
 from inspe_jax.scene.waypoint_paths import SPACING, lay_paths
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
@@ -490,16 +497,36 @@ def test_built_ins(name: str) -> None:
     assert traffic.mean_count == pytest.approx(20, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("town", "where"), [("Town05", {"junction": 53}), ("Town03", {"center": (0.0, 0.0)})]
-)
-def test_town(town: str, where: dict) -> None:
+def place_in(town: str, **where):
     pytest.importorskip("carla", reason="needs the CARLA client")
     if not (MAPS / f"{town}.xodr").is_file():
         pytest.skip("needs the maps beside the checkout")
     from inspe_jax.scene.opendrive import read_opendrive
 
-    place = read_opendrive(MAPS / f"{town}.xodr", **where)
+    return read_opendrive(MAPS / f"{town}.xodr", **where)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [20, 40, 60])
+def test_lorries_in_narrow_streets_do_not_stand_for_good(density: int) -> None:
+    """Where two sweep each other's corner one goes first; who is wedged in goes and comes again."""
+    place = place_in("Town04", junction=278, radius=50)
+    traffic = waypoint_traffic(place, radius=50, count=density, frames=100, mix="largest")
+    assert overlapping(traffic) == []
+    at = [xyz[there, :2] for xyz, there in zip(traffic.center, traffic.valid, strict=True)]
+    stands = [
+        (np.abs(now[:, None] - before).sum(-1).min(1) < 0.05).mean() for before, now in pairwise(at)
+    ]
+    assert np.mean(stands) < 0.6
+    waits = "".join("." if share == 1 else "|" for share in stands).split("|")
+    assert max(map(len, waits)) <= WEDGED
+
+
+@pytest.mark.parametrize(
+    ("town", "where"), [("Town05", {"junction": 53}), ("Town03", {"center": (0.0, 0.0)})]
+)
+def test_town(town: str, where: dict) -> None:
+    place = place_in(town, **where)
     traffic = waypoint_traffic(place, radius=50, count=30, frames=40)
     assert overlapping(traffic) == []
     assert traffic.mean_count == pytest.approx(30, rel=0.1)

@@ -19,7 +19,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.sweep import _sent, sweep
+from inspe_jax.study.sweep import _by_scene, _sent, sweep
 from inspe_jax.study.work import work
 
 STUDY = dict(
@@ -251,6 +251,16 @@ def test_what_is_lost_on_the_way(error, tmp_path, monkeypatch):
     else:
         with pytest.raises(InspeError, match="the same command goes on from here"):
             next(found)
+
+
+def test_scenes_of_one_place_go_one_after_the_other(tmp_path):
+    jobs = load_study(write(tmp_path)).jobs
+    places = [
+        (group[0].source.name, group[0].settings["density"], len(group))
+        for group in _by_scene(jobs)
+    ]
+    names = "four_way", "t_junction"
+    assert places == [(name, density, 4) for density in (5, 8) for name in names]
 
 
 class Completed(list):

@@ -131,7 +131,7 @@ def test_scores_are_those_of_the_sensors_as_they_are_then(scene):
     many = evaluate_many(scene, layout, [layout.poses], conditions=around)
     assert many.surrogate[0] == pytest.approx(scores.surrogate, abs=1e-6)
     clear = evaluate(scene, layout)
-    assert scores.coverage <= clear.coverage == 1
+    assert scores.coverage <= clear.coverage == pytest.approx(1)  # all are in view of some
     for name in ("occlusion", "information_gain", "surrogate"):
         assert getattr(scores, name) < getattr(clear, name)
 

@@ -401,13 +401,21 @@ def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
     assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())
 
 
+ON_ONE_CORE = """import os
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+"""
+"""Two threads that trace at once may share parts of their code or not, as it comes: then JAX knows
+a kernel by another name, and keeps it once more."""
+
+
 def in_a_new_shell(files, cache, *arguments):
     """(stdout, names of what was kept in the cache) of the command line in its own process."""
     own = {key: str(cache) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
     other = ("JAX_", "INSPE_")
     env = {key: value for key, value in os.environ.items() if not key.startswith(other)}
     ran = subprocess.run(
-        [sys.executable, "-c", "from inspe_jax.cli import main; main()", *arguments],
+        [sys.executable, "-c", f"{ON_ONE_CORE}from inspe_jax.cli import main; main()", *arguments],
         env=env | own,
         cwd=files,
         capture_output=True,

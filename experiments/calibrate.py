@@ -16,22 +16,32 @@ goes on where it was; jobs that a choice does not touch are not done again.
 """
 
 import argparse
-import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from common import MAPS, command_line, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
-from scipy.stats import spearmanr
-from table2 import HERE, LIGHTS, QUICK, QUICK_SIZE, Stats, read_paper, statistics
+from table2 import (
+    LIGHTS,
+    QUICK_SIZE,
+    Stats,
+    begin,
+    correlation,
+    difference,
+    panels,
+    places,
+    read_paper,
+    statistics,
+)
 
-from inspe_jax.cli.common import keep_compiled, progress
+from inspe_jax.cli.common import progress
 from inspe_jax.errors import InspeError
 from inspe_jax.files import write_text
+from inspe_jax.placement.checkpoint import digest
 from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.report.tables import METRICS
 from inspe_jax.study.cluster import client
@@ -115,23 +125,20 @@ def layouts(at: Setting) -> dict[str, Any]:
 
 def jobs(at: Setting, given: argparse.Namespace) -> tuple[Job, ...]:
     """What is to be scored at a setting: LiDARs alone, which need no light, once."""
-    scenes = QUICK
-    if not given.quick:
-        text = (HERE / "intersections.yaml").read_text(encoding="utf-8")
-        scenes = yaml.safe_load(text)[: given.scenes]
     settings = dict(frames=given.frames, seed=given.seed)
     settings |= {
         key: at[key] for key in ("occlusion_reference", "voxel", "radius", "mix", "density")
     }
     if given.quick:
         settings |= QUICK_SIZE
-    content = dict(scenes=scenes, settings=settings | dict(light=list(given.lights)))
+    content = dict(
+        scenes=places(given)[: given.scenes], settings=settings | dict(light=list(given.lights))
+    )
     found = make_study(content | layouts(at), MAPS, "calibrate").jobs
-    dark = STRATEGIES.keys() - {name for name, row in STRATEGIES.items() if row.cameras}
     return tuple(
         job
         for job in found
-        if job.layout.name not in dark or job.settings["light"] == given.lights[0]
+        if STRATEGIES[job.layout.name].cameras or job.settings["light"] == given.lights[0]
     )
 
 
@@ -157,7 +164,7 @@ class Tables:
 
     def _do(self, study: Study) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        name = hashlib.sha256(" ".join(job.key for job in study.jobs).encode()).hexdigest()[:12]
+        name = digest([job.key for job in study.jobs])[:16]
         with progress(f"{len(study.jobs)} jobs") as report:
             rows = sweep(study, self.folder / name, scheduler=self.scheduler, progress=report)
         for row in rows:
@@ -169,18 +176,9 @@ class Tables:
 # ── The search ──────────────────────────────────────────────────────────────
 
 
-def difference(ours: Stats, paper: Stats, placements: Sequence[str]) -> dict[str, float]:
-    """Mean absolute difference of each metric over placements."""
-    return {
-        metric: float(np.mean([abs(ours[p, metric][0] - paper[p, metric][0]) for p in placements]))
-        for metric in METRICS
-    }
-
-
 def loss(ours: Stats, paper: Stats, placements: Sequence[str]) -> float:
     """What is made small."""
-    off = difference(ours, paper, placements)
-    return float(np.mean([off[metric] for metric in FITTED]))
+    return float(np.mean([difference(ours, paper, placements, metric) for metric in FITTED]))
 
 
 def fit(
@@ -228,67 +226,46 @@ def stand_in(tables: Tables, given: argparse.Namespace) -> tuple[Setting, Stats]
 # ── What is told ────────────────────────────────────────────────────────────
 
 
-def told(best: dict[str, Setting], tables: Tables, paper: Stats, truth: Setting | None) -> str:
-    """Settings and differences, in Markdown."""
-    names = [name for name in STRATEGIES if (name, "surrogate") in paper]
-    fitted, *folds = tables.of([best[ALL], *(best[name] for name in names)])
+def told(
+    best: dict[str, Setting], fitted: Stats, out: Stats, paper: Stats, truth: Setting | None
+) -> str:
+    """Settings and differences, in Markdown; ``out`` has each placement as it was predicted."""
+    names = [name for name in best if name != ALL]
     text = "| setting | fitted to all | where one was left out |" + (" truth |" if truth else "")
     text += "\n|---|---|---|" + ("---|" if truth else "") + "\n"
     for key, value in best[ALL].items():
-        others = [str(best[name][key]) for name in names]
-        counts = {other: others.count(other) for other in dict.fromkeys(others)}
+        counts = Counter(str(best[name][key]) for name in names)
         each = ", ".join(f"{other} ({count})" for other, count in counts.items())
         text += f"| {key} | {value} | {each} |" + (f" {truth[key]} |" if truth else "") + "\n"
-    off = difference(fitted, paper, names)
-    out = {
-        metric: float(
-            np.mean(
-                [
-                    abs(fold[name, metric][0] - paper[name, metric][0])
-                    for name, fold in zip(names, folds, strict=True)
-                ]
-            )
-        )
-        for metric in METRICS
-    }
     text += (
         "\n| metric | Spearman | mean absolute difference, fitted | left out |\n|---|---|---|---|\n"
     )
     for metric, symbol in METRICS.items():
-        pair = [[of[name, metric][0] for name in names] for of in (fitted, paper)]
-        rank = float(spearmanr(*pair).statistic)
-        text += f"| {symbol} | {rank:.3f} | {off[metric]:.4f} | {out[metric]:.4f} |\n"
+        off = [f"{difference(of, paper, names, metric):.4f}" for of in (fitted, out)]
+        rank = correlation(fitted, paper, names, metric)
+        text += f"| {symbol} | {rank:.3f} | {' | '.join(off)} |\n"
     return text
 
 
-def draw(best: dict[str, Setting], tables: Tables, paper: Stats, path: Path) -> None:
+def draw(names: Sequence[str], fitted: Stats, out: Stats, paper: Stats, path: Path) -> None:
     """Fitted and left-out values of every placement beside the paper's, a panel a metric."""
-    names = [name for name in STRATEGIES if (name, "surrogate") in paper]
-    fitted, *folds = tables.of([best[ALL], *(best[name] for name in names)])
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
-    at = np.arange(len(names))
-    for ax, (metric, symbol) in zip(figure.subplots(2, 2).ravel(), METRICS.items(), strict=True):
-        ax.plot(at, [paper[n, metric][0] for n in names], "_", ms=16, mew=2, color="#555555",
-                label="table to be met")  # fmt: skip
-        ax.plot(at, [fitted[n, metric][0] for n in names], "o", color="#0072b2", ms=6,
-                label="fitted to all")  # fmt: skip
-        ax.plot(at, [fold[n, metric][0] for n, fold in zip(names, folds, strict=True)], "x",
-                color="#d55e00", label="fitted to the others")  # fmt: skip
-        ax.set_title(symbol, fontsize=10)
-        ax.set_xticks(at, names, rotation=45, ha="right", fontsize=8)
-        ax.set_ylim(0, 1.03)
-        ax.grid(axis="y", color="#e0e0e0", lw=0.5)
+    marks: list[tuple[str, Stats, dict[str, Any]]] = [
+        ("table to be met", paper, dict(marker="_", ms=16, mew=2, color="#555555")),
+        ("fitted to all", fitted, dict(marker="o", ms=6, color="#0072b2")),
+        ("fitted to the others", out, dict(marker="x", color="#d55e00")),
+    ]
+    for ax, metric in panels(figure, names):
+        for label, of, style in marks:
+            ax.plot([of[name, metric][0] for name in names], ls="", label=label, **style)
     figure.axes[0].legend(fontsize=8, loc="lower right")
     figure.savefig(path, dpi=150)
 
 
 def main() -> None:
     """The search, with workers that stay for all of it."""
-    keep_compiled()
     given = options()
-    if not given.quick and not MAPS.is_dir():
-        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
-    stem = "calibrate_quick" if given.quick else "calibrate"
+    stem = begin(given, "calibrate")
     with client(given.scheduler, given.workers) as workers:  # the same ones for every study
         address = str(workers.scheduler_info()["address"])
         calibrate(given, stem, Tables(given, given.out / f"{stem}_jobs", address))
@@ -302,13 +279,19 @@ def calibrate(given: argparse.Namespace, stem: str, tables: Tables) -> None:
         raise SystemExit(f"{given.paper}: {len(names)} placements; at least 3 are needed")
     folds = {ALL: names} | {name: [n for n in names if n != name] for name in names}
     best = fit(tables, paper, folds, given.only)
-    text = told(best, tables, paper, truth)
+    fitted, *without = tables.of([best[ALL], *(best[name] for name in names)])
+    out = {
+        (name, metric): fold[name, metric]
+        for name, fold in zip(names, without, strict=True)
+        for metric in METRICS
+    }
+    text = told(best, fitted, out, paper, truth)
     console.print(text, highlight=False, soft_wrap=True)
     write_text(given.out / f"{stem}.md", text)
     rows = [dict(fitted_without=fold if fold != ALL else "", **at) for fold, at in best.items()]
     write_results(given.out / f"{stem}.csv", rows, vars(given) | dict(jobs=len(tables.rows)))
-    draw(best, tables, paper, given.out / f"{stem}.png")
-    off = loss(tables.of([best[ALL]])[0], paper, names)
+    draw(names, fitted, out, paper, given.out / f"{stem}.png")
+    off = loss(fitted, paper, names)
     if truth and off > FOUND:
         raise SystemExit(f"a table that is reachable was missed by {off:.4f}")
 

@@ -16,7 +16,7 @@ The study runs on all cores, or by a Dask scheduler, and goes on where it was st
 
 import argparse
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,16 +68,29 @@ def options() -> argparse.Namespace:
     return found
 
 
+def begin(given: argparse.Namespace, name: str) -> str:
+    """Make sure that the maps are there, keep what is compiled; gives the name of the output."""
+    if not given.quick and not MAPS.is_dir():
+        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
+    keep_compiled()
+    return f"{name}_quick" if given.quick else name
+
+
+def places(given: argparse.Namespace) -> list[dict[str, Any]]:
+    """The intersections, as a study file has them."""
+    if given.quick:
+        return QUICK
+    text = (HERE / "intersections.yaml").read_text(encoding="utf-8")
+    return list(yaml.safe_load(text))
+
+
 def plan(given: argparse.Namespace, **settings: Any) -> Study:
     """The study: every placement on every intersection."""
-    scenes = QUICK
-    if not given.quick:
-        scenes = yaml.safe_load((HERE / "intersections.yaml").read_text(encoding="utf-8"))
     size = dict(radius=given.radius, voxel=given.voxel, frames=given.frames)
     if given.quick:
         size = dict(QUICK_SIZE)
     size |= dict(mix=given.mix, seed=given.seed)
-    content = dict(scenes=scenes, layouts=list(STRATEGIES), settings=size | settings)
+    content = dict(scenes=places(given), layouts=list(STRATEGIES), settings=size | settings)
     return make_study(content, MAPS, "intersections.yaml", "table2")
 
 
@@ -132,12 +145,24 @@ def table(stats: Stats, paper: Stats) -> str:
     for metric, symbol in METRICS.items():
         both = [name for name in STRATEGIES if (name, metric) in paper and (name, metric) in stats]
         if len(both) > 2:
-            ours = [stats[name, metric][0] for name in both]
-            theirs_ = [paper[name, metric][0] for name in both]
-            off = float(np.abs(np.subtract(ours, theirs_)).mean())
-            rank = float(spearmanr(ours, theirs_).statistic)
+            rank, off = (
+                correlation(stats, paper, both, metric),
+                difference(stats, paper, both, metric),
+            )
             text += f"\n{symbol}: Spearman {rank:.3f}, mean absolute difference {off:.3f}\n"
     return text
+
+
+def difference(ours: Stats, paper: Stats, placements: Sequence[str], metric: str) -> float:
+    """Mean absolute difference of a metric over placements."""
+    return float(np.mean([abs(ours[p, metric][0] - paper[p, metric][0]) for p in placements]))
+
+
+def correlation(ours: Stats, paper: Stats, placements: Sequence[str], metric: str) -> float:
+    """Spearman's, of a metric over placements."""
+    return float(
+        spearmanr(*([of[p, metric][0] for p in placements] for of in (ours, paper))).statistic
+    )
 
 
 def orderings(rows: list[Row], stats: Stats) -> str:
@@ -213,37 +238,40 @@ def optimised(rows: list[Row]) -> str:
     return text
 
 
+def panels(figure: Figure, names: Sequence[str]) -> Iterator[tuple[Any, str]]:
+    """A panel for each metric, placements along it."""
+    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
+    for ax, (metric, symbol) in zip(axes, METRICS.items(), strict=True):
+        ax.set_title(symbol, fontsize=10)
+        ax.grid(axis="y", color="#e0e0e0", lw=0.5)
+        ax.set_xticks(np.arange(len(names)), names, rotation=45, ha="right", fontsize=8)
+        ax.set_ylim(0, 1.03)
+        yield ax, metric
+
+
 def draw(stats: Stats, paper: Stats, path: Path) -> None:
     """Mean and standard deviation of every placement, a panel a metric."""
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
     names = list(STRATEGIES)
     at = np.arange(len(names))
-    for ax, (metric, symbol) in zip(axes, METRICS.items(), strict=True):
+    for ax, metric in panels(figure, names):
         both = [("inspe_jax", stats, "#0072b2", -0.12 if paper else 0.0)]
         both += [("paper", paper, "#d55e00", 0.12)] if paper else []
         for label, values, color, aside in both:
             rows = np.array([values.get((name, metric), (np.nan, np.nan)) for name in names])
             ax.errorbar(at + aside, rows[:, 0], rows[:, 1], fmt="o", ms=4, capsize=2.5,
                         color=color, label=label)  # fmt: skip
-        ax.set_title(symbol, fontsize=10)
-        ax.grid(axis="y", color="#e0e0e0", lw=0.5)
-        ax.set_xticks(at, names, rotation=45, ha="right", fontsize=8)
-        ax.set_ylim(0, 1.03)
-    for ax in axes[::2]:
+    for ax in figure.axes[::2]:
         ax.set_ylabel("mean ± standard deviation", fontsize=8)
     if paper:
-        axes[0].legend(fontsize=8, loc="lower right")
+        figure.axes[0].legend(fontsize=8, loc="lower right")
     figure.savefig(path, dpi=150)
 
 
 def main() -> None:
     """The study, its table, what follows from it, and the figure."""
-    keep_compiled()
     given = options()
-    if not given.quick and not MAPS.is_dir():
-        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
-    stem = "table2_quick" if given.quick else "table2"
+    stem = begin(given, "table2")
     densities = DENSITIES[1:2] if given.quick else DENSITIES
     lights = LIGHTS[:1] if given.quick else LIGHTS
     study = plan(given, density=list(densities), light=list(lights))

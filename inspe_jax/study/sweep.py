@@ -115,7 +115,7 @@ def _row(job: Job, found: Any) -> tuple[Row, str | None]:
     return found
 
 
-@dataclass
+@dataclass(eq=False)
 class _Open:
     """A scene whose jobs are being done: those left, and how many of it are on their way."""
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import deadly
 import distributed
 import psutil
 import pytest
@@ -20,7 +21,6 @@ from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.sweep import _by_scene, _sent, sweep
-from inspe_jax.study.work import work
 
 STUDY = dict(
     scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
@@ -219,16 +219,10 @@ def test_a_job_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypat
         tmp_path, scenes=[{"built_in": "four_way"}], layouts=["L-c", "L-d1", "deadly.yaml", "L-d2"],
         settings=dict(radius=20, voxel=2, frames=2, density=5),
     )  # fmt: skip
-    monkeypatch.setattr("inspe_jax.study.sweep.work", deadly)
+    monkeypatch.setattr("inspe_jax.study.sweep.work", deadly.work)
     rows = sweep(load_study(path), tmp_path / "out", workers=1)
     assert [row["status"] for row in rows] == ["done", "done", "failed", "done"]
     assert "KilledWorker" in rows[2]["error"]
-
-
-def deadly(scene, job, wanted):
-    if job.layout.name == "deadly":
-        os._exit(1)
-    return work(scene, job, wanted)
 
 
 @pytest.mark.parametrize("error", [CancelledError("gone"), ValueError("what")])

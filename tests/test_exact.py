@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, no_traffic, random_layout, random_traffic, world
+from worlds import CAMERA, LIDAR, no_traffic, random_layout, random_traffic, slow_but, world
 
 from inspe_jax import exact, metrics
 from inspe_jax import world as made
@@ -48,7 +48,7 @@ def assert_same(dense, counted):
         np.testing.assert_allclose(ours, theirs, rtol, 2e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", slow_but(SCENES, "plain"))
 def test_masks_count_what_numbers_add_up_to(name):
     scene = world(seed=3, **SCENES[name])
     x, y = scene.voxels.center[:2]
@@ -64,7 +64,10 @@ def test_masks_count_what_numbers_add_up_to(name):
 
 @pytest.mark.parametrize("reference", metrics.OCCLUSION_REFERENCES)
 @pytest.mark.parametrize("visibility", ["in_view", "line_of_sight"])
-@pytest.mark.parametrize("failures", [(), UNITS], ids=["whole", "failures"])
+@pytest.mark.parametrize(
+    "failures",
+    [pytest.param((), id="whole"), pytest.param(UNITS, id="failures", marks=pytest.mark.slow)],
+)
 def test_every_reading_is_counted_alike(reference, visibility, failures):
     scene = world(seed=7, count=20)
     layout = random_layout(scene, SPECS, seed=8, heights=(1.0, 4.0))
@@ -105,6 +108,7 @@ def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
             np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))
 
 
+@pytest.mark.slow
 def test_a_sample_is_counted_as_a_scene_of_its_own():
     """Some columns and frames, traced, against numbers; p̂ is that of all frames."""
     scene = world(seed=6, frames=6, count=15)

@@ -1,8 +1,10 @@
 """Small scenes with known answers, and a segment–triangle oracle, for the tests."""
 
+from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,6 +29,11 @@ LIDAR = LidarSpec(
 CAMERA = CameraSpec(
     "test-camera", 800, 600, 400 / np.tan(np.radians(50)), (400.0, 300.0), 0.1, 30.0, 0.9
 )
+
+
+def slow_but(names: Iterable[str], *quick: str) -> list[Any]:
+    """Parameters, marked as slow but for a few: with the oldest dependencies those will do."""
+    return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 def crossing(

@@ -40,15 +40,20 @@ def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, 
     of sight. Raises InspeError where there is no such frame.
     """
     check_layout(scene, layout)
-    frame = operator.index(frame)
-    last = scene.traffic.frame_count - 1
-    if not 0 <= frame <= last:
-        raise InspeError(f"frame {frame}: the scene has frames 0 to {last}")
+    frame = check_frame(scene, frame)
     ground = about_center(scene)
     tiles, poses = tiles_of(ground), poses_about_center(scene, layout)
     prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], ground.prisms)
     clear = [tiles.by_voxel(sight_masks(pose[:3], prisms, tiles.tile)[:, 0]) for pose in poses]
     return np.stack(clear)
+
+
+def check_frame(scene: Scene, frame: int) -> int:
+    """The frame as an int. Raises InspeError where there is no such frame."""
+    frame, last = operator.index(frame), scene.traffic.frame_count - 1
+    if not 0 <= frame <= last:
+        raise InspeError(f"frame {frame} is out of range: {scene.name} has frames 0 to {last}")
+    return frame
 
 
 def check_layout(scene: Scene, layout: Layout) -> None:

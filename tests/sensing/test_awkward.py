@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, place_sensors, with_boxes, world
+from worlds import CAMERA, LIDAR, place_sensors, slow_but, with_boxes, world
 
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.ground import about_center, poses_about_center
@@ -37,7 +37,7 @@ ANGLES = [(0, 0), (0, 90), (0, 180), (0, -90), (-45, 0), (-90, 0), (-30, 37)]
 """Pitch and yaw [degrees]."""
 
 
-@pytest.mark.parametrize("name", DEVICES)
+@pytest.mark.parametrize("name", slow_but(DEVICES, "camera", "lidar"))
 def test_in_view_by_masks_is_in_view_by_margins(name):
     """Above a column's centre, level with a voxel's, and anywhere; along the axes and not.
 

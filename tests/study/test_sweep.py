@@ -44,11 +44,10 @@ def write(folder: Path, **changes) -> Path:
 
 
 def begin(path: Path, out: Path, *options: str) -> subprocess.Popen:
-    """`inspe sweep` in a process and a group of its own; what is compiled is kept between runs."""
+    """`inspe sweep` in a process and a group of its own."""
     command = "from inspe_jax.cli import main; main()"
     return subprocess.Popen(
         [sys.executable, "-c", command, "sweep", str(path), "--out", str(out), *options],
-        env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(path.parent / "compiled")},
         start_new_session=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

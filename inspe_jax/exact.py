@@ -42,13 +42,13 @@ def measure_exactly(
     As :func:`~inspe_jax.measures.measure`. Works on all cores; traced, on one, and on a world
     whose shares have all tiles.
     """
-    views = _views(world, poses, crew, voxel / 2)
+    views = in_view_of(world, poses, crew, voxel / 2)
     sighted = visibility == "line_of_sight"
     watched = _watch_all(world, views, poses[:, :3], crew.failures, occlusion_reference, sighted)
     return _measures(world, views, watched, jnp.asarray(crew.reliability, float), crew.failures)
 
 
-def _views(
+def in_view_of(
     world: World, poses: Float[Array, "S 6"], crew: Crew, half: float
 ) -> UInt[Array, "S N C"]:
     """Masks of what each sensor has in view."""

@@ -12,15 +12,18 @@ import shapely
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, PathPatch
 from matplotlib.path import Path as Outline
+from matplotlib.ticker import MaxNLocator
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores
+from inspe_jax.report.layers import Layer, seen_layer
 from inspe_jax.report.sheet import (
     CIRCLE,
     HALO,
@@ -36,6 +39,7 @@ from inspe_jax.scene.traffic import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.sensing.visibility import check_frame
 
 REGION_COLORS: dict[Region, str] = dict(
     zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)
@@ -86,15 +90,18 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     return fig
 
 
-def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -> Figure:
+def plan_view(
+    scene: Scene, layout: Layout, scores: Scores, layer: Layer | None = None, *, frame: int = 0
+) -> Figure:
     """Plan view of a scored layout: what each column's chance of being seen is, and by whom.
 
     The raster is ``scores.seen_share``, the share of frames and levels in which a
-    column is seen. Cameras show their horizontal field of view to their depth,
-    LiDARs their reach. Raises InspeError where there is no such ``frame`` or the
+    column is seen; or another ``layer``. Cameras show their horizontal field of view to their
+    depth, LiDARs their reach. Raises InspeError where there is no such ``frame`` or the
     scores are not of this scene.
     """
-    raster, extent = seen_raster(scene.voxels, scores.seen_share)
+    layer = layer or seen_layer(scores.seen_share)
+    raster, extent = column_raster(scene.voxels, layer.values)
     layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     facts = (
@@ -104,37 +111,41 @@ def plan_view(scene: Scene, layout: Layout, scores: Scores, *, frame: int = 0) -
         f"radius {scene.voxels.radius:g} m, voxel {scene.voxels.size:g} m; {_users(scene, frame)}"
     )
     keys = plan_keys(scene, layout)
-    rows = 7 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
+    rows = 8 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
     with house_style():
         title = f"{layout.name} at {scene.name}{scores.conditions.words}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
         frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
-        image = draw_seen(ax, scene, layout, poses, raster, extent, frame)
+        image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
         draw_badges(ax, layout, poses)
-        _color_bar(fig, panel, image)
-        _list_sensors(panel, layout, poses)
+        top = 5.5 * _ROW
+        if layer.kinds:
+            top = _list_kinds(panel, layer)
+        else:
+            _color_bar(fig, panel, image, layer)
+        _list_sensors(panel, layout, poses, top)
         panel.legend(handles=keys, loc="lower left", **KEYS)
     return fig
 
 
-def seen_raster(
-    voxels: VoxelGrid, share: Float[np.ndarray, " L"]
+def column_raster(
+    voxels: VoxelGrid, values: Float[np.ndarray, " L"]
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
     """A value per column as an image, NaN where there is none, and its (x0, x1, y0, y1) [m].
 
     Row i runs northward and column j eastward from the south-west corner, so the
     pixel is the column's true square. Raises InspeError where L differs.
     """
-    share = np.asarray(share, float)
-    if share.shape != (len(voxels.columns),):
+    values = np.asarray(values, float)
+    if values.shape != (len(voxels.columns),):
         raise InspeError(
-            f"scores of another scene: seen_share has shape {share.shape}, expected "
+            f"scores of another scene: their columns' values have shape {values.shape}, expected "
             f"({len(voxels.columns)},), one value a column"
         )
     half = int(np.ceil(voxels.radius / voxels.size))
     index = np.round((voxels.columns - voxels.center[:2]) / voxels.size - 0.5).astype(int) + half
     raster = np.full((2 * half, 2 * half), np.nan)
-    raster[index[:, 1], index[:, 0]] = share
+    raster[index[:, 1], index[:, 0]] = values
     (x, y), reach = voxels.center[:2].tolist(), half * voxels.size
     return raster, (x - reach, x + reach, y - reach, y + reach)
 
@@ -215,16 +226,14 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
             keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=name.format(far)))
     if scene.traffic.valid.any():
         keys.append(Patch(**USER, label="road user"))
-    keys.append(Patch(fc="#d9c76b", ec=OUTLINE["ec"], lw=0.8, label="region outlined"))
+    keys.append(Patch(**{**OUTLINE, "lw": 0.8}, label="region outlined"))
     return [*keys, Line2D([], [], **CIRCLE, label="region of interest")]
 
 
 def _users(scene: Scene, frame: int) -> str:
     """How many road users a frame has, in words. Raises InspeError where there is no such frame."""
     traffic = scene.traffic
-    if not 0 <= frame < traffic.frame_count:
-        last = traffic.frame_count - 1
-        raise InspeError(f"frame {frame} is out of range: {scene.name} has frames 0 to {last}")
+    check_frame(scene, frame)
     count, mean = int(traffic.valid[frame].sum()), traffic.mean_count
     return f"frame {frame} of {traffic.frame_count}: {count} road users (mean {mean:.1f})"
 
@@ -258,25 +267,31 @@ def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
     return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
 
 
-def draw_seen(
+def draw_layer(
     ax: Axes,
     scene: Scene,
     layout: Layout,
     poses: np.ndarray,
+    layer: Layer,
     raster: np.ndarray,
     extent: tuple[float, float, float, float],
     frame: int,
 ) -> AxesImage:
-    """How often each spot is seen, under one frame's road users and the sensors' views.
+    """A layer, such as how often each spot is seen, under one frame's road users and the views.
 
-    ``raster`` and ``extent`` as :func:`seen_raster` gives them; ``poses`` about the centre.
+    ``raster`` and ``extent`` as :func:`column_raster` gives them; ``poses`` in the world.
     """
+    colors: Any = layer.colors
+    if layer.kinds:
+        colors = ListedColormap([color for _, color in layer.kinds])
+    low, high = (-0.5, len(layer.kinds) - 0.5) if layer.kinds else (0.0, layer.most)
     image = ax.imshow(
-        raster, extent=extent, origin="lower", cmap="cividis", vmin=0, vmax=1,
+        raster, extent=extent, origin="lower", cmap=colors, vmin=low, vmax=high,
         interpolation="nearest", zorder=0.5,
     )  # fmt: skip
     draw_regions(ax, scene, lambda _: OUTLINE)
-    draw_users(ax, scene, frame, [USER] * len(CLASSES))
+    if layer.users:
+        draw_users(ax, scene, frame, [USER] * len(CLASSES))
     for sensor, pose in zip(layout.sensors, poses, strict=True):
         outline = view_outline(sensor.spec, pose)
         ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
@@ -375,19 +390,39 @@ def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) 
         _badge(ax, place, k + 1, kind)
 
 
-def _color_bar(fig: Figure, panel: Axes, image: Any) -> None:
+def _color_bar(fig: Figure, panel: Axes, image: Any, layer: Layer) -> None:
     depth = -panel.get_ylim()[0]
     axes = panel.inset_axes((0.02, 1 - 30 / depth, 0.94, 7 / depth))
-    bar = fig.colorbar(image, cax=axes, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
-    bar.ax.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
-    what = "share of frames and levels\nin which a column is seen"
-    panel.text(panel.get_xlim()[1] / 2, -1, what, ha="center", va="top", linespacing=1.2)
+    ticks = ticks_of(layer)
+    bar = fig.colorbar(image, cax=axes, orientation="horizontal", ticks=ticks)
+    bar.ax.set_xticklabels([f"{tick:g}" for tick in ticks])
+    middle = panel.get_xlim()[1] / 2
+    panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)
 
 
-def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray) -> None:
-    """Every unit by name and under it its sensors: number, device, height above the base."""
+def ticks_of(layer: Layer) -> list[float]:
+    """Round values to mark on a layer's colour bar, from 0."""
+    if layer.most == 1.0:
+        return [0, 0.25, 0.5, 0.75, 1]
+    ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, layer.most)
+    return [float(f"{tick:g}") for tick in ticks if 0 <= tick <= layer.most]
+
+
+def _list_kinds(panel: Axes, layer: Layer) -> float:
+    """The kinds of columns there are, by colour; how far down they go [pt]."""
+    handles = [Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds]
+    panel.add_artist(panel.legend(handles=handles, loc="upper left", **KEYS))
+    lines = sum(name.count("\n") for name, _ in layer.kinds)
+    return 11.0 * len(layer.kinds) + 9.0 * lines + 12.0
+
+
+def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray, top: float) -> None:
+    """Every unit by name and under it its sensors: number, device, height above the base.
+
+    From ``top`` [pt] downward.
+    """
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
-    y = -5.5 * _ROW
+    y = -top
     panel.text(0, y, "device, height above the ground", **look, color="#404040")
     for u, unit in enumerate(layout.units):
         members = [k for k, sensor in enumerate(layout.sensors) if sensor.unit == u]

@@ -16,11 +16,12 @@ from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.report.figures import (
     KEYS,
+    column_raster,
     draw_badges,
-    draw_seen,
+    draw_layer,
     plan_keys,
-    seen_raster,
 )
+from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
@@ -60,7 +61,8 @@ def before_after(
         (
             of_scores.conditions.layout(of),
             np.asarray(of.poses, float),
-            *seen_raster(scene.voxels, of_scores.seen_share),
+            seen_layer(of_scores.seen_share),
+            *column_raster(scene.voxels, of_scores.seen_share),
         )
         for of, of_scores in ((before, scores_before), (after, scores))
     ]
@@ -76,11 +78,11 @@ def before_after(
         facts = f"radius {radius:g} m, voxel {scene.voxels.size:g} m; frame {frame} of the traffic"
         fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
         both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)
-        for k, ((layout, poses, raster, extent), when, of_scores) in enumerate(both):
+        for k, ((layout, poses, layer, raster, extent), when, of_scores) in enumerate(both):
             x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
             ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
             frame_map(ax, scene, reach)
-            image = draw_seen(ax, scene, layout, poses, raster, extent, frame)
+            image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
             ax.set_title(_caption(when, of_scores), size=7.5, loc="left", pad=4)
             if k == 1:
                 ax.set(ylabel="")

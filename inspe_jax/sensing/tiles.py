@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 
 from inspe_jax import masks
 from inspe_jax.geometry import NEVER, Prism, top_over
@@ -62,11 +62,14 @@ class Tiles:
 
     def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
         """Masks of the tiles' columns, for the voxels as the scene has them."""
-        lead, height = words.shape[:-2], self.tile.heights.shape[-2]
-        words = np.asarray(words).reshape(*lead, self.slabs, -1)[..., np.asarray(self.place)]
-        flags = masks.bits(words[..., None], height)  # (…, slabs, L, Z of a slab)
-        flags = flags.swapaxes(-3, -2).reshape(*lead, len(self.place), -1)
-        return flags[..., : self.level_count].reshape(*lead, -1)
+        return self.of_voxels(masks.bits(np.asarray(words)[..., None], self.tile.heights.shape[-2]))
+
+    def of_voxels(self, values: Shaped[np.ndarray, "... N C Z"]) -> Shaped[np.ndarray, "... V"]:
+        """A value for each level of the tiles' columns, for the voxels as the scene has them."""
+        lead, height = values.shape[:-3], values.shape[-1]
+        values = values.reshape(*lead, self.slabs, -1, height)[..., np.asarray(self.place), :]
+        values = values.swapaxes(-3, -2).reshape(*lead, len(self.place), -1)  # (…, L, slabs·Z)
+        return values[..., : self.level_count].reshape(*lead, -1)
 
 
 def tiles_of(ground: Ground) -> Tiles:

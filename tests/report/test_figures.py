@@ -22,9 +22,9 @@ from inspe_jax.report import figures
 from inspe_jax.report.figures import (
     CLASS_COLORS,
     REGION_COLORS,
+    column_raster,
     plan_view,
     scene_view,
-    seen_raster,
     spread_badges,
     view_outline,
 )
@@ -85,7 +85,7 @@ def drawn_boxes(fig):
 
 def test_the_raster_puts_each_column_on_its_square(scene):
     share = np.random.default_rng(0).uniform(size=len(scene.voxels.columns))
-    raster, (x0, x1, y0, y1) = seen_raster(scene.voxels, share)
+    raster, (x0, x1, y0, y1) = column_raster(scene.voxels, share)
     assert (x0, x1, y0, y1) == pytest.approx((0.3, 24.3, -19.7, 4.3))
     assert np.isfinite(raster).sum() == len(share)
     for (x, y), value in zip(scene.voxels.columns, share, strict=True):

@@ -1,0 +1,102 @@
+"""What pictures show of the columns of a scored layout: seen, blind, redundant, resolved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.scene.scene import Scene
+from inspe_jax.viewshed import Sight, Viewshed
+
+HIDDEN = 0.5
+"""A column that traffic hides for more than this share of the time that it is free is a blind
+spot."""
+BLIND = (
+    ("seen", "#f2f2f2"),
+    ("hidden by traffic\nmost of the time", "#e69f00"),
+    ("in part out of view", "#8a8a8a"),
+    ("never in view", "#202020"),
+)
+"""Kinds of columns: what is out of view in greys, what traffic hides in Okabe and Ito's orange."""
+SIGHT_COLORS: dict[Sight, str] = {
+    Sight.OUT_OF_VIEW: "#202020",
+    Sight.HIDDEN: "#e69f00",
+    Sight.SEEN: "#56b4e9",
+}
+"""Of voxels in one frame, in the same colours; those that are seen in sky blue."""
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Layer:
+    """A value for each column, and how it is shown.
+
+    ``values`` (L,), NaN where there is none; ``label`` says what they are, with their unit; they
+    are shown from 0 to ``most`` in a colour map, or, where there are ``kinds``, (name, colour), as
+    the kind of that number.
+    """
+
+    name: str
+    label: str
+    values: Float[np.ndarray, " L"]
+    most: float = 1.0
+    colors: str = "cividis"
+    kinds: tuple[tuple[str, str], ...] = ()
+    users: bool = True
+    """Whether the road users of one frame are drawn over it."""
+
+
+def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
+    """Every layer, by its name."""
+    levels = scene.voxels.level_count
+
+    def of_columns(values: np.ndarray) -> np.ndarray:
+        """(L, Z)"""
+        return np.asarray(values, float).reshape(-1, levels)
+
+    frames = shed.frame_count
+    sensors, seen = of_columns(shed.sensors), of_columns(shed.seen)
+    entropy, left = of_columns(shed.entropy), of_columns(shed.entropy * (1.0 - shed.resolved))
+    most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
+    found = (
+        seen_layer(seen.mean(1) / frames),
+        Layer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
+        Layer(
+            "redundancy",
+            "sensors that have a column in view,\nmean over its levels",
+            sensors.mean(1),
+            most=max(float(sensors.max(initial=0)), 1.0),
+            colors="viridis",
+        ),
+        Layer(
+            "entropy",
+            "entropy of a column's occupancy,\nsum over its levels [bit]",
+            entropy.sum(1),
+            most=most,
+            colors="magma",
+            users=False,
+        ),
+        Layer(
+            "unresolved",
+            "entropy that sensors leave,\nsum over a column's levels [bit]",
+            left.sum(1),
+            most=most,
+            colors="magma",
+            users=False,
+        ),
+    )
+    return {layer.name: layer for layer in found}
+
+
+def seen_layer(share: Float[np.ndarray, " L"]) -> Layer:
+    """How often each column is seen: :attr:`~inspe_jax.evaluation.Scores.seen_share`."""
+    return Layer("seen", "share of frames and levels\nin which a column is seen", share)
+
+
+def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:
+    """The kind of each column: its place in :data:`BLIND`."""
+    levels = scene.voxels.level_count
+    in_view = (shed.sensors > 0).reshape(-1, levels)
+    free = (shed.frame_count - shed.occupied).reshape(-1, levels) * in_view
+    seen = shed.seen.reshape(-1, levels).sum(1) / np.maximum(free.sum(1), 1)
+    kinds = [~in_view.any(1), ~in_view.all(1), (free.sum(1) > 0) & (seen < 1.0 - HIDDEN)]
+    return np.select(kinds, [3.0, 2.0, 1.0], 0.0)

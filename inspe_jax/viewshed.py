@@ -1,0 +1,158 @@
+"""What is seen where, voxel by voxel: by how many sensors, how often, in which frame.
+
+The cumulative viewsheds of geographic information systems, from the same masks that exact scores
+are counted from. For pictures: scores need no more than their sums.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt
+
+from inspe_jax import masks, metrics
+from inspe_jax.exact import in_view_of
+from inspe_jax.geometry import Prism
+from inspe_jax.measures import Crew
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.ground import poses_about_center
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.shadows import Casts, casts, clear_masks
+from inspe_jax.sensing.tiles import Tile, Tiles
+from inspe_jax.sensing.visibility import check_frame, check_layout
+from inspe_jax.world import whole_world_of
+
+
+class Sight(IntEnum):
+    """What a voxel is to a layout in one frame."""
+
+    OUT_OF_VIEW = 0
+    HIDDEN = 1
+    SEEN = 2
+    OCCUPIED = 3
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Viewshed:
+    """How well each voxel of a scene is watched by a layout.
+
+    ``sensors`` (V,) have it in view; in ``seen`` (V,) of ``frame_count`` frames some sensor sees
+    it; in ``occupied`` (V,) it is inside a road user. ``resolved`` (V,) is q_i, the chance that its
+    occupancy is resolved, as information gain has it with visibility ``in_view``.
+    """
+
+    sensors: Int[np.ndarray, " V"]
+    seen: Int[np.ndarray, " V"]
+    occupied: Int[np.ndarray, " V"]
+    resolved: Float[np.ndarray, " V"]
+    frame_count: int
+
+    @property
+    def entropy(self) -> Float[np.ndarray, " V"]:
+        """Entropy of each voxel's occupancy [bit]."""
+        share = jnp.asarray(self.occupied / self.frame_count, float)
+        return np.asarray(metrics.entropy(share)) / np.log(2.0)
+
+
+def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> Viewshed:
+    """How well each voxel is watched, over all frames.
+
+    Raises InspeError as :func:`inspe_jax.evaluate` does, but for want of traffic.
+    """
+    layout, tiles, views = _views(scene, layout, conditions)
+    sensors, levels = poses_about_center(scene, layout)[:, :3], tiles.tile.heights.shape[1]
+    seen = np.zeros((*views.shape[1:], levels), int)
+    occupied = np.zeros_like(seen)
+    for share in whole_world_of(scene).shares:
+        counts = _count(tiles.tile, views.swapaxes(0, 1), share.solid, share.prisms, sensors)
+        seen += np.asarray(counts[0])
+        occupied += np.asarray(counts[1])
+    flags = tiles.by_voxel(np.asarray(views))  # (S, V)
+    return Viewshed(
+        sensors=flags.sum(0),
+        seen=tiles.of_voxels(seen),
+        occupied=tiles.of_voxels(occupied),
+        resolved=1.0 - np.prod(1.0 - flags * layout.reliability[:, None], axis=0),
+        frame_count=scene.traffic.frame_count,
+    )
+
+
+def sight_in(
+    scene: Scene, layout: Layout, frame: int, *, conditions: Conditions = FAIR
+) -> UInt[np.ndarray, " V"]:
+    """What each voxel is to a layout in one frame: a :class:`Sight` for each.
+
+    Raises InspeError as :func:`viewshed` does, or where there is no such frame.
+    """
+    frame = check_frame(scene, frame)
+    layout, tiles, views = _views(scene, layout, conditions)
+    world, sensors = whole_world_of(scene), poses_about_center(scene, layout)[:, :3]
+    (share,) = (s for s in world.shares if s.begin <= frame < s.begin + len(s.prisms.top))
+    at = frame - share.begin
+    assert share.solid is not None  # it is not bare
+    prisms = jax.tree.map(lambda leaf: leaf[at : at + 1], share.prisms)
+    solid = share.solid[:, at : at + 1]
+    seen, occupied = _look(tiles.tile, views.swapaxes(0, 1), solid, prisms, sensors)
+    found = np.where(tiles.by_voxel(np.asarray(views)).any(0), Sight.HIDDEN, Sight.OUT_OF_VIEW)
+    found[tiles.by_voxel(seen[:, 0])] = Sight.SEEN
+    found[tiles.by_voxel(occupied[:, 0])] = Sight.OCCUPIED
+    return found.astype(np.uint8)
+
+
+def _views(
+    scene: Scene, layout: Layout, conditions: Conditions
+) -> tuple[Layout, Tiles, UInt[Array, "S N C"]]:
+    """The layout as it is in the conditions, the tiles, and what each sensor has in view."""
+    check_layout(scene, layout)
+    layout, world = conditions.layout(layout), whole_world_of(scene)
+    poses = poses_about_center(scene, layout)
+    return layout, world.tiles, in_view_of(world, poses, Crew.of(layout), scene.voxels.size / 2)
+
+
+@jax.jit
+def _look(
+    tiles: Tile,
+    views: UInt[Array, "N S C"],
+    solid: UInt[Array, "N T C"],
+    prisms: Prism,
+    sensors: Float[Array, "S 3"],
+) -> tuple[UInt[Array, "N T C"], UInt[Array, "N T C"]]:
+    """Masks of what some sensor sees in each frame, and of what is inside a road user."""
+    cast = jax.vmap(casts, (0, None))(sensors, prisms)
+    return jax.lax.map(partial(_look_at, cast=cast, sensors=sensors), (tiles, views, solid))
+
+
+@jax.jit
+def _count(
+    tiles: Tile,
+    views: UInt[Array, "N S C"],
+    solid: UInt[Array, "N T C"],
+    prisms: Prism,
+    sensors: Float[Array, "S 3"],
+) -> tuple[Int[Array, "N C Z"], Int[Array, "N C Z"]]:
+    """In how many frames each voxel of the columns is seen, and is inside a road user."""
+    cast = jax.vmap(casts, (0, None))(sensors, prisms)
+
+    def count(part: tuple[Tile, Array, Array]) -> tuple[Array, ...]:
+        levels = len(part[0].heights)
+        return tuple(masks.tally(m, levels) for m in _look_at(part, cast, sensors))
+
+    return jax.lax.map(count, (tiles, views, solid))
+
+
+def _look_at(
+    part: tuple[Tile, UInt[Array, "S C"], UInt[Array, "T C"]], cast: Casts, sensors: Array
+) -> tuple[UInt[Array, "T C"], UInt[Array, "T C"]]:
+    """The masks of one tile."""
+    tile, views, solid = part
+
+    def look(seen: Array, one: tuple[Array, Casts, Array]) -> tuple[Array, None]:
+        sensor, cast, view = one
+        return seen | view[None] & clear_masks(sensor, cast, tile), None
+
+    seen, _ = jax.lax.scan(look, jnp.zeros_like(solid), (sensors, cast, views))
+    return seen, solid

@@ -133,19 +133,25 @@ def known(source: str) -> str:
 
 def scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
     """A scene, and the layout that a file or a strategy's name gives on it."""
-    from inspe_jax.placement.strategies import STRATEGIES, strategy
     from inspe_jax.scene.scene import load_scene
-    from inspe_jax.sensing.layout import load_layout
 
     world = load_scene(source)
+    return world, layout_on(world, sensors)
+
+
+def layout_on(world: "Scene", sensors: str) -> "Layout":
+    """The layout that a file or a strategy's name gives on a scene."""
+    from inspe_jax.placement.strategies import STRATEGIES, strategy
+    from inspe_jax.sensing.layout import load_layout
+
     if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
-        return world, load_layout(sensors, world)
+        return load_layout(sensors, world)
     if sensors.lower() not in (name.lower() for name in STRATEGIES):
         raise InspeError(
             f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"
             + nearest(sensors, tuple(STRATEGIES))
         )
-    return world, strategy(world, sensors)
+    return strategy(world, sensors)
 
 
 @contextmanager

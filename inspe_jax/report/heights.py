@@ -1,0 +1,43 @@
+"""Coverage against height: a figure."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from inspe_jax.evaluation import Scores
+from inspe_jax.report.progress import COLORS, LINES
+from inspe_jax.report.sheet import WIDTH, fit, house_style
+from inspe_jax.scene.scene import Scene
+
+
+def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
+    """Share of the voxels of each level that layouts have in view, against height above ground.
+
+    ``scored`` has each layout's name and scores.
+    """
+    grid = scene.voxels
+    middle = grid.size * (np.arange(grid.level_count) + 0.5)
+    with house_style():
+        fig = Figure(figsize=(WIDTH, 2.9), facecolor="white")
+        ax = fig.add_axes((0.085, 0.14, 0.56, 0.64))
+        for k, (name, scores) in enumerate(scored):
+            ax.plot(
+                scores.level_coverage, middle, color=COLORS[k % len(COLORS)],
+                ls=LINES[k % len(LINES)], lw=1.3, marker="o", ms=3, label=fit(name, 30),
+            )  # fmt: skip
+        low = min(min(scores.level_coverage) for _, scores in scored)
+        ax.set(
+            xlim=(min(0.9, np.floor(10 * low) / 10), 1.005),
+            ylim=(0, grid.size * grid.level_count),
+            xlabel="share of the level's voxels in view",
+            ylabel="height above the ground [m]",
+        )
+        ax.grid(color="#e0e0e0", lw=0.4)
+        ax.set_axisbelow(True)
+        title = fit(f"Coverage against height at {scene.name}", 68)
+        fig.text(0.085, 0.965, title, size=10, weight="bold", va="top", parse_math=False)
+        facts = f"radius {grid.radius:g} m, voxel {grid.size:g} m; traffic does not matter here"
+        fig.text(0.085, 0.88, facts, va="top", parse_math=False)
+        fig.legend(loc="upper left", bbox_to_anchor=(0.66, 0.80), frameon=False)
+    return fig

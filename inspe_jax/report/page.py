@@ -1,0 +1,165 @@
+"""One page to hand on: scores side by side, figures, the scene in three dimensions, the settings.
+
+A single HTML file that needs no network. Numbers are shown rounded; as they were scored they are
+in the page's own record, the same as `inspe score --json` writes.
+"""
+
+import base64
+import io
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import date
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Scores
+from inspe_jax.placement.tolerance import Tolerance
+from inspe_jax.report.figures import plan_view, scene_view
+from inspe_jax.report.heights import height_view
+from inspe_jax.report.layers import BLIND, Layer, layers
+from inspe_jax.report.sheet import house_style
+from inspe_jax.report.stage import stage_page
+from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
+from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewshed import Viewshed
+
+DPI = 170
+"""Of the figures in a page."""
+CAPTIONS: dict[str, str] = {
+    "seen": "How often each spot is seen: the share of frames and levels, behind traffic.",
+    "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
+    "redundancy": "Redundancy: how many sensors have a spot in view, a mean over its levels.",
+    "entropy": "Entropy of the occupancy: where it is uncertain whether somebody is there.",
+    "unresolved": "What of that uncertainty the sensors leave.",
+}
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Entry:
+    """A layout with all that a page says of it; the tolerance may be left out."""
+
+    layout: Layout
+    scores: Scores
+    shed: Viewshed
+    tolerance: Tolerance | None = None
+
+
+def report_page(
+    scene: Scene,
+    entries: Sequence[Entry],
+    *,
+    frame: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> str:
+    """The page of one or several layouts on a scene, as HTML.
+
+    ``frame`` of the traffic is the one that is drawn. ``progress(done, total)`` is called on the
+    way. Raises InspeError where there is no layout, two have the same name, or there is no such
+    frame.
+    """
+    check_names([entry.layout.name for entry in entries])
+    steps = 2 + len(entries) * (1 + len(CAPTIONS))
+    done = 0
+
+    def drawn(figure: Figure) -> str:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done, steps)
+        return _png(figure)
+
+    parts = []
+    for entry in entries:
+        of_columns = layers(scene, entry.shed)
+        parts.append(
+            dict(
+                name=entry.layout.name,
+                record=scores_record(entry.scores, scene, entry.layout),
+                blind=_shares(of_columns["blind"]),
+                figures=[
+                    (words, drawn(_plan(scene, entry, of_columns[name], frame)))
+                    for name, words in CAPTIONS.items()
+                ],
+                stage=_text(stage_page(scene, entry.layout, entry.scores.conditions, frame)),
+                tolerance=None
+                if entry.tolerance is None
+                else tolerance_record(entry.tolerance, scene, entry.layout),
+            )
+        )
+        done += 1
+    records: list[dict[str, Any]] = [part["record"] for part in parts]  # type: ignore[misc]
+    page = Environment(
+        loader=PackageLoader("inspe_jax", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template("page.html.j2")
+    return page.render(
+        scene=scene,
+        around=entries[0].scores.conditions.words,
+        frame=frame,
+        parts=parts,
+        metrics=METRICS,
+        best={name: max(record[name] for record in records) for name in METRICS},
+        weights=entries[0].scores.settings["weights"],
+        regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
+        scene_figure=drawn(scene_view(scene, frame=frame)),
+        height_figure=drawn(height_view(scene, [(e.layout.name, e.scores) for e in entries])),
+        record=_text(json.dumps(records, indent=2)),
+        made=date.today().isoformat(),
+    )
+
+
+def report_sheets(scene: Scene, entries: Sequence[Entry], *, frame: int = 0) -> bytes:
+    """The page's figures as a PDF, one a sheet."""
+    check_names([entry.layout.name for entry in entries])
+    figures = [scene_view(scene, frame=frame)]
+    figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
+    for entry in entries:
+        of_columns = layers(scene, entry.shed)
+        figures += [_plan(scene, entry, of_columns[name], frame) for name in CAPTIONS]
+    made = io.BytesIO()
+    with house_style(), PdfPages(made, metadata={"CreationDate": None}) as pdf:
+        for figure in figures:
+            pdf.savefig(figure)
+    return made.getvalue()
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise InspeError where there is no layout, or two have the same name."""
+    if not names:
+        raise InspeError("no layout to report on")
+    for name in names:
+        if names.count(name) > 1:
+            raise InspeError(f"two layouts are named '{name}': give each file a `name:` of its own")
+
+
+def _plan(scene: Scene, entry: Entry, layer: Layer, frame: int) -> Figure:
+    return plan_view(scene, entry.layout, entry.scores, layer, frame=frame)
+
+
+def _shares(blind: Layer) -> list[tuple[str, str, float]]:
+    """(kind, colour, share of the columns) of blind spots."""
+    share = np.bincount(blind.values.astype(int), minlength=len(BLIND)) / len(blind.values)
+    rows = zip(BLIND, share.tolist(), strict=True)
+    return [(name.replace("\n", " "), color, part) for (name, color), part in rows]
+
+
+def _png(figure: Figure) -> str:
+    made = io.BytesIO()
+    with house_style():
+        figure.savefig(made, format="png", dpi=DPI, metadata={})
+    return base64.b64encode(made.getvalue()).decode()
+
+
+def _text(words: str) -> str:
+    return base64.b64encode(words.encode()).decode()

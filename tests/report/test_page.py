@@ -1,0 +1,192 @@
+"""The report: its numbers, its figures, that it needs no network; and that a browser shows it."""
+
+import base64
+import io
+import json
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib import image
+from worlds import CAMERA, LIDAR, random_layout, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import evaluate
+from inspe_jax.placement.tolerance import Slopes, Tolerance
+from inspe_jax.report.layers import BLIND, HIDDEN, layers
+from inspe_jax.report.page import CAPTIONS, Entry, report_page, report_sheets
+from inspe_jax.report.stage import runs
+from inspe_jax.report.tables import scores_record
+from inspe_jax.viewshed import viewshed
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+BROWSER = (
+    "--no-sandbox",
+    "--ignore-gpu-blocklist",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+"""Also as root, and in three dimensions without a graphics card."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=12.0, voxel=1.0, count=6, frames=4, seed=1)
+
+
+@pytest.fixture(scope="module")
+def entries(scene):
+    found = []
+    for k, specs in enumerate(([CAMERA, CAMERA], [CAMERA, LIDAR])):
+        layout = random_layout(scene, specs, seed=k, heights=(3.0, 5.0))
+        layout = replace(layout, name=f"layout <{k}> & co")
+        found.append(Entry(layout, evaluate(scene, layout), viewshed(scene, layout)))
+    slopes = tuple(Slopes(s.name, 0.01, 0.0, -0.02, 0.1, 0.3) for s in found[1].layout.sensors)
+    settings = dict(position=0.1, angle_deg=1.0, samples=3)
+    left = Tolerance(0.7654321, slopes, np.array([0.71, 0.72, 0.73]), settings)
+    return [found[0], Entry(found[1].layout, found[1].scores, found[1].shed, left)]
+
+
+@pytest.fixture(scope="module")
+def page(scene, entries):
+    told = []
+    made = report_page(scene, entries, progress=lambda done, total: told.append((done, total)))
+    done, totals = zip(*told, strict=True)
+    assert list(done) == sorted(done)
+    assert totals == (done[-1],) * len(done)
+    return made
+
+
+class Reader(HTMLParser):
+    """Addresses, images, text and the record of a page."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.addresses, self.images, self.words, self.titles = [], [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.addresses += [v for k, v in given.items() if k in ("src", "href", "action")]
+        self.titles += [given["title"]] if tag == "span" and "title" in given else []
+        if tag == "img":
+            self.images.append(given)
+
+    def handle_data(self, words):
+        self.words.append(words)
+
+    @property
+    def record(self):
+        (found,) = (a for a in self.addresses if a.startswith("data:application/json"))
+        return json.loads(base64.b64decode(found.partition(",")[2]))
+
+
+def test_its_numbers_are_the_record_of_a_score(scene, entries, page):
+    reader = Reader(page)
+    records = [scores_record(entry.scores, scene, entry.layout) for entry in entries]
+    assert reader.record == json.loads(json.dumps(records))
+    for record in records:
+        shown = [record["surrogate"], record["coverage"], record["occlusion"]]
+        shown += [row["surrogate"] for row in record["contributions"]]
+        shown += record["region_coverage"].values()
+        assert {str(value) for value in shown} <= set(reader.titles)
+    words = " ".join(reader.words)
+    for value in ("0.7654", "0.7200", "+0.30000", "-0.02000"):  # of the tolerance
+        assert value in words
+
+
+def test_it_stands_alone(page):
+    """Nothing is fetched; names are text, not markup."""
+    reader = Reader(page)
+    assert all(a.startswith(("data:", "#")) for a in reader.addresses)
+    assert not re.search(r"url\(|@import|fetch\(|XMLHttpRequest", page)
+    assert "layout <1> & co" in " ".join(reader.words)
+    assert "<1>" not in page
+    assert len(page) < 8e6
+
+
+def test_every_figure_is_there_and_shows_something(entries, page):
+    images = Reader(page).images
+    assert len(images) == 2 + len(entries) * len(CAPTIONS)
+    for shown in images:
+        assert shown["alt"]
+        pixels = image.imread(io.BytesIO(base64.b64decode(shown["src"].partition(",")[2])))
+        assert pixels.shape[1] > 1000
+        assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 50
+
+
+def test_figures_as_sheets(scene, entries):
+    made = report_sheets(scene, entries)
+    assert made.startswith(b"%PDF")
+    count = len(re.findall(rb"/Type /Page\b", made))
+    assert count == 2 + len(entries) * len(CAPTIONS)
+    assert made == report_sheets(scene, entries)
+
+
+def test_layouts_have_names_of_their_own(scene, entries):
+    with pytest.raises(InspeError, match="two layouts are named 'layout <0> & co'"):
+        report_page(scene, [entries[0], entries[0]])
+    with pytest.raises(InspeError, match="no layout"):
+        report_page(scene, [])
+
+
+def test_layers_are_shares_of_what_is_counted(scene, entries):
+    shed, levels = entries[0].shed, scene.voxels.level_count
+    found = layers(scene, shed)
+    np.testing.assert_allclose(found["seen"].values, entries[0].scores.seen_share, atol=1e-6)
+    sensors = shed.sensors.reshape(-1, levels)
+    np.testing.assert_allclose(found["redundancy"].values, sensors.mean(1))
+    assert found["redundancy"].most == sensors.max()
+    left = found["unresolved"].values.sum() / found["entropy"].values.sum()
+    assert left == pytest.approx(1 - entries[0].scores.information_gain, abs=1e-5)
+    kind = found["blind"].values
+    names = [BLIND[int(k)][0] for k in kind]
+    for name, in_view in zip(names, sensors > 0, strict=True):
+        assert (name == "never in view") == (not in_view.any())
+        assert (name == "in part out of view") == (in_view.any() and not in_view.all())
+    whole = (sensors > 0).all(1)
+    free = shed.frame_count * levels - shed.occupied.reshape(-1, levels).sum(1)
+    share = shed.seen.reshape(-1, levels).sum(1) / np.maximum(free, 1)
+    hidden = whole & (free > 0) & (share < 1 - HIDDEN)
+    np.testing.assert_array_equal(kind == 1, hidden)
+
+
+def test_runs_of_levels():
+    flags = np.array([[1, 1, 0, 1], [0, 0, 0, 0], [1, 1, 1, 1]], bool)
+    column, low, high = runs(flags)
+    assert list(zip(column, low, high, strict=True)) == [(0, 0, 2), (0, 3, 4), (2, 0, 4)]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_a_browser_shows_it_without_a_network(tmp_path, page):
+    from playwright.sync_api import sync_playwright
+
+    path = tmp_path / "report.html"
+    path.write_text(page, encoding="utf-8")
+    said, asked = [], []
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(BROWSER))
+        tab = browser.new_context(offline=True).new_page()
+        tab.on("console", lambda message: said.append((message.type, message.text)))
+        tab.on("pageerror", lambda error: said.append(("error", str(error))))
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto(path.as_uri())
+        width = tab.evaluate("[document.body.scrollWidth, window.innerWidth]")
+        assert width[0] <= width[1]
+        for frame in tab.query_selector_all("iframe.stage"):
+            frame.scroll_into_view_if_needed()
+            canvas = frame.content_frame().wait_for_selector("canvas", timeout=60_000)
+            for _ in range(60):
+                shown = image.imread(io.BytesIO(canvas.screenshot()))[..., :3]
+                if (np.abs(shown - shown[0, 0]).max(-1) > 0.1).mean() > 0.02:
+                    break
+                tab.wait_for_timeout(500)
+            else:
+                pytest.fail("nothing is drawn in three dimensions")
+        browser.close()
+    assert [text for kind, text in said if kind == "error"] == []
+    assert all(url.startswith(("file:", "blob:", "data:")) for url in asked)

@@ -4,8 +4,9 @@ Nine placements on ten intersections (``intersections.yaml``), at three densitie
 levels, as one study: C, O, IG and P_sm of each placement as mean ± standard deviation. Then what
 the paper concludes from its table, yes or no with numbers: distributed beats centralised; a LiDAR
 added to cameras helps, cameras added to a LiDAR help less; cameras vary more; P_sm falls with
-density. With ``--optimise SECONDS`` each placement is also where a search begins, on every
-intersection, and what that gains over the best placement by hand is told.
+density. With ``--optimise WORK`` each placement is also where a search begins, on every
+intersection, by so many exact scores' work, and what that gains over the best placement by hand is
+told.
 
 ``--paper FILE`` gives the paper's own table to compare with, a CSV with the columns placement,
 metric, mean and std (metric: coverage, occlusion, information_gain or surrogate). Its numbers are
@@ -58,8 +59,8 @@ def options() -> argparse.Namespace:
     parser.add_argument("--voxel", type=float, default=0.5, help="size [m]")
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--mix", default="largest", help="largest, as in the paper, or mixed")
-    parser.add_argument("--optimise", type=float, default=0.0, metavar="SECONDS",
-                        help="search from every placement for so long")  # fmt: skip
+    parser.add_argument("--optimise", type=float, default=0.0, metavar="WORK",
+                        help="search from every placement; in exact scores' work")  # fmt: skip
     parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
     parser.add_argument("--workers", type=int, help="processes; one a core if not given")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler")
@@ -280,7 +281,7 @@ def main() -> None:
     text = table(stats, paper) + "\n" + orderings(rows, stats)
     if given.optimise:
         searches = plan(given, density="medium", light="midday", method="greedy-adam",
-                        seconds=given.optimise, search_seed=given.seed)  # fmt: skip
+                        evaluations=given.optimise, search_seed=given.seed)  # fmt: skip
         text += "\n" + optimised(run(searches, given.out / f"{stem}_searches", given))
     console.print(text, highlight=False, soft_wrap=True)
     write_text(given.out / f"{stem}.md", text)

@@ -1,8 +1,10 @@
 """The command line as a stranger meets it: what it prints, what it writes, how it fails."""
 
+import base64
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -95,6 +97,19 @@ def test_plots_are_written(inspe, files):
     assert inspe("scene", "s.npz", "--plot", "scene.svg")[0] == 0
     assert (files / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in (files / "scene.svg").read_bytes()[:1000]
+
+
+def test_report_has_the_numbers_of_score(inspe, files):
+    status, words, _ = inspe("report", "s.npz", "layout.yaml", "L-c", "--pdf", "figures.pdf")
+    assert status == 0
+    assert "wrote report.html" in words
+    page = (files / "report.html").read_text(encoding="utf-8")
+    found = re.search(r"data:application/json;base64,([^\"]+)", page)
+    for record, name in zip(
+        json.loads(base64.b64decode(found[1])), ("layout.yaml", "L-c"), strict=True
+    ):
+        assert record == json.loads(inspe("score", "s.npz", name, "--json", "-")[1])
+    assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_strategy_is_written_and_scores_as_by_name(inspe):
@@ -371,6 +386,11 @@ BAD = [
     (("tolerance", "s.npz", "--position", -1), "position -1 m is out of range: between 0 m and 2"),
     (("tolerance", "s.npz", "--samples", 0), "samples 0 is out of range: between 1 and 10000"),
     (("tolerance", "nosuch"), "no scene 'nosuch'"),
+    (("report", "nosuch", "--out", "report.pdf"), "report.pdf: the name must end in .html"),
+    (("report", "nosuch", "--pdf", "no/such.pdf"), "no/such.pdf: no such folder: no"),
+    (("report", "s.npz", "layout.yaml", "layout.yaml"), "two layouts are named 'layout'"),
+    (("report", "s.npz", "L-c", "L-d3"), "no layout 'L-d3'"),
+    (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
     (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),
 ]
 

@@ -226,7 +226,7 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
             keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=name.format(far)))
     if scene.traffic.valid.any():
         keys.append(Patch(**USER, label="road user"))
-    keys.append(Patch(**{**OUTLINE, "lw": 0.8}, label="region outlined"))
+    keys.append(Line2D([], [], color=OUTLINE["ec"], lw=0.8, label="region outlined"))
     return [*keys, Line2D([], [], **CIRCLE, label="region of interest")]
 
 

@@ -6,14 +6,13 @@ are counted from. For pictures: scores need no more than their sums.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
-from inspe_jax import masks, metrics
+from inspe_jax import metrics
 from inspe_jax.exact import in_view_of
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew
@@ -24,7 +23,7 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.shadows import Casts, casts, clear_masks
 from inspe_jax.sensing.tiles import Tile, Tiles
 from inspe_jax.sensing.visibility import check_frame, check_layout
-from inspe_jax.world import whole_world_of
+from inspe_jax.world import by_level, whole_world_of
 
 
 class Sight(IntEnum):
@@ -68,9 +67,9 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
     for share in whole_world_of(scene).shares:
-        counts = _count(tiles.tile, views.swapaxes(0, 1), share.solid, share.prisms, sensors)
-        seen += np.asarray(counts[0])
-        occupied += np.asarray(counts[1])
+        assert share.solid is not None  # it is not bare
+        seen += np.asarray(by_level(_look(tiles.tile, views, share.prisms, sensors), levels))
+        occupied += np.asarray(by_level(share.solid, levels))
     flags = tiles.by_voxel(np.asarray(views))  # (S, V)
     return Viewshed(
         sensors=flags.sum(0),
@@ -95,11 +94,10 @@ def sight_in(
     at = frame - share.begin
     assert share.solid is not None  # it is not bare
     prisms = jax.tree.map(lambda leaf: leaf[at : at + 1], share.prisms)
-    solid = share.solid[:, at : at + 1]
-    seen, occupied = _look(tiles.tile, views.swapaxes(0, 1), solid, prisms, sensors)
+    seen = _look(tiles.tile, views, prisms, sensors)
     found = np.where(tiles.by_voxel(np.asarray(views)).any(0), Sight.HIDDEN, Sight.OUT_OF_VIEW)
     found[tiles.by_voxel(seen[:, 0])] = Sight.SEEN
-    found[tiles.by_voxel(occupied[:, 0])] = Sight.OCCUPIED
+    found[tiles.by_voxel(np.asarray(share.solid[:, at]))] = Sight.OCCUPIED
     return found.astype(np.uint8)
 
 
@@ -115,44 +113,19 @@ def _views(
 
 @jax.jit
 def _look(
-    tiles: Tile,
-    views: UInt[Array, "N S C"],
-    solid: UInt[Array, "N T C"],
-    prisms: Prism,
-    sensors: Float[Array, "S 3"],
-) -> tuple[UInt[Array, "N T C"], UInt[Array, "N T C"]]:
-    """Masks of what some sensor sees in each frame, and of what is inside a road user."""
-    cast = jax.vmap(casts, (0, None))(sensors, prisms)
-    return jax.lax.map(partial(_look_at, cast=cast, sensors=sensors), (tiles, views, solid))
-
-
-@jax.jit
-def _count(
-    tiles: Tile,
-    views: UInt[Array, "N S C"],
-    solid: UInt[Array, "N T C"],
-    prisms: Prism,
-    sensors: Float[Array, "S 3"],
-) -> tuple[Int[Array, "N C Z"], Int[Array, "N C Z"]]:
-    """In how many frames each voxel of the columns is seen, and is inside a road user."""
+    tiles: Tile, views: UInt[Array, "S N C"], prisms: Prism, sensors: Float[Array, "S 3"]
+) -> UInt[Array, "N T C"]:
+    """Masks of what some sensor sees in each frame."""
     cast = jax.vmap(casts, (0, None))(sensors, prisms)
 
-    def count(part: tuple[Tile, Array, Array]) -> tuple[Array, ...]:
-        levels = len(part[0].heights)
-        return tuple(masks.tally(m, levels) for m in _look_at(part, cast, sensors))
+    def look(part: tuple[Tile, Array]) -> Array:
+        tile, views = part
 
-    return jax.lax.map(count, (tiles, views, solid))
+        def add(seen: Array, one: tuple[Array, Casts, Array]) -> tuple[Array, None]:
+            sensor, cast, view = one
+            return seen | view[None] & clear_masks(sensor, cast, tile), None
 
+        none = jnp.zeros((len(prisms.top), views.shape[1]), views.dtype)
+        return jax.lax.scan(add, none, (sensors, cast, views))[0]
 
-def _look_at(
-    part: tuple[Tile, UInt[Array, "S C"], UInt[Array, "T C"]], cast: Casts, sensors: Array
-) -> tuple[UInt[Array, "T C"], UInt[Array, "T C"]]:
-    """The masks of one tile."""
-    tile, views, solid = part
-
-    def look(seen: Array, one: tuple[Array, Casts, Array]) -> tuple[Array, None]:
-        sensor, cast, view = one
-        return seen | view[None] & clear_masks(sensor, cast, tile), None
-
-    seen, _ = jax.lax.scan(look, jnp.zeros_like(solid), (sensors, cast, views))
-    return seen, solid
+    return jax.lax.map(look, (tiles, views.swapaxes(0, 1)))

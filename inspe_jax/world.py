@@ -124,7 +124,7 @@ def _make_world(scene: Scene) -> World:
     for begin, end, split in _runs(total):
         prisms = jax.tree.map(lambda leaf: leaf[begin:end], ground.prisms)  # noqa: B023
         inside = solid(tiles.tile, prisms)
-        counts += np.asarray(_by_level(inside, counts.shape[-1]))
+        counts += np.asarray(by_level(inside, counts.shape[-1]))
         if split:
             parts = sharding.put(prisms, 0), sharding.put(inside, 1)
             shares.append(Share(everywhere, *parts, begin=begin, split=True))
@@ -208,6 +208,6 @@ def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array
 
 
 @partial(jax.jit, static_argnames="levels")
-def _by_level(words: UInt[Array, "N F C"], levels: int) -> Int[Array, "N C Z"]:
+def by_level(words: UInt[Array, "N F C"], levels: int) -> Int[Array, "N C Z"]:
     """In how many frames each level's bit is set."""
     return jax.lax.map(lambda tile: masks.tally(tile, levels), words)

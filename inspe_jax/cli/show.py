@@ -6,7 +6,6 @@ Imports stay inside the commands, as of the browser's library and matplotlib.
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from inspe_jax.cli.common import (
@@ -87,7 +86,6 @@ def report(
                 slopes = installed(
                     Case(world, conditions),
                     layout,
-                    angle=float(np.radians(1.0)),
                     objective=Objective(weights=weights),
                     progress=tell,
                 )
@@ -95,8 +93,8 @@ def report(
     with progress("drawing") as tell:
         page = report_page(world, entries, frame=frame, progress=tell)
     write_text(path, page)
-    for layout, scores in zip(placed, (entry.scores for entry in entries), strict=True):
-        out.print(f"{layout.name}: P_sm {scores.surrogate:.4f}", highlight=False)
+    for entry in entries:
+        out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
     out.print(f"wrote {path}, {path.stat().st_size / 2**20:.1f} MB", highlight=False)
     if pdf:
         with busy("drawing"):

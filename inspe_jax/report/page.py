@@ -20,16 +20,16 @@ from matplotlib.figure import Figure
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores
 from inspe_jax.placement.tolerance import Tolerance
-from inspe_jax.report.figures import plan_view, scene_view
+from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
-from inspe_jax.report.layers import BLIND, Layer, layers
+from inspe_jax.report.layers import BLIND, SIGHT_COLORS, Layer, layers
 from inspe_jax.report.sheet import house_style
-from inspe_jax.report.stage import stage_page
+from inspe_jax.report.stage import USER_COLOR, stage_page
 from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewshed import Viewshed
+from inspe_jax.viewshed import Sight, Viewshed
 
 DPI = 170
 """Of the figures in a page."""
@@ -106,7 +106,13 @@ def report_page(
     return page.render(
         scene=scene,
         around=entries[0].scores.conditions.words,
-        frame=frame,
+        keys={
+            f"hidden by traffic in frame {frame}": SIGHT_COLORS[Sight.HIDDEN],
+            "never in view": SIGHT_COLORS[Sight.OUT_OF_VIEW],
+            "road user": USER_COLOR,
+            "camera": SENSOR_COLORS["camera"],
+            "LiDAR": SENSOR_COLORS["lidar"],
+        },
         parts=parts,
         metrics=METRICS,
         best={name: max(record[name] for record in records) for name in METRICS},

@@ -164,6 +164,7 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
         "before_after.png",
         "history.csv",
         "layout.yaml",
+        "path.csv",
         "result.json",
         "start.yaml",
     ]

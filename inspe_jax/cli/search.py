@@ -58,7 +58,7 @@ def optimise(
     """Find better places for a layout's sensors, that can be mounted.
 
     Ctrl-C ends the search with the best so far. Into --out go layout.yaml, start.yaml,
-    result.json, history.csv and before_after.png.
+    result.json, history.csv, path.csv and before_after.png.
 
     Examples:
 
@@ -97,7 +97,7 @@ def optimise(
     _show(result)
     with busy("drawing"):
         drawn = _draw(world, result, folder)
-    names = "layout.yaml, start.yaml, result.json and history.csv"
+    names = "layout.yaml, start.yaml, result.json, history.csv and path.csv"
     out.print(f"wrote {names} into {folder}; drew {drawn}", highlight=False, soft_wrap=True)
     around = "".join(
         f" --{key} {value}"
@@ -210,5 +210,5 @@ def _draw(world: "Scene", result: "Result", folder: Path) -> Path:
 
     path = folder / "before_after.png"
     parts = (result.start, result.layout, result.scores_before, result.scores)
-    save_figure(before_after(world, *parts), path)
+    save_figure(before_after(world, *parts, path=result.path), path)
     return path

@@ -25,7 +25,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.files import check_input, whole_file
 from inspe_jax.placement.run import Progress, Run, State
 
-FORMAT = "inspe_jax checkpoint 2"
+FORMAT = "inspe_jax checkpoint 3"
 SUFFIXES = (".npz",)
 EVERY = 10.0
 """Time between two checkpoints of a search [s]."""
@@ -47,14 +47,13 @@ class Checkpoint:
     """A search after a step.
 
     ``of``: what the search depends on, by name, as digests or words; ``state`` of the method;
-    ``best_x`` and ``best``; ``seconds`` and ``evaluations`` spent; ``limits``, its budget of both;
-    ``status`` is "" while it runs, or how it ended.
+    ``path`` (K, N), every best so far; ``seconds`` and ``evaluations`` spent; ``limits``, its
+    budget of both; ``status`` is "" while it runs, or how it ended.
     """
 
     of: dict[str, str]
     state: State
-    best_x: Float[np.ndarray, " N"]
-    best: float
+    path: Float[np.ndarray, "K N"]
     history: tuple[Progress, ...]
     seconds: float
     evaluations: float
@@ -67,7 +66,6 @@ def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
     record = {
         "format": FORMAT,
         "of": kept.of,
-        "best": kept.best,
         "seconds": kept.seconds,
         "evaluations": kept.evaluations,
         "limits": kept.limits,
@@ -76,7 +74,7 @@ def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
     history = [[row.seconds, row.evaluations, row.score, row.best] for row in kept.history]
     arrays = {
         "record": np.array(json.dumps(record)),
-        "best_x": kept.best_x,
+        "path": kept.path,
         "history": np.array(history, float).reshape(-1, 4),
     }
     for name, value in kept.state.items():
@@ -124,8 +122,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Checkpoint:
     return Checkpoint(
         of=dict(record["of"]),
         state=state,
-        best_x=data["best_x"],
-        best=float(record["best"]),
+        path=data["path"],
         history=tuple(Progress(*row) for row in data["history"].tolist()),
         seconds=float(record["seconds"]),
         evaluations=float(record["evaluations"]),
@@ -168,8 +165,7 @@ class Keeper:
             return {}
         kept = load_checkpoint(self.path)
         check_same(kept, self.of, self.path)
-        run.take_up(kept.seconds, kept.evaluations, kept.history)
-        run.best, run.best_x = kept.best, kept.best_x
+        run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path)
         self._kept = kept
         over = kept.status == "converged" or (kept.status and kept.limits == run.limits)
         if over or run.left <= 0:
@@ -198,8 +194,7 @@ class Keeper:
         return Checkpoint(
             of=self.of,
             state=state,
-            best_x=run.best_x,
-            best=run.best,
+            path=np.array(run.path, float).reshape(-1, len(run.start)),
             history=tuple(run.history),
             seconds=run.seconds,
             evaluations=run.evaluations,

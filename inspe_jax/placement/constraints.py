@@ -4,7 +4,7 @@ A point of the set is a flat array of :class:`Coordinates`. The set is a product
 where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs and
 of intervals. It comes in two forms: :meth:`Space.project` gives the nearest point of it, and
 :meth:`Space.chart` and :meth:`Space.from_chart` go to coordinates without bounds and back.
-:meth:`Space.violations` knows neither: it looks at a layout and at the map.
+:meth:`Space.faults` knows neither: it looks at a layout and at the map.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,14 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
-from inspe_jax.placement.feasibility import PLACES, TOLERANCE, differences, on_span, violations
+from inspe_jax.placement.feasibility import (
+    PLACES,
+    TOLERANCE,
+    Fault,
+    differences,
+    faults,
+    on_span,
+)
 from inspe_jax.placement.pieces import into_disc, make_pieces
 from inspe_jax.placement.site import CENTRAL_HEIGHTS, POLE_HEIGHTS, Site
 from inspe_jax.scene.scene import Scene
@@ -404,9 +411,13 @@ class Space:
         on = self._pieces.nearest(np.asarray(feet, float), everywhere)[2] <= TOLERANCE**2  # (F, K)
         return np.any(on[None] & self._allowed[:, None], axis=-1)
 
-    def violations(self, layout: Layout) -> list[str]:
+    def faults(self, layout: Layout) -> list[Fault]:
         """What keeps a layout of these sensors from being mounted; empty where it is feasible.
 
         Found on the map's own polygons, to :data:`TOLERANCE`, and not by this class's geometry.
         """
-        return list(violations(layout, self.given, self.site, self.constraints))
+        return list(faults(layout, self.given, self.site, self.constraints))
+
+    def violations(self, layout: Layout) -> list[str]:
+        """The same in words."""
+        return [fault.words for fault in self.faults(layout)]

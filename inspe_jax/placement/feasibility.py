@@ -1,6 +1,7 @@
 """Whether a layout can be mounted: looked up on the map, apart from the search's own geometry."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -39,10 +40,18 @@ def on_span(layout: Layout, site: Site) -> Bool[np.ndarray, " U"]:
     )
 
 
-def violations(
+@dataclass(frozen=True)
+class Fault:
+    """A rule of mounting that is broken: by which sensors of the layout, and in words."""
+
+    sensors: tuple[int, ...]
+    words: str
+
+
+def faults(
     layout: Layout, given: Layout, site: Site, constraints: "Constraints"
-) -> Iterator[str]:
-    """What is wrong with a layout of the sensors of ``given``, in words; nothing if it can stand.
+) -> Iterator[Fault]:
+    """What is wrong with a layout of the sensors of ``given``; nothing if it can stand.
 
     Distances and angles may be off by :data:`TOLERANCE`.
     """
@@ -53,12 +62,12 @@ def violations(
         unit, before = layout.units[u], np.array(given.units[u].base[:2])
         kept = bool(span[u]) or constraints.places_of(unit.name) == "keep"
         for wrong in _foot(unit, before, kept, site, constraints):
-            yield f"unit '{unit.name}': its foot {wrong}"
+            yield Fault(members, f"unit '{unit.name}': its foot {wrong}")
         heights = constraints.span_heights if span[u] else constraints.heights
         for s in members:
             over = site.over_lane(poses[s, :2])
             for wrong in _sensor(layout.sensors[s], hung[s], over, constraints, heights):
-                yield f"sensor {names[s]} {wrong}"
+                yield Fault((s,), f"sensor {names[s]} {wrong}")
         for a, b in combinations(members, 2):
             dx, dy, dz, *_ = np.abs(poses[a] - poses[b])
             for apart, limit, how in (
@@ -67,7 +76,8 @@ def violations(
             ):
                 if apart > limit + TOLERANCE:
                     pair = f"{names[a]} and {names[b]} are {apart:.2f} m apart {how}"
-                    yield f"unit '{unit.name}': sensors {pair}, at most {limit:g} m"
+                    words = f"unit '{unit.name}': sensors {pair}, at most {limit:g} m"
+                    yield Fault((a, b), words)
 
 
 def _foot(

@@ -65,6 +65,7 @@ def optimise(
     start: str | Layout = "given",
     progress: Callable[[float, float], None] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
+    found: Callable[[Layout, float], None] | None = None,
 ) -> Result:
     """Better places for the sensors of a layout, under constraints, within a budget.
 
@@ -75,13 +76,15 @@ def optimise(
     ``notes`` say so. The budget is in ``seconds`` of wall time (60 if none is given), in
     ``evaluations`` (exact scores and their equivalents), or both; with ``evaluations`` alone a
     ``seed`` repeats on the same machine. ``progress`` is called with the share of the budget that
-    is spent and the best score so far.
+    is spent and the best score so far; ``found`` with every layout that is the best so far, and its
+    score.
 
     ``checkpoint`` names an ``.npz`` file that is written every 10 s and at the end. If it is there
     already, the search goes on from it: to the same end as if it had not been stopped, or further
     with a larger budget.
 
-    Ctrl-C ends a search with the best so far. The result is feasible, which is checked on the
+    Ctrl-C ends a search with the best so far, and so does a KeyboardInterrupt that ``progress``
+    raises. The result is feasible, which is checked on the
     map's polygons, and never scores below its start under the exact score. Raises InspeError
     where an option is unknown or out of range, a unit has nowhere to stand, or the checkpoint is
     of another search.
@@ -102,6 +105,7 @@ def optimise(
         evaluations=evaluations,
         began=began,
         progress=progress,
+        found=None if found is None else lambda x, best: found(problem.space.layout(x), best),
     )
     run.notes += notes
     keeper = None
@@ -251,6 +255,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         objective_before=before,
         objective=run.best,
         history=tuple(run.history),
+        path=np.stack([np.asarray(problem.space.layout(x).poses) for x in run.path]),
         evaluations=run.evaluations,
         seconds=seconds,
         status=status,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Contribution, Scores
@@ -17,9 +18,10 @@ from inspe_jax.files import check_input, write_text
 from inspe_jax.placement.run import Progress
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
 
-FORMAT = "inspe_jax result 1"
-FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv")
-"""The files of a result: the layout found, the one begun with, the record, the exact scores."""
+FORMAT = "inspe_jax result 2"
+FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv", "path.csv")
+"""The files of a result: the layout found, the one begun with, the record, the exact scores, and
+where the sensors were in every layout that was the best so far."""
 STATUSES = {
     "converged": "the method found nothing more to do",
     "budget spent": "the seconds or evaluations were used up",
@@ -35,10 +37,11 @@ class Result:
     ``layout`` is feasible, and its ``objective`` is at least that of ``start``, the feasible
     layout begun with, ``objective_before``. ``scores_before`` and ``scores`` are the exact scores
     of both on the first scene: their ``surrogate`` is the objective where that is P_sm on one
-    scene. ``history`` has every exact score of the search; ``evaluations`` count all its work in
-    exact scores, ``seconds`` in wall time, without the scores before and after. ``status`` is one
-    of :data:`STATUSES`. ``settings``, ``seed`` and ``versions`` make it again; ``notes`` say what
-    a person should know.
+    scene. ``history`` has every exact score of the search, and ``path`` (K, S, 6) the world poses
+    of every layout that was the best so far, from the start's to those of ``layout``.
+    ``evaluations`` count all the search's work in exact scores, ``seconds`` in wall time, without
+    the scores before and after. ``status`` is one of :data:`STATUSES`. ``settings``, ``seed`` and
+    ``versions`` make it again; ``notes`` say what a person should know.
     """
 
     layout: Layout
@@ -48,6 +51,7 @@ class Result:
     objective_before: float
     objective: float
     history: tuple[Progress, ...]
+    path: Float[np.ndarray, "K S 6"]
     evaluations: float
     seconds: float
     status: str
@@ -89,6 +93,7 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
     save_layout(result.start, place / "start.yaml")
     write_text(place / "result.json", json.dumps(_record(result), indent=2) + "\n")
     write_text(place / "history.csv", csv_text([asdict(row) for row in result.history]))
+    write_text(place / "path.csv", csv_text(_path_rows(result)))
 
 
 def load_result(folder: str | os.PathLike[str]) -> Result:
@@ -110,9 +115,14 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
-        rows = csv.DictReader(io.StringIO((place / "history.csv").read_text(encoding="utf-8")))
-        history = tuple(Progress(**{k: float(v) for k, v in row.items()}) for row in rows)
-        return Result(layout=layout, start=start, history=history, **record)
+        history = tuple(
+            Progress(**{key: float(value) for key, value in row.items()})
+            for row in _rows(place / "history.csv")
+        )
+        poses = [[float(row[key]) for key in _POSE] for row in _rows(place / "path.csv")]
+        path = np.array(poses, float).reshape(-1, len(layout), 6)
+        path[..., 3:] = np.radians(path[..., 3:])
+        return Result(layout=layout, start=start, history=history, path=path, **record)
     except (KeyError, TypeError, ValueError, AttributeError) as e:
         raise InspeError(f"{place}: not a result saved by this package") from e
 
@@ -131,6 +141,27 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
     write_text(place / "compare.csv", csv_text(rows))
     steps = [_of(result) | asdict(row) for result in results for row in result.history]
     write_text(place / "history.csv", csv_text(steps))
+
+
+_POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
+
+
+def _path_rows(result: Result) -> list[dict[str, Any]]:
+    """A row a sensor of every layout that was the best so far."""
+    best = np.array([row.best for row in result.history])
+    better = np.flatnonzero(np.diff(best, prepend=-np.inf) > 0)
+    rows = []
+    # Ctrl-C may have come between a score and its row.
+    for k, poses in zip(better, result.path, strict=False):
+        at = {"seconds": result.history[k].seconds, "score": result.history[k].score}
+        for sensor, pose in zip(result.layout.sensors, poses, strict=True):
+            values = np.append(pose[:3], np.degrees(pose[3:])).round(9).tolist()
+            rows.append(at | {"sensor": sensor.name} | dict(zip(_POSE, values, strict=True)))
+    return rows
+
+
+def _rows(path: Path) -> csv.DictReader:
+    return csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
 
 
 def _of(result: Result) -> dict[str, Any]:

@@ -59,10 +59,10 @@ class Progress:
 class Run:
     """One search: what it works on, what it may spend, and what it has found.
 
-    ``seed``; ``start`` (N,), the feasible coordinates to begin at, offered first; ``best_x`` (N,)
-    and ``best``, the best coordinates so far and their exact score; ``history``, every exact
-    score; ``evaluations`` spent so far; ``limits``, what may be spent, of seconds and of
-    evaluations; ``notes`` for people.
+    ``seed``; ``start`` (N,), the feasible coordinates to begin at, offered first; ``path``, the
+    coordinates (N,) of every one that was the best so far, and ``best``, the last one's exact
+    score; ``history``, every exact score; ``evaluations`` spent so far; ``limits``, what may be
+    spent, of seconds and of evaluations; ``notes`` for people.
     """
 
     def __init__(
@@ -76,22 +76,30 @@ class Run:
         clock: Callable[[], float] = time.monotonic,
         began: float | None = None,
         progress: Callable[[float, float], None] | None = None,
+        found: Callable[[Float[np.ndarray, " N"], float], None] | None = None,
     ) -> None:
         """Raises InspeError where there is no budget, or one of nothing.
 
         The budget is spent when the first of ``seconds`` and ``evaluations`` is. ``clock`` counts
         seconds, and ``began`` is when this search did by it, now if not given. ``progress`` is
-        called with the share of the budget spent and the best score.
+        called with the share of the budget spent and the best score, ``found`` with coordinates
+        that are the best so far and their score.
         """
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
         self.evaluations = 0.0
-        self.best_x, self.best = self.start, -np.inf
+        self.path: list[Float[np.ndarray, " N"]] = []
+        self.best = -np.inf
         self.history: list[Progress] = []
         self.notes: list[str] = []
         self.limits = (seconds, evaluations)
-        self._clock, self._progress = clock, progress
+        self._clock, self._progress, self._found = clock, progress, found
         self._began = clock() if began is None else began
+
+    @property
+    def best_x(self) -> Float[np.ndarray, " N"]:
+        """The best coordinates (N,) so far; the start's before there is a score."""
+        return self.path[-1] if self.path else self.start
 
     @property
     def seconds(self) -> float:
@@ -136,9 +144,13 @@ class Run:
             self._check_left()
         score = self.problem.exact(x)
         self.evaluations += 1.0
-        if score > self.best:
-            self.best, self.best_x = score, x
+        better = score > self.best
+        if better:
+            self.best = score
+            self.path.append(x)
         self.history.append(Progress(self.seconds, self.evaluations, score, self.best))
+        if better and self._found is not None:
+            self._found(x, score)
         self.report()
         return score
 
@@ -160,10 +172,17 @@ class Run:
         if self._progress is not None:
             self._progress(self.done, self.best)
 
-    def take_up(self, seconds: float, evaluations: float, history: Sequence[Progress]) -> None:
+    def take_up(
+        self,
+        seconds: float,
+        evaluations: float,
+        history: Sequence[Progress],
+        path: Float[np.ndarray, "K N"],
+    ) -> None:
         """Go on from where another run stood, after so many seconds and evaluations."""
         self._began = self._clock() - seconds
-        self.evaluations, self.history = evaluations, list(history)
+        self.evaluations, self.history, self.path = evaluations, list(history), list(path)
+        self.best = history[-1].best if history else -np.inf
 
     def _check_left(self) -> None:
         if self.left <= 0:

@@ -28,6 +28,7 @@ from inspe_jax.sensing.layout import Layout
 
 MOVED = 0.5
 """Units that moved further than this have an arrow [m]."""
+WENT = "where a unit went, step by step"
 COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#808080",
 )  # fmt: skip
@@ -47,13 +48,16 @@ def before_after(
     scores_before: Scores,
     scores: Scores,
     *,
+    path: Float[np.ndarray, "K S 6"] | None = None,
     frame: int = 0,
 ) -> Figure:
     """Two plan views side by side: a layout, and what a search made of it.
 
     Each in the colours of :func:`~inspe_jax.report.figures.plan_view`, on one scale. Arrows in the
-    right one lead from where a unit's sensors were to where they are. Raises InspeError where the
-    layouts are not of the same sensors, or the scores are not of this scene.
+    right one lead from where a unit's sensors were to where they are, by way of where the search
+    had them meanwhile if ``path`` is given, as :class:`~inspe_jax.placement.result.Result` has it.
+    Raises InspeError where the layouts are not of the same sensors, or the scores are not of this
+    scene.
     """
     if [(s.name, s.unit) for s in before.sensors] != [(s.name, s.unit) for s in after.sensors]:
         raise InspeError(f"{before.name} and {after.name} are not of the same sensors")
@@ -86,7 +90,8 @@ def before_after(
             ax.set_title(_caption(when, of_scores), size=7.5, loc="left", pad=4)
             if k == 1:
                 ax.set(ylabel="")
-                moved = _draw_moves(ax, before, maps[0][1], poses)
+                way = np.stack([maps[0][1], poses]) if path is None else np.asarray(path, float)
+                moved = _draw_moves(ax, before, way)
             draw_badges(ax, layout, poses, _SIDE)
         bar = fig.add_axes((left, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
         fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
@@ -94,7 +99,7 @@ def before_after(
         bar.set_title("share of frames and levels in which a column is seen", loc="left", size=7)
         keys = plan_keys(scene, before)
         if moved:
-            keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label="where a unit went"))
+            keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label=WENT))
         keys_left = (_LEFT + _SIDE) / WIDTH
         fig.legend(
             handles=keys, loc="lower left", bbox_to_anchor=(keys_left, 0.10 / height), ncols=2,
@@ -109,21 +114,26 @@ def _caption(when: str, scores: Scores) -> str:
     return f"{when}: $P_{{sm}}$ {scores.surrogate:.3f}  ({each})"
 
 
-def _draw_moves(ax: Axes, layout: Layout, before: np.ndarray, after: np.ndarray) -> bool:
-    """An arrow for every unit that moved; whether any did."""
+def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> bool:
+    """Every unit's way from the first poses to the last; whether any moved."""
     moved = False
     for members in layout.members():
-        old, new = (poses[list(members), :2].mean(0) for poses in (before, after))
-        if np.hypot(*(new - old)) > MOVED:
-            moved = True
-            ax.plot(*old, "o", ms=4, mfc="white", mec=_ARROW["color"], mew=0.8, zorder=5.5)
-            ax.add_patch(
-                FancyArrowPatch(
-                    tuple(old), tuple(new), arrowstyle="-|>,head_width=1.6,head_length=3",
-                    connectionstyle="arc3,rad=0.12", shrinkA=2, shrinkB=6, zorder=5.4,
-                    path_effects=HALO, **_ARROW,
-                )
-            )  # fmt: skip
+        track = path[:, list(members), :2].mean(1)
+        steps = np.hypot(*np.diff(track, axis=0).T) > MOVED
+        track = np.vstack([track[:1], track[1:-1][steps[:-1]], track[-1:]])
+        if np.hypot(*(track[-1] - track[0])) <= MOVED:
+            continue
+        moved = True
+        ax.plot(*track[0], "o", ms=4, mfc="white", mec=_ARROW["color"], mew=0.8, zorder=5.5)
+        ax.plot(*track[:-1].T, "-", marker=".", ms=2.5, zorder=5.4, **{**_ARROW, "lw": 0.5})
+        bend = 0.12 if len(track) == 2 else 0.0
+        ax.add_patch(
+            FancyArrowPatch(
+                tuple(track[-2]), tuple(track[-1]), connectionstyle=f"arc3,rad={bend}",
+                arrowstyle="-|>,head_width=1.6,head_length=3", shrinkA=2, shrinkB=6, zorder=5.4,
+                path_effects=HALO, **_ARROW,
+            )
+        )  # fmt: skip
     return moved
 
 

@@ -224,17 +224,20 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
 
 
 def table_of(spec: Spec) -> dict[str, Any]:
-    """The keys of a catalogue that make a spec: those that :func:`spec_of` reads back."""
+    """The keys of a catalogue that make a spec: those that :func:`spec_of` reads back.
+
+    Python's own numbers, also where the spec was made with NumPy's.
+    """
     if isinstance(spec, CameraSpec):
         return dict(
             kind="camera",
             width=spec.width,
             height=spec.height,
-            focal_px=spec.focal,
-            principal_px=list(spec.principal),
-            downsample=spec.downsample,
-            depth_m=spec.depth,
-            reliability=spec.reliability,
+            focal_px=float(spec.focal),
+            principal_px=[float(x) for x in spec.principal],
+            downsample=float(spec.downsample),
+            depth_m=float(spec.depth),
+            reliability=float(spec.reliability),
         )
     fov = float(np.degrees(spec.azimuth_fov))
     return dict(
@@ -243,8 +246,8 @@ def table_of(spec: Spec) -> dict[str, Any]:
         elevations_deg=np.degrees(spec.elevations).round(9).tolist(),
         azimuth_fov_deg=fov,
         azimuth_step_deg=fov / spec.azimuth_count,
-        range_m=spec.reach,
-        reliability=spec.reliability,
+        range_m=float(spec.reach),
+        reliability=float(spec.reliability),
     )
 
 

@@ -140,8 +140,7 @@ def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ra
         read = {k: held[k] for k in held.files}
     state = {k: v.item() if v.ndim == 0 else v for k, v in read.items()}
     again = Run(problem, part.start, seed=0, evaluations=BUDGET[name])
-    again.best, again.best_x = part.best, part.best_x
-    again.take_up(part.seconds, part.evaluations, part.history)
+    again.take_up(part.seconds, part.evaluations, part.history, part.path)
     go(problem, name, state=state, run=again)
     assert [row.score for row in again.history] == [row.score for row in whole.history]
 
@@ -151,8 +150,7 @@ def test_with_a_larger_budget_it_goes_on_in_shares_of_that(problem, ran):
     part, states = ran["adam"]
     state = states[-1] or states[-2]
     again = Run(problem, part.start, seed=0, evaluations=5 * BUDGET["adam"])
-    again.best, again.best_x = part.best, part.best_x
-    again.take_up(part.seconds, part.evaluations, part.history)
+    again.take_up(part.seconds, part.evaluations, part.history, part.path)
     while len(again.history) == len(part.history):
         state = METHODS["adam"].step(again, state)
     assert again.evaluations < part.evaluations + 0.3 * again.limits[1]

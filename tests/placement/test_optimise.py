@@ -13,7 +13,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import evaluate
 from inspe_jax.placement import checkpoint as files
 from inspe_jax.placement import optimise as module
-from inspe_jax.placement.checkpoint import digest, load_checkpoint, save_checkpoint
+from inspe_jax.placement.checkpoint import FORMAT, digest, load_checkpoint, save_checkpoint
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
 from inspe_jax.placement.problem import Case, Objective, Problem
@@ -79,13 +79,20 @@ def test_a_run_counts_work_in_exact_scores():
 
 
 def test_a_run_keeps_the_best_and_a_copy_of_it():
-    run, told = run_of(evaluations=10, progress=lambda *row: told.append(row)), []
+    told, found = [], []
+    run = run_of(
+        evaluations=10,
+        progress=lambda *row: told.append(row),
+        found=lambda x, score: found.append((x.tolist(), score)),
+    )
     x = np.array([0.5, 0.0])
     for at in (run.start, x, np.array([1.0, 0.0])):
         run.offer(at)
     x[:] = 9.0
     assert run.best == 0.75
     np.testing.assert_array_equal(run.best_x, [0.5, 0.0])
+    assert [x.tolist() for x in run.path] == [[2.0, 0.0], [0.5, 0.0]]
+    assert found == [([2.0, 0.0], -3.0), ([0.5, 0.0], 0.75)]
     assert [row.score for row in run.history] == [-3.0, 0.75, 0.0]
     assert [row.best for row in run.history] == [-3.0, 0.75, 0.75]
     assert [row.evaluations for row in run.history] == [1, 2, 3]
@@ -130,7 +137,7 @@ def test_a_run_taken_up_goes_on_counting():
     clock = Clock()
     run = run_of(evaluations=10, seconds=100, clock=clock)
     clock.now += 1000
-    run.take_up(40.0, 2.5, [])
+    run.take_up(40.0, 2.5, [], [])
     assert (run.seconds, run.evaluations) == (40, 2.5)
     clock.now += 30
     assert run.seconds == 70
@@ -562,7 +569,7 @@ def test_a_file_that_is_no_checkpoint_is_refused_and_left_alone(scene, layout, k
     np.savez(tmp_path / "bad.npz", **whole, **{"array: x": np.array([None])})
     with pytest.raises(InspeError, match="not a checkpoint"):
         load_checkpoint(tmp_path / "bad.npz")
-    older = str(whole["record"]).replace("inspe_jax checkpoint 2", "inspe_jax checkpoint 1")
+    older = str(whole["record"]).replace(FORMAT, "inspe_jax checkpoint 1")
     np.savez(tmp_path / "bad.npz", **whole | {"record": np.array(older)})
     with pytest.raises(InspeError, match=r"bad\.npz: written by another version"):
         load_checkpoint(tmp_path / "bad.npz")

@@ -10,7 +10,7 @@ from worlds import world
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import evaluate
-from inspe_jax.placement.result import FILES, Result, check_folder, load_result, save_result
+from inspe_jax.placement.result import FILES, FORMAT, Result, check_folder, load_result, save_result
 from inspe_jax.placement.run import Progress
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout
@@ -33,6 +33,7 @@ def result():
         objective_before=0.1 + 0.2,
         objective=1 / 3,
         history=(Progress(0.5, 1.0, 0.3, 0.3), Progress(1 / 7, 2 / 3, 1e-9, 0.3)),
+        path=poses[None],
         evaluations=2.5,
         seconds=1.25,
         status="converged",
@@ -65,6 +66,8 @@ def test_a_result_comes_back(result, tmp_path):
                     assert theirs.settings["weights"] == [0.3, 0.5, 0.2]
                 elif part.name != "seen_share":
                     assert getattr(theirs, part.name) == getattr(mine, part.name)
+        elif name == "path":
+            np.testing.assert_allclose(theirs, mine, atol=1e-8)
         elif name == "settings":
             assert theirs == {
                 "objective": {"weights": [0.3, 0.5, 0.2]},
@@ -117,7 +120,7 @@ def test_what_is_no_result_is_refused(result, tmp_path):
     for content in (
         "",
         "[]",
-        good.replace("result 1", "result 0"),
+        good.replace(FORMAT, "inspe_jax result 0"),
         json.dumps(record | {"surprise": 1}),
         json.dumps({k: v for k, v in record.items() if k != "seed"}),
         json.dumps(record | {"scores": {}}),

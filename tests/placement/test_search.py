@@ -223,8 +223,7 @@ def test_from_any_checkpoint_a_run_goes_on_as_if_nothing_had_come_between(name, 
         state = saved(go(METHODS[name], run, steps=stop))
         # Another process has nothing but the state, and the run's own account.
         later = Heard(problem, start, BUDGET[name])
-        later.take_up(run.seconds, run.evaluations, run.history)
-        later.best, later.best_x = run.best, run.best_x
+        later.take_up(run.seconds, run.evaluations, run.history, run.path)
         go(METHODS[name], later, state)
         assert later.offers == whole.offers, stop
 

@@ -16,7 +16,7 @@ from inspe_jax.evaluation import evaluate
 from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
-from inspe_jax.report.progress import before_after, history_view
+from inspe_jax.report.progress import WENT, before_after, history_view
 from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 
 
@@ -43,6 +43,7 @@ def result(scene):
         objective_before=0.2,
         objective=0.4,
         history=(Progress(1.0, 1.0, 0.2, 0.2), Progress(3.0, 10.0, 0.4, 0.4)),
+        path=np.stack([start.poses, poses]),
         evaluations=12.0,
         seconds=4.0,
         status="converged",
@@ -88,12 +89,30 @@ def test_an_arrow_leads_from_the_old_place_to_the_new(result, scene):
     assert arrow._posA_posB == [(9.0, 9.0), (9.0, -8.0)]
 
 
+def test_a_way_leads_through_where_the_search_had_a_unit(result, scene):
+    """The camera by way of the west; what moved less than half a metre is not drawn."""
+    start, end = result.path
+    west, near = np.array(start), np.array(start)
+    west[0, :2], near[0, :2] = (-9.0, 9.0), (-9.0, 9.3)
+    fig = before_after(
+        scene, result.start, result.layout, result.scores_before, result.scores,
+        path=np.stack([start, west, near, end]),
+    )  # fmt: skip
+    ax = maps_of(fig)[1]
+    (arrow,) = [p for p in ax.patches if isinstance(p, FancyArrowPatch)]
+    assert arrow._posA_posB == [(-9.0, 9.0), (9.0, -8.0)]
+    ways = [line.get_xydata().tolist() for line in ax.lines]
+    assert [[9.0, 9.0], [-9.0, 9.0]] in ways
+    words = [text.get_text() for legend in fig.legends for text in legend.get_texts()]
+    assert WENT in words
+
+
 def test_no_arrows_and_no_key_of_them_where_nothing_moved(result, scene):
     fig = before_after(
         scene, result.start, result.start, result.scores_before, result.scores_before
     )
     words = [text.get_text() for legend in fig.legends for text in legend.get_texts()]
-    assert "where a unit went" not in words
+    assert WENT not in words
     assert "camera, view to 30 m" in words
 
 

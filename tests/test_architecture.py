@@ -21,6 +21,7 @@ LADDER = [
     ("placement",),
     ("study",),
     ("report",),
+    ("viewer",),
     ("cli",),
 ]
 ROOMS = {
@@ -29,8 +30,8 @@ ROOMS = {
     "jaxopt": ("placement/rounds.py",),
     "optax": ("placement/adam.py",),
     "matplotlib": ("report/",),
-    "viser": ("report/",),
-    "jinja2": ("report/",),
+    "viser": ("report/", "viewer/"),
+    "jinja2": ("report/", "viewer/"),
     "typer": ("cli/",),
     "distributed": ("study/",),
     "dask": ("study/",),

@@ -139,13 +139,16 @@ def scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
     return world, layout_on(world, sensors)
 
 
-def layout_on(world: "Scene", sensors: str) -> "Layout":
-    """The layout that a file or a strategy's name gives on a scene."""
+def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
+    """The layout that a file or a strategy's name gives on a scene.
+
+    Without ``unit_rule`` also one whose units' sensors are too far apart.
+    """
     from inspe_jax.placement.strategies import STRATEGIES, strategy
     from inspe_jax.sensing.layout import load_layout
 
     if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
-        return load_layout(sensors, world)
+        return load_layout(sensors, world, unit_rule=unit_rule)
     if sensors.lower() not in (name.lower() for name in STRATEGIES):
         raise InspeError(
             f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"

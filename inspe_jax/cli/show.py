@@ -1,8 +1,10 @@
-"""See it: `inspe report`.
+"""See it: `inspe report` and `inspe view`.
 
 Imports stay inside the commands, as of the browser's library and matplotlib.
 """
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,12 +13,14 @@ import typer
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
+    LayoutArgument,
     LightOption,
     SceneArgument,
     WeatherOption,
     app,
     busy,
     layout_on,
+    note,
     out,
     progress,
 )
@@ -57,15 +61,13 @@ def report(
     - `inspe report j189.npz start.yaml better/layout.yaml --tolerance --out j189.html`
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
-    from inspe_jax.evaluation import evaluate
     from inspe_jax.files import check_output, whole_file, write_text
     from inspe_jax.placement.problem import Case, Objective
     from inspe_jax.placement.tolerance import tolerance as installed
-    from inspe_jax.report.page import Entry, check_names, report_page, report_sheets
+    from inspe_jax.report.page import check_names, entry_of, report_page, report_sheets
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.sensing.visibility import check_frame
-    from inspe_jax.viewshed import viewshed
 
     check_output(path, (".html", ".htm"))
     check_output(pdf, (".pdf",))
@@ -74,22 +76,19 @@ def report(
         world = load_scene(source)
         check_frame(world, frame)
         placed = [layout_on(world, given) for given in sensors or [DEFAULT_LAYOUT]]
+    case = Case(world, conditions)
     check_names([layout.name for layout in placed])
     entries = []
     for layout in placed:
         with busy(f"scoring {layout.name}"):
-            scores = evaluate(world, layout, weights=weights, conditions=conditions)
-            shed = viewshed(world, layout, conditions=conditions)
-        slopes = None
+            entry = entry_of(case, layout, weights)
         if tolerance:
             with progress(f"installations of {layout.name}") as tell:
                 slopes = installed(
-                    Case(world, conditions),
-                    layout,
-                    objective=Objective(weights=weights),
-                    progress=tell,
+                    case, layout, objective=Objective(weights=weights), progress=tell
                 )
-        entries.append(Entry(layout, scores, shed, slopes))
+            entry = replace(entry, tolerance=slopes)
+        entries.append(entry)
     with progress("drawing") as tell:
         page = report_page(world, entries, frame=frame, progress=tell)
     write_text(path, page)
@@ -102,3 +101,65 @@ def report(
         with whole_file(pdf) as f:
             f.write(sheets)
         out.print(f"drew {pdf}", highlight=False)
+
+
+@app.command()
+def view(
+    source: SceneArgument = DEFAULT_SCENE,
+    sensors: LayoutArgument = DEFAULT_LAYOUT,
+    path: Annotated[
+        Path, typer.Option("--out", metavar="FILE.yaml", help="Where the layout is saved.")
+    ] = Path("viewed.yaml"),
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port; the next that is free where it is taken.")
+    ] = 8080,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; others reach the page only at another than this."),
+    ] = "127.0.0.1",
+    weights: WeightsOption = (0.3, 0.5, 0.2),
+    light: LightOption = "midday",
+    weather: WeatherOption = "clear",
+) -> None:
+    """Serve a page on which sensors are dragged and the scores follow.
+
+    Sensors snap to where they can be mounted. Add, copy, remove and exchange them, search from
+    where they are, undo, save, write a report. What is not saved is kept beside the file. A layout
+    that breaks a rule of mounting opens, too, in red and with the reason. Ctrl-C ends.
+
+    Examples:
+
+    - `inspe view`  (the built-in four-way with cameras at its corners)
+    - `inspe view j189.npz layout.yaml --out better.yaml --light night`
+    - `inspe view roundabout Cam-d1/L-d1 --port 9000 --host 0.0.0.0`
+    """
+    from inspe_jax.files import check_output
+    from inspe_jax.placement.problem import Case
+    from inspe_jax.scene.scene import load_scene
+    from inspe_jax.sensing.conditions import Conditions
+    from inspe_jax.viewer.app import Viewer
+
+    check_output(path, (".yaml", ".yml"))
+    conditions = Conditions.of(light, weather)
+    with busy(f"reading {source}"):
+        world = load_scene(source)
+        layout = layout_on(world, sensors, unit_rule=False)
+    viewer = Viewer(Case(world, conditions), layout, path, weights=weights, host=host, port=port)
+    try:
+        if port not in (0, viewer.port):
+            note([f"port {port} is taken: this is {viewer.port}"])
+        out.print(f"open {viewer.url}", highlight=False, soft_wrap=True)
+        if host in ("127.0.0.1", "localhost", "::1"):
+            out.print("only this machine can; --host 0.0.0.0 lets others in", highlight=False)
+        else:
+            note(["anyone who reaches this machine can look, change and save"])
+        out.print("Ctrl-C ends", highlight=False)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        with busy("ending"):
+            viewer.close()
+    if viewer.unsaved.exists():
+        out.print(f"not saved: {viewer.unsaved} has the layout", highlight=False, soft_wrap=True)

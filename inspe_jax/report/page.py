@@ -18,7 +18,8 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores
+from inspe_jax.evaluation import Scores, evaluate
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.tolerance import Tolerance
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
@@ -29,7 +30,7 @@ from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewshed import Sight, Viewshed
+from inspe_jax.viewshed import Sight, Viewshed, viewshed
 
 DPI = 170
 """Of the figures in a page."""
@@ -50,6 +51,16 @@ class Entry:
     scores: Scores
     shed: Viewshed
     tolerance: Tolerance | None = None
+
+
+def entry_of(case: Case, layout: Layout, weights: tuple[float, float, float]) -> Entry:
+    """All that a page says of a layout. Raises InspeError as :func:`inspe_jax.evaluate` does."""
+    scene, conditions = case.scene, case.conditions
+    return Entry(
+        layout,
+        evaluate(scene, layout, weights=weights, conditions=conditions),
+        viewshed(scene, layout, conditions=conditions),
+    )
 
 
 def report_page(

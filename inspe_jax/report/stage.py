@@ -5,8 +5,9 @@ single precision.
 """
 
 import io
-from collections.abc import Mapping
-from contextlib import redirect_stdout
+import socket
+from collections.abc import Iterable
+from contextlib import AbstractContextManager, redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Float, Int
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
+from inspe_jax.errors import InspeError
 from inspe_jax.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS, view_outline
 from inspe_jax.report.layers import SIGHT_COLORS
@@ -31,10 +33,14 @@ GROUND_COLORS: dict[Region, str] = dict(
 )
 """Greys, as of asphalt and paving: colours are for what is seen and by whom."""
 USER_COLOR = "#fafafa"
+BROKEN_COLOR = "#ff1744"
+"""Of sensors that break a rule of mounting, which have a ! beside their number, too."""
 OPACITY = {Sight.OUT_OF_VIEW: 0.45, Sight.HIDDEN: 0.6, Sight.SEEN: 0.12}
 """Of the voxels that are drawn."""
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera's frame in the body's: right, down and forward are −y, −z and x."""
+ABOVE = 0.8
+"""Numbers stand so far above a unit's highest sensor [m]."""
 LIFT = 0.05
 """Lines on the ground are drawn so much above it [m]."""
 
@@ -53,9 +59,11 @@ class Stage:
         self.api, self.scene = api, scene
         self.shift = scene.voxels.center
         self.drawn: dict[str, Any] = {}
+        self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
+        self._units = 0  # whose numbers are
         api.set_up_direction("+z")
         api.configure_environment_map(None)
-        api.configure_fog(1e6, 1e7)
+        api.configure_fog(1e6, 1e7, enabled=False)
         api.configure_default_lights(enabled=False)
         api.add_light_ambient("light/sky", intensity=1.0)
         api.add_light_directional("light/sun", intensity=1.0, position=(-60.0, -100.0, 200.0))
@@ -72,57 +80,105 @@ class Stage:
             center = traffic.center[frame, who] - self.shift
             self._boxes(f"road users/{name}", center, traffic.size[frame, who], USER_COLOR, turn)
 
-    def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Mapping[Sight, bool]) -> None:
-        """Voxels in the colour of what each is in a frame: see :class:`Sight`."""
+    def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Iterable[Sight]) -> None:
+        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Sight`."""
         grid = self.scene.voxels
-        by_column = np.asarray(sight).reshape(-1, grid.level_count)
+        by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
         for kind, opacity in OPACITY.items():
+            name = f"voxels/{kind.name.lower().replace('_', ' ')}"
             column, low, high = runs(by_column == kind)
+            if kind not in wanted or not len(column):
+                self._forget(name)
+                continue
             foot = grid.ground[column] + grid.size * low
             tall = grid.size * (high - low)
             center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
             wide = np.full(len(column), 0.94 * grid.size)
             size = np.column_stack([wide, wide, tall])
-            name = f"voxels/{kind.name.lower().replace('_', ' ')}"
             self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
-            self.drawn[name].visible = shown.get(kind, False)
 
-    def draw_layout(self, layout: Layout) -> None:
-        """Every sensor with its number, on its pole, and what it looks at on the ground."""
-        for name in [name for name in self.drawn if name.startswith("sensors/")]:
-            self.drawn.pop(name).remove()
-        for k, sensor in enumerate(layout.sensors):
-            pose = np.asarray(layout.poses[k], float)
-            self._draw_sensor(f"sensors/{k + 1}", sensor.spec, pose, str(k + 1))
+    def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
+        """Every sensor on its pole, what it looks at on the ground, and their numbers by unit.
 
-    def _draw_sensor(self, name: str, spec: Spec, pose: Float[np.ndarray, "6"], word: str) -> None:
-        color, at = rgb(SENSOR_COLORS[spec.kind]), pose[:3] - self.shift
-        turn = rotation(pose[3:], np)
+        Those that break a rule of mounting are red. What was drawn before is moved where only poses
+        differ. Gives the bodies of sensors that are drawn anew, by their place in the layout.
+        """
+        wrong, new = set(broken), {}
+        looks = [
+            (sensor.spec, BROKEN_COLOR if k in wrong else SENSOR_COLORS[sensor.spec.kind])
+            for k, sensor in enumerate(layout.sensors)
+        ]
+        for k, look in list(self._looks.items()):
+            if k >= len(looks) or look != looks[k]:
+                for part in ("device", "frustum", "pole", "view"):
+                    self._forget(f"sensors/{k + 1}/{part}")
+                del self._looks[k]
+        poses = np.asarray(layout.poses, float)
+        for k, (spec, color) in enumerate(looks):
+            if k not in self._looks:
+                new[k] = self._draw_sensor(k, spec, color)
+                self._looks[k] = (spec, color)
+            self._move_sensor(k, spec, poses[k])
+        self._number(layout, poses, wrong)
+        return new
+
+    def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
+        name = f"sensors/{k + 1}"
+        body: Any
         if isinstance(spec, CameraSpec):
-            self.drawn[f"{name}/device"] = self.api.add_camera_frustum(
-                f"{name}/device",
+            body = self.api.add_box(f"{name}/device", rgb(color), dimensions=(0.7, 0.5, 0.5))
+            self.drawn[f"{name}/frustum"] = self.api.add_camera_frustum(
+                f"{name}/frustum",
                 fov=2 * np.arctan(spec.height / 2 / spec.focal),
                 aspect=spec.width / spec.height,
                 scale=1.2,
                 thickness=0.06,
-                color=color,
-                wxyz=quaternion(turn @ OPTICAL),
-                position=at,
-                variant="filled",
+                color=rgb(color),
             )
         else:
-            self.drawn[f"{name}/device"] = self.api.add_cylinder(
-                f"{name}/device", 0.35, 0.6, color=color, wxyz=quaternion(turn), position=at
-            )
-        ground = float(self.scene.intersection.ground(pose[None, :2])[0]) - self.shift[2]
-        pole = np.array([[[*at[:2], ground], at]])
-        self._lines(f"{name}/pole", pole, "#404040", 0.08)
-        outline = self._on_ground(view_outline(spec, pose))
-        self._lines(f"{name}/view", segments(outline), SENSOR_COLORS[spec.kind], 0.12)
-        ahead = 1.6 * turn[:, 0] if isinstance(spec, CameraSpec) else np.array([0.0, 0.0, 0.9])
-        self.drawn[f"{name}/number"] = self.api.add_label(
-            f"{name}/number", word, position=at + ahead, anchor="center-center"
-        )
+            body = self.api.add_cylinder(f"{name}/device", 0.35, 0.6, color=rgb(color))
+        self.drawn[f"{name}/device"] = body
+        nowhere = np.zeros((1, 2, 3))
+        self._lines(f"{name}/pole", nowhere, "#404040", 0.08)
+        self._lines(f"{name}/view", nowhere, color, 0.12)
+        return body
+
+    def _move_sensor(self, k: int, spec: Spec, pose: Float[np.ndarray, "6"]) -> None:
+        name, at, turn = f"sensors/{k + 1}", pose[:3] - self.shift, rotation(pose[3:], np)
+        body = self.drawn[f"{name}/device"]
+        body.position, body.wxyz = at, quaternion(turn)
+        if isinstance(spec, CameraSpec):
+            frustum = self.drawn[f"{name}/frustum"]
+            frustum.position, frustum.wxyz = at, quaternion(turn @ OPTICAL)
+        self.drawn[f"{name}/pole"].points = self._pole(at).astype(np.float32)
+        self.drawn[f"{name}/view"].points = self._view(spec, pose).astype(np.float32)
+
+    def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
+        """The numbers of each unit's sensors above it, together: apart they would overlap."""
+        units = layout.members()
+        for u, members in enumerate(units):
+            word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
+            at = poses[list(members), :3]
+            at = np.append(at[:, :2].mean(0), at[:, 2].max() + ABOVE) - self.shift
+            label = self.drawn.get(f"numbers/{u + 1}")
+            if label is None:
+                label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
+                self.drawn[f"numbers/{u + 1}"] = label
+            label.text, label.position = word, at
+        for u in range(len(units), self._units):
+            self._forget(f"numbers/{u + 1}")
+        self._units = len(units)
+
+    def _pole(self, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "1 2 3"]:
+        foot = self._on_ground(at[None, :2] + self.shift[:2], lift=0.0)[0]
+        return np.array([[foot, at]])
+
+    def _view(self, spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "M 2 3"]:
+        return segments(self._on_ground(view_outline(spec, pose)))
+
+    def _forget(self, name: str) -> None:
+        if name in self.drawn:
+            self.drawn.pop(name).remove()
 
     def _draw_ground(self) -> None:
         """A mesh for each region, its corners on the ground."""
@@ -213,25 +269,49 @@ def quaternion(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
     return np.roll(Rotation.from_matrix(turn).as_quat(), 1)
 
 
+def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation matrix of w, x, y, z."""
+    return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
+
+
+def quiet() -> AbstractContextManager[Any]:
+    """Without what viser prints of its own: addresses, and that it has stopped."""
+    return redirect_stdout(io.StringIO())
+
+
+def serve(host: str, port: int) -> viser.ViserServer:
+    """A server for browsers, at the port or the next that is free; any at port 0.
+
+    Raises InspeError where the host is none of this machine's.
+    """
+    try:
+        check = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        with socket.socket(check[0][0], socket.SOCK_STREAM) as trial:
+            trial.bind(check[0][4])
+    except OSError as e:
+        raise InspeError(f"host {host}: nothing can be served there ({e.strerror})") from None
+    with quiet():
+        return viser.ViserServer(host=host, port=port, verbose=False)
+
+
 def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
     """A page of its own: one frame of a scene, and what a layout sees of it, to turn and zoom."""
-    with redirect_stdout(io.StringIO()):  # viser tells addresses that nobody needs here
-        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    server = serve("127.0.0.1", 0)
     try:
         stage = Stage(server.scene, scene)
         stage.draw_users(frame)
         sight = sight_in(scene, layout, frame, conditions=conditions)
-        stage.draw_voxels(sight, {Sight.HIDDEN: True, Sight.OUT_OF_VIEW: True})
+        stage.draw_voxels(sight, (Sight.HIDDEN, Sight.OUT_OF_VIEW))
         stage.draw_layout(conditions.layout(layout))
         look_from(server.initial_camera, scene)
         return server.scene.as_html()
     finally:
-        with redirect_stdout(io.StringIO()):
+        with quiet():
             server.stop()
 
 
-def look_from(camera: Any, scene: Scene) -> None:
-    """Let a camera see the whole of a scene from the south, from above."""
+def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
+    """Let a camera see the whole of a scene from the south, from above, so many times as far."""
     radius = scene.voxels.radius
-    camera.position = (0.0, -1.05 * radius, 0.95 * radius)
+    camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
     camera.look_at = (0.0, -0.08 * radius, 0.0)

@@ -127,14 +127,16 @@ def make_layout(
     poses: Float[np.ndarray, "S 6"],
     name: str = "layout",
     where: str | None = None,
+    *,
+    unit_rule: bool = True,
 ) -> Layout:
     """A checked layout; see :class:`Layout`. Messages name ``where``, or the layout.
 
     Sensors are put in the order of their units, as a file lists them; ``poses``
     (S, 6) may be rows of :class:`Pose`.
 
-    Raises InspeError where it is empty, a pose is not finite, or two sensors of
-    one unit are more than 2 m apart in plan or 4 m in height.
+    Raises InspeError where it is empty, a pose is not finite, or, by the ``unit_rule``, two
+    sensors of one unit are more than 2 m apart in plan or 4 m in height.
     """
     where = where or name
     if not sensors:
@@ -153,7 +155,7 @@ def make_layout(
             raise InspeError(f"{where}: two {kind}s are named '{twice}'")
     order = sorted(range(len(sensors)), key=lambda s: sensors[s].unit)
     sensors, poses = [sensors[s] for s in order], poses[order]
-    for u, unit in enumerate(units):
+    for u, unit in enumerate(units if unit_rule else ()):
         members = [s for s, sensor in enumerate(sensors) if sensor.unit == u]
         for i, a in enumerate(members):
             for b in members[i + 1 :]:
@@ -204,17 +206,22 @@ class _LayoutFile(_Strict):
     units: Annotated[list[_UnitEntry], Field(min_length=1)]
 
 
-def load_layout(path: str | os.PathLike[str], scene: Scene | None = None) -> Layout:
+def load_layout(
+    path: str | os.PathLike[str], scene: Scene | None = None, *, unit_rule: bool = True
+) -> Layout:
     """Read a layout file.
 
     A base of two numbers stands on the ground of ``scene``, or at height 0 without
-    one. Raises InspeError that names the file, the key and what is allowed.
+    one. ``unit_rule`` as in :func:`make_layout`: without it, sensors of one unit may be far apart.
+    Raises InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
-    return parse_layout(read_yaml(path), str(path), path.stem, scene)
+    return parse_layout(read_yaml(path), str(path), path.stem, scene, unit_rule=unit_rule)
 
 
-def parse_layout(content: Any, where: str, name: str, scene: Scene | None = None) -> Layout:
+def parse_layout(
+    content: Any, where: str, name: str, scene: Scene | None = None, *, unit_rule: bool = True
+) -> Layout:
     """A layout from what a layout file holds, as :func:`load_layout`; messages name ``where``."""
     if not content:
         raise InspeError(f"{where}: the layout is empty: it needs 'units', each with 'sensors'")
@@ -239,7 +246,9 @@ def parse_layout(content: Any, where: str, name: str, scene: Scene | None = None
             (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
             poses.append(Pose(x + dx, y + dy, z + height, *angles.tolist()))
-    return make_layout(sensors, units, np.array(poses), entry.name or name, where)
+    return make_layout(
+        sensors, units, np.array(poses), entry.name or name, where, unit_rule=unit_rule
+    )
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:

@@ -4,12 +4,12 @@ import base64
 import io
 import json
 import re
-import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from browser import browser, errors_of, needs_browser
 from matplotlib import image
 from worlds import CAMERA, LIDAR, random_layout, world
 
@@ -21,15 +21,6 @@ from inspe_jax.report.page import CAPTIONS, Entry, report_page, report_sheets
 from inspe_jax.report.stage import runs
 from inspe_jax.report.tables import scores_record
 from inspe_jax.viewshed import viewshed
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-BROWSER = (
-    "--no-sandbox",
-    "--ignore-gpu-blocklist",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)
-"""Also as root, and in three dimensions without a graphics card."""
 
 
 @pytest.fixture(scope="module")
@@ -162,18 +153,14 @@ def test_runs_of_levels():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@needs_browser
 def test_a_browser_shows_it_without_a_network(tmp_path, page):
-    from playwright.sync_api import sync_playwright
-
     path = tmp_path / "report.html"
     path.write_text(page, encoding="utf-8")
-    said, asked = [], []
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(BROWSER))
-        tab = browser.new_context(offline=True).new_page()
-        tab.on("console", lambda message: said.append((message.type, message.text)))
-        tab.on("pageerror", lambda error: said.append(("error", str(error))))
+    asked = []
+    with browser() as chromium:
+        tab = chromium.new_context(offline=True).new_page()
+        wrong = errors_of(tab)
         tab.on("request", lambda request: asked.append(request.url))
         tab.goto(path.as_uri())
         width = tab.evaluate("[document.body.scrollWidth, window.innerWidth]")
@@ -188,6 +175,5 @@ def test_a_browser_shows_it_without_a_network(tmp_path, page):
                 tab.wait_for_timeout(500)
             else:
                 pytest.fail("nothing is drawn in three dimensions")
-        browser.close()
-    assert [text for kind, text in said if kind == "error"] == []
+    assert wrong == []
     assert all(url.startswith(("file:", "blob:", "data:")) for url in asked)

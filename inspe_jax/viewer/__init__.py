@@ -1,0 +1,1 @@
+"""A page on which sensors are dragged and scores follow."""

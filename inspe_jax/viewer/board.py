@@ -1,0 +1,90 @@
+"""What the page says of a layout: its scores as bars, what it costs, what rules it breaks."""
+
+from collections.abc import Sequence
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from inspe_jax.errors import InspeError
+from inspe_jax.placement.problem import Objective
+from inspe_jax.report.figures import SENSOR_COLORS
+from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.stage import BROKEN_COLOR, USER_COLOR
+from inspe_jax.report.tables import METRICS
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.scorer import Scored
+from inspe_jax.viewshed import Sight
+
+KEYS = (
+    ("hidden by traffic", SIGHT_COLORS[Sight.HIDDEN]),
+    ("never in view", SIGHT_COLORS[Sight.OUT_OF_VIEW]),
+    ("seen", SIGHT_COLORS[Sight.SEEN]),
+    ("road user", USER_COLOR),
+    ("camera", SENSOR_COLORS["camera"]),
+    ("LiDAR", SENSOR_COLORS["lidar"]),
+)
+
+_BOARD = Environment(
+    loader=PackageLoader("inspe_jax", "viewer"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+).get_template("board.html.j2")
+
+
+def board(
+    layout: Layout,
+    scored: Scored | None,
+    *,
+    frames: int,
+    opened: float | None = None,
+    faults: Sequence[str] = (),
+    notes: Sequence[str] = (),
+) -> str:
+    """A layout's scores as HTML; ``scored`` is None while there are none yet.
+
+    ``frames`` of the whole traffic; ``opened``, the score of the layout that was opened;
+    ``faults``, why it cannot be mounted; ``notes``, what mounting made of the last change.
+    """
+    scores = None if scored is None else scored.scores
+    state = "scoring …"
+    if scored is not None and scores is not None:
+        some = f"{scored.frames} of {frames} frames" if scored.frames < frames else "all frames"
+        state = f"{some}, scored in {scored.seconds:.2f} s"
+    elif scored is not None:
+        state = "no scores"
+    regions = {} if scores is None else scores.region_coverage
+    return _BOARD.render(
+        scores=scores,
+        around="" if scores is None else scores.conditions.words,
+        change=None if scores is None or opened is None else scores.surrogate - opened,
+        state=state,
+        wrong="" if scored is None else scored.wrong,
+        faults=faults,
+        notes=notes,
+        broken=BROKEN_COLOR,
+        metrics=[
+            (f"{name.replace('_', ' ')} {symbol}", getattr(scores, name))
+            for name, symbol in METRICS.items()
+            if scores is not None and name != "surrogate"
+        ],
+        regions=list(regions.items()),
+        sensors=len(layout),
+        units=len(layout.units),
+        cost=cost_of(layout),
+        keys=KEYS,
+    )
+
+
+def cost_of(layout: Layout) -> str:
+    """What a layout's sensors cost by the catalogue, in words."""
+    wanted, known, unknown = Objective(), 0.0, set[str]()
+    for sensor in layout.sensors:
+        try:
+            known += wanted.price_of(sensor.spec.name)
+        except InspeError:
+            unknown.add(sensor.spec.name)
+    if not unknown:
+        return f"{known:,.0f} US dollars"
+    without = f"no list price for {', '.join(sorted(unknown))}"
+    return f"{known:,.0f} US dollars and {without}" if known else without

@@ -1,0 +1,49 @@
+"""One thread that does in turn what is asked of it: whatever draws or changes something.
+
+Browsers, the scorer and the search all ask from threads of their own.
+"""
+
+import threading
+from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
+
+Job = Callable[[], None]
+
+
+class Desk:
+    """Jobs done one after another, in the order in which they were asked for."""
+
+    def __init__(self, failed: Callable[[Exception], None]) -> None:
+        """``failed`` is called, on the desk's thread, with what a job raised."""
+        self._failed = failed
+        self._newest: dict[Hashable, Job] = {}
+        self._lock = threading.Lock()
+        self._closed = False
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="desk")
+
+    def ask(self, job: Job, key: Hashable = None) -> None:
+        """Have a job done; in place of one that waits under the same key, if there is one.
+
+        Nothing once the desk is closed.
+        """
+        key = object() if key is None else key
+        with self._lock:
+            if self._closed:
+                return
+            if key not in self._newest:
+                self._thread.submit(self._do, key)
+            self._newest[key] = job
+
+    def close(self) -> None:
+        """Do what waits, and end."""
+        with self._lock:
+            self._closed = True
+        self._thread.shutdown()
+
+    def _do(self, key: Hashable) -> None:
+        with self._lock:
+            job = self._newest.pop(key)
+        try:
+            job()
+        except Exception as e:
+            self._failed(e)

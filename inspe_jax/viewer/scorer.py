@@ -1,0 +1,117 @@
+"""Scores found beside the hand that drags: of the newest layout, of a few frames and then of all.
+
+A thread of its own, so that the page stays responsive; what is out of date is not begun.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import UInt
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import Scores, evaluate
+from inspe_jax.placement.problem import Case
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewshed import sight_in
+
+SHOWN = 20
+"""Frames that are scored first, evenly spread over all."""
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Scored:
+    """The exact scores of a layout, of ``frames`` of the traffic.
+
+    ``scores`` is None where it cannot be scored, and ``wrong`` says why; ``seconds`` since the
+    layout was given.
+    """
+
+    layout: Layout
+    scores: Scores | None
+    frames: int
+    seconds: float
+    wrong: str = ""
+
+
+class Scorer:
+    """Scores the layout that was given last, and finds what it sees of a frame."""
+
+    def __init__(
+        self,
+        case: Case,
+        weights: tuple[float, float, float],
+        scored: Callable[[Scored], None],
+        sighted: Callable[[int, UInt[np.ndarray, " V"]], None],
+    ) -> None:
+        """``scored`` and ``sighted``, with a frame and its voxels, are called from the scorer's
+        thread."""
+        self.case, self.weights = case, weights
+        self._scored, self._sighted = scored, sighted
+        traffic = case.scene.traffic
+        step = -(-traffic.frame_count // SHOWN)
+        self.few = replace(case.scene, traffic=jax.tree.map(lambda leaf: leaf[::step], traffic))
+        self._layout: Layout | None = None
+        self._frame, self._since = 0, 0.0
+        self._todo: set[str] = set()
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="scorer", daemon=True)
+        self._thread.start()
+
+    def score(self, layout: Layout, *, whole: bool) -> None:
+        """Score a layout on a few frames, and on all if ``whole``; see what it sees."""
+        with self._changed:
+            self._layout, self._since = layout, time.monotonic()
+            self._todo -= {"whole"}
+            self._todo |= {"few", "sight", *(["whole"] if whole else [])}
+            self._changed.notify()
+
+    def watch(self, frame: int) -> None:
+        """See what the layout sees of a frame, from now on."""
+        with self._changed:
+            self._frame = frame
+            self._todo |= {"sight"}
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._changed:
+            self._todo |= {"end"}
+            self._changed.notify()
+        self._thread.join()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._todo)
+                job = next(j for j in ("end", "few", "sight", "whole") if j in self._todo)
+                self._todo.remove(job)
+                layout, frame, since = self._layout, self._frame, self._since
+            if job == "end":
+                return
+            if layout is None:
+                continue
+            if job == "sight":
+                self._see(layout, frame)
+            else:
+                self._score(layout, job == "whole", since)
+
+    def _score(self, layout: Layout, whole: bool, since: float) -> None:
+        scene, scores, wrong = self.case.scene if whole else self.few, None, ""
+        try:
+            conditions = self.case.conditions
+            scores = evaluate(scene, layout, conditions=conditions, weights=self.weights)
+        except InspeError as e:
+            wrong = str(e)
+        frames = scene.traffic.frame_count
+        self._scored(Scored(layout, scores, frames, time.monotonic() - since, wrong))
+
+    def _see(self, layout: Layout, frame: int) -> None:
+        try:
+            sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
+        except InspeError:  # as the scores say
+            return
+        self._sighted(frame, sight)

@@ -1,0 +1,294 @@
+"""The page in a real browser: sensors are dragged by their handles, and everything follows."""
+
+import re
+import socket
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browser import browser, errors_of, needs_browser
+from worlds import CAMERA, LIDAR, place_sensors, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.evaluation import evaluate
+from inspe_jax.placement.constraints import Space
+from inspe_jax.placement.problem import Case
+from inspe_jax.report.stage import turn_of
+from inspe_jax.sensing.layout import load_layout
+from inspe_jax.viewer.app import HANDLE, Viewer
+from inspe_jax.viewer.panel import put
+
+pytestmark = [pytest.mark.slow, needs_browser]
+
+WAIT = 30_000
+"""For what compiles first [ms]."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=14.0, voxel=1.0, frames=30, count=6)
+
+
+@pytest.fixture
+def layout():
+    return place_sensors(
+        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-100)]),
+        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
+    )
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with browser() as found:
+        yield found
+
+
+@pytest.fixture
+def viewer(scene, layout, tmp_path):
+    found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def tab(chromium, viewer):
+    """A page on the viewer, with the scores of all frames; it must not complain."""
+    found = chromium.new_page(viewport={"width": 1440, "height": 900})
+    wrong = errors_of(found)
+    found.goto(viewer.url)
+    settled(found)
+    yield found
+    found.close()
+    assert wrong == []
+
+
+def score_of(tab):
+    return float(tab.locator("[data-score]").get_attribute("data-score"))
+
+
+def settled(tab, other_than=None):
+    """Wait for the scores of all frames, and for others than those; gives P_sm."""
+    script = """old => {
+        const board = document.querySelector('[data-board^="all frames"]');
+        return board && (old === null || board.dataset.score !== String(old));
+    }"""
+    tab.wait_for_function(script, arg=other_than, timeout=WAIT)
+    return score_of(tab)
+
+
+def wait_until(tab, true, seconds=60):
+    for _ in range(10 * seconds):
+        if true():
+            return
+        tab.wait_for_timeout(100)
+    pytest.fail("it does not come to that")
+
+
+def on_screen(viewer, point):
+    """Where a world point is in the browser's window [pixel]."""
+    (client,) = viewer.server.get_clients().values()
+    camera = client.camera
+    x, y, z = turn_of(camera.wxyz).T @ (point - viewer.stage.shift - np.array(camera.position))
+    scale = camera.image_height / 2 / np.tan(camera.fov / 2) / z
+    return camera.image_width / 2 + scale * x, camera.image_height / 2 + scale * y
+
+
+def drag(tab, begin, end):
+    tab.mouse.move(*begin)
+    tab.wait_for_timeout(500)
+    tab.mouse.down()
+    for t in np.linspace(0, 1, 9)[1:]:
+        tab.mouse.move(*(np.array(begin) + t * (np.array(end) - begin)))
+        tab.wait_for_timeout(60)
+    tab.mouse.up()
+
+
+def grip(viewer, axis, share):
+    """A point of an arrow of the handle: the sensor's place and so far along it."""
+    handle, (client,) = viewer._handle, viewer.server.get_clients().values()
+    camera = client.camera
+    ahead = turn_of(camera.wxyz)[:, 2] @ (np.array(handle.position) - np.array(camera.position))
+    metre = camera.image_height / 2 / np.tan(camera.fov / 2) / ahead  # [pixel]
+    out = turn_of(handle.wxyz)[:, axis] * share * HANDLE / metre
+    return np.array(handle.position) + viewer.stage.shift + out
+
+
+def press(tab, name):
+    tab.get_by_role("button", name=name).click()
+
+
+def test_a_sensor_is_dragged_by_its_handle_and_the_scores_follow(tab, viewer, scene, layout):
+    first = score_of(tab)
+    assert first == evaluate(scene, layout).surrogate
+    begin = on_screen(viewer, grip(viewer, 2, 0.95))  # the arrow that points up
+    drag(tab, begin, on_screen(viewer, grip(viewer, 2, 0.95) + [0, 0, 3.0]))
+    second = settled(tab, first)
+    assert 1.0 < viewer.layout.poses[0, 2] - layout.poses[0, 2] < 5.0
+    np.testing.assert_allclose(viewer.layout.poses[0, :2], layout.poses[0, :2], atol=1e-6)
+    assert second == evaluate(scene, viewer.layout).surrogate
+
+    press(tab, "Undo")
+    assert settled(tab, second) == first
+    assert viewer.layout is layout
+    press(tab, "Redo")
+    assert settled(tab, first) == second
+
+
+def test_a_sensor_is_turned_by_a_ring(tab, viewer, layout):
+    """The ring about the vertical, a quarter turn to the left of the view's arrow."""
+    first = score_of(tab)
+    there, left = grip(viewer, 0, 0.46), grip(viewer, 1, 0.46)
+    ahead = there + left - viewer.layout.poses[0, :3]  # between the arrows, on the ring
+    drag(tab, on_screen(viewer, ahead), on_screen(viewer, left))
+    settled(tab, first)
+    turn = np.degrees(viewer.layout.poses[0, 5] - layout.poses[0, 5])
+    assert 20 < turn < 70
+    np.testing.assert_allclose(viewer.layout.poses[0, :5], layout.poses[0, :5], atol=1e-6)
+
+
+def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, scene):
+    """By a click on it; then to the middle of the road, from where it goes back to the kerb."""
+    first = score_of(tab)
+    place = np.array(viewer.layout.poses[1, :3])
+    tab.mouse.click(*on_screen(viewer, place))
+    wait_until(tab, lambda: viewer.panel.chosen == 1)
+    begin = grip(viewer, 1, 0.95)  # the arrow to its left, which is north
+    drag(tab, on_screen(viewer, begin), on_screen(viewer, begin + [0, 5.0, 0]))
+    settled(tab, first)
+    x, y, z = viewer.layout.poses[1, :3]
+    assert x == pytest.approx(-9.0, abs=0.1)
+    assert y == pytest.approx(-7.3, abs=1e-3)  # 0.3 m from the kerb
+    assert z == pytest.approx(place[2], abs=1e-6)
+    assert Space(scene, viewer.layout).violations(viewer.layout) == []
+    assert tab.get_by_text(re.compile("moved .* to the nearest mounting area")).is_visible()
+
+
+def test_a_pose_is_typed(tab, viewer, layout):
+    first = score_of(tab)
+    tab.get_by_label("yaw [°]").fill("-135")
+    tab.keyboard.press("Enter")
+    settled(tab, first)
+    turned = np.array(layout.poses)
+    turned[0, 5] = np.radians(-135)
+    np.testing.assert_allclose(viewer.layout.poses, turned, atol=1e-4)
+
+
+def test_sensors_are_copied_removed_exchanged_and_added(tab, viewer):
+    press(tab, "Duplicate")
+    tab.get_by_text("3 sensors on 2 units").wait_for(timeout=WAIT)
+    assert viewer.panel.chosen == 1
+    press(tab, "Remove")
+    tab.get_by_text("2 sensors on 2 units").wait_for(timeout=WAIT)
+    press(tab, "Add")
+    tab.get_by_text("3 sensors on 3 units").wait_for(timeout=WAIT)
+    assert viewer.layout.sensors[2].spec.name == viewer.panel.new.value
+    assert viewer.session.faults() == []
+
+
+def test_a_search_begins_from_here_is_stopped_and_taken_back(tab, viewer, scene, layout):
+    first = score_of(tab)
+    put(viewer.panel.method, "random")
+    put(viewer.panel.seconds, 600.0)
+    press(tab, "Optimise from here")
+    tab.get_by_text(re.compile(r"best 0\.\d+, \d+ s left")).wait_for(timeout=WAIT)
+    assert tab.get_by_role("button", name="Add").is_disabled()
+    assert not tab.get_by_role("button", name="Undo").is_visible()
+    press(tab, "Stop")
+    tab.get_by_role("button", name="Optimise from here").wait_for(timeout=WAIT)
+    second = settled(tab, first)
+    assert second > first
+    assert second == evaluate(scene, viewer.layout).surrogate
+    assert Space(scene, viewer.layout).violations(viewer.layout) == []
+    press(tab, "Undo")
+    assert settled(tab, second) == first
+    assert viewer.layout is layout
+
+
+def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
+    first = score_of(tab)
+    tab.get_by_label("height [m]").fill("8")
+    tab.keyboard.press("Enter")
+    second = settled(tab, first)
+    assert viewer.unsaved.is_file()
+    press(tab, "Save layout")
+    tab.get_by_text("Saved").first.wait_for()
+    again = load_layout(viewer.path, scene)
+    assert evaluate(scene, again).surrogate == pytest.approx(second, abs=1e-6)
+    assert not viewer.unsaved.exists()
+    press(tab, "Write report")
+    tab.get_by_text(re.compile("wrote .*layout.html")).wait_for(timeout=WAIT)
+    page = viewer.path.with_suffix(".html").read_text()
+    assert str(evaluate(scene, viewer.layout).surrogate) in page
+
+
+def test_voxels_are_shown_by_kind_and_frames_are_played(tab, viewer):
+    drawn = viewer.stage.drawn
+    assert "voxels/hidden" in drawn
+    assert "voxels/seen" not in drawn
+    tab.get_by_label("seen", exact=True).check()
+    tab.get_by_label("hidden by traffic").uncheck()
+    wait_until(tab, lambda: "voxels/seen" in drawn and "voxels/hidden" not in drawn)
+    tab.get_by_label("Play").check()
+    wait_until(tab, lambda: viewer.panel.frame.value >= 3)
+    tab.get_by_label("Play").uncheck()
+
+
+def test_two_browsers_follow_and_a_closed_one_loses_nothing(chromium, tab, viewer, scene):
+    other = chromium.new_page(viewport={"width": 390, "height": 844})
+    other.goto(viewer.url)
+    first = settled(other)
+    tab.get_by_label("height [m]").fill("9")
+    tab.keyboard.press("Enter")
+    assert settled(tab, first) == settled(other, first)
+    put(viewer.panel.method, "random")
+    put(viewer.panel.seconds, 4.0)
+    before = viewer.layout
+    press(tab, "Optimise from here")
+    wait_until(tab, lambda: viewer.searcher.running)
+    other.close()
+    tab.goto("about:blank")  # nobody looks
+    wait_until(tab, lambda: not viewer.searcher.running)
+    wait_until(tab, lambda: viewer.layout is not before)
+    kept = load_layout(viewer.unsaved, scene)
+    np.testing.assert_allclose(kept.poses, viewer.layout.poses, atol=1e-8)
+    assert evaluate(scene, kept).surrogate > evaluate(scene, before).surrogate
+    tab.goto(viewer.url)
+    assert settled(tab) == evaluate(scene, viewer.layout).surrogate
+
+
+def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(chromium, scene, layout, tmp_path):
+    poses = np.array(layout.poses)
+    poses[0, 2] = 20.0
+    viewer = Viewer(Case(scene), replace(layout, poses=poses), tmp_path / "x.yaml", port=0)
+    try:
+        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
+        tab.goto(viewer.url)
+        settled(tab)
+        assert tab.get_by_text("It cannot be mounted like this").is_visible()
+        assert tab.get_by_text(re.compile("is 20.00 m above the ground, not 3 to 12")).is_visible()
+        assert viewer.stage.drawn["numbers/1"].text == "1 !"
+        assert tuple(viewer.stage.drawn["sensors/1/device"].color) == (255, 23, 68)
+        tab.get_by_label("yaw [°]").fill("0")  # what is touched is mended
+        tab.keyboard.press("Enter")
+        tab.get_by_text("It cannot be mounted like this").wait_for(state="detached")
+        assert viewer.layout.poses[0, 2] == pytest.approx(12.0, abs=1e-2)
+        tab.close()
+    finally:
+        viewer.close()
+
+
+def test_where_the_port_is_taken_the_next_one_serves(scene, layout, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        viewer = Viewer(Case(scene), layout, tmp_path / "x.yaml", port=port)
+        try:
+            assert viewer.port > port
+        finally:
+            viewer.close()
+
+
+def test_a_host_that_is_not_here_is_said(scene, layout, tmp_path):
+    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1: nothing can be served there"):
+        Viewer(Case(scene), layout, tmp_path / "x.yaml", host="203.0.113.1", port=0)

@@ -1,0 +1,234 @@
+"""A layout in somebody's hands: every change is as mounting allows, and can be taken back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from worlds import CAMERA, LIDAR, world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.placement.constraints import Space
+from inspe_jax.sensing.layout import Sensor, Unit, layout_text, make_layout, parse_layout
+from inspe_jax.viewer.session import HEIGHT, REMEMBERED, Session
+
+NORTH, SOUTH = (9.0, 9.0, 0.0), (-9.0, -9.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=15.0, voxel=1.0, frames=2, count=4)
+
+
+def two_units(scene, height=6.0):
+    """Two cameras on one pole in the north-east, a LiDAR on one in the south-west."""
+    ground = scene.intersection.ground(np.array([NORTH[:2], SOUTH[:2]]))
+    units = [
+        Unit("north", (*NORTH[:2], float(ground[0]))),
+        Unit("south", (*SOUTH[:2], float(ground[1]))),
+    ]
+    sensors = [Sensor("a", CAMERA, 0), Sensor("b", CAMERA, 0), Sensor("c", LIDAR, 1)]
+    poses = np.array(
+        [
+            [9.0, 9.0, ground[0] + height, 0, -0.3, -2.3],
+            [9.0, 9.5, ground[0] + height + 1, 0, -0.2, 2.0],
+            [-9.0, -9.0, ground[1] + 5.0, 0, 0, 0],
+        ]
+    )
+    return make_layout(sensors, units, poses)
+
+
+@pytest.fixture
+def session(scene):
+    return Session(scene, two_units(scene))
+
+
+def pose_of(session, s):
+    return np.array(session.layout.poses[s], float)
+
+
+def assert_mounted(session):
+    """By the map's own polygons, in a feasible set made anew; and the file can be read again."""
+    assert Space(session.scene, session.layout).violations(session.layout) == []
+    again = parse_layout(yaml.safe_load(layout_text(session.layout)), "x", "x")
+    np.testing.assert_allclose(again.poses, session.layout.poses, atol=1e-8)
+
+
+def test_a_unit_goes_with_its_sensor_in_plan_and_no_other(session):
+    before = np.array(session.layout.poses)
+    pose = pose_of(session, 0) + [0.5, 1.0, 0, 0, 0, 0]
+    shown = session.moved(0, pose)
+    np.testing.assert_array_equal(session.layout.poses, before)  # only looked at
+    session.move(0, pose)
+    np.testing.assert_array_equal(session.layout.poses, shown.poses)
+    went = np.array(session.layout.poses) - before
+    np.testing.assert_allclose(went[:2, :2], [[0.5, 1.0]] * 2, atol=1e-6)
+    np.testing.assert_allclose(went[2], 0, atol=1e-9)
+    assert session.layout.units[0].base[:2] == pytest.approx((9.5, 10.0))
+    assert session.notes == ()
+    assert_mounted(session)
+
+
+def test_height_and_direction_are_a_sensor_s_own(session):
+    before = np.array(session.layout.poses)
+    session.move(0, pose_of(session, 0) + [0, 0, 1.5, 0, -0.1, 0.4])
+    went = np.array(session.layout.poses) - before
+    np.testing.assert_allclose(went[0], [0, 0, 1.5, 0, -0.1, 0.4], atol=1e-6)
+    np.testing.assert_allclose(went[1:], 0, atol=1e-6)
+    assert session.height(0) == pytest.approx(7.5, abs=1e-6)
+
+
+def test_what_is_let_go_on_the_road_snaps_to_the_sidewalk(session):
+    session.move(0, np.array([5.0, 12.0, 6.0, 0, -0.3, -2.3]))
+    assert session.layout.poses[0, 0] == pytest.approx(7.3, abs=2e-3)  # 0.3 m from the kerb
+    assert any("moved 2.30 m to the nearest mounting area" in note for note in session.notes)
+    assert_mounted(session)
+
+
+def test_heights_and_pitch_stay_within_what_mounting_allows(session):
+    session.move(0, pose_of(session, 0) + [0, 0, 50, 0, 1.5, 0])
+    assert session.height(0) == pytest.approx(12.0, abs=1e-3)
+    assert np.degrees(session.layout.poses[0, 4]) == pytest.approx(10.0, abs=1e-3)
+    rise = session.layout.poses[1, 2] - session.layout.poses[0, 2]
+    assert abs(rise) <= 4.0 + 1e-3  # the unit rule
+    assert_mounted(session)
+
+
+def test_on_a_slope_a_unit_keeps_its_heights_above_the_ground():
+    scene = world(radius=15.0, voxel=1.0, frames=2, count=4, slope=0.2)
+    session = Session(scene, two_units(scene))
+    session.move(0, pose_of(session, 0) + [1.5, 0, 0, 0, 0, 0])
+    assert session.height(0) == pytest.approx(6.0, abs=1e-6)
+    assert session.height(1) == pytest.approx(7.0, abs=1e-6)
+    ground = float(scene.intersection.ground(np.array([[10.5, 9.0]]))[0])
+    assert session.layout.poses[0, 2] == pytest.approx(6.0 + ground, abs=1e-6)
+
+
+def test_from_a_span_wire_to_the_roadside(scene):
+    """Hung over the middle it stays there; pulled far enough away it stands on a sidewalk."""
+    ground = float(scene.intersection.ground(np.zeros((1, 2)))[0])
+    poses = np.array([[0.0, 0.0, ground + 7.0, 0, 0, 0]])
+    hung = make_layout([Sensor("a", LIDAR, 0)], [Unit("wire", (0.0, 0.0, ground))], poses)
+    session = Session(scene, hung)
+    assert session.faults() == []
+    session.move(0, poses[0] + [1.0, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(session.layout.poses[0, :2], 0, atol=1e-6)
+    session.move(0, poses[0] + [9.0, 9.0, 0, 0, 0, 0])
+    np.testing.assert_allclose(session.layout.poses[0, :2], 9.0, atol=1e-3)
+    assert session.faults() == []
+    session.undo()
+    session.undo()
+    assert session.layout is hung
+    assert session.faults() == []
+
+
+def test_a_new_sensor_stands_on_a_unit_of_its_own_and_looks_at_the_centre(session):
+    s = session.add("paper-camera", np.array([9.0, -9.0]))
+    assert (s, len(session.layout.units)) == (3, 3)
+    pose = pose_of(session, s)
+    np.testing.assert_allclose(pose[:2], [9.0, -9.0], atol=1e-3)
+    assert session.height(s) == pytest.approx(HEIGHT)
+    assert np.degrees(pose[5]) == pytest.approx(135, abs=0.1)
+    assert -40 < np.degrees(pose[4]) < -10
+    assert_mounted(session)
+    assert session.add("paper-camera", np.array([0.0, 12.0])) == 4
+    names = [sensor.name for sensor in session.layout.sensors]
+    assert len(set(names)) == 5
+    assert_mounted(session)
+
+
+def test_a_copy_stands_beside_its_model_and_looks_to_its_left(session):
+    s = session.duplicate(0)
+    layout = session.layout
+    assert [sensor.unit for sensor in layout.sensors] == [0, 0, 0, 1]
+    assert (layout.sensors[s].spec, layout.sensors[s].unit) == (CAMERA, 0)
+    turn = np.degrees(layout.poses[s, 5] - layout.poses[0, 5])
+    assert turn == pytest.approx(0.8 * 100, abs=0.1)  # of a field of view of 100°
+    np.testing.assert_allclose(layout.poses[s, :3], layout.poses[0, :3], atol=1e-6)
+    lidar = session.duplicate(3)
+    np.testing.assert_allclose(session.layout.poses[lidar], session.layout.poses[3], atol=1e-6)
+    assert_mounted(session)
+
+
+def test_a_unit_goes_with_its_last_sensor_and_the_last_sensor_stays(session):
+    session.remove(2)
+    assert [unit.name for unit in session.layout.units] == ["north"]
+    session.remove(0)
+    assert [sensor.name for sensor in session.layout.sensors] == ["b"]
+    with pytest.raises(InspeError, match="the last sensor stays"):
+        session.remove(0)
+    assert len(session.layout) == 1
+
+
+def test_another_device(session):
+    session.swap(2, "paper-camera")
+    assert session.layout.sensors[2].spec.name == "paper-camera"
+    assert session.layout.sensors[2].name == "c"
+    with pytest.raises(InspeError, match="paper-camera"):
+        session.swap(2, "paper-camra")
+    assert_mounted(session)
+
+
+def test_every_change_can_be_taken_back_and_done_again(session):
+    begun = session.layout
+    steps = [begun]
+    for change in (
+        lambda: session.move(0, pose_of(session, 0) + [0.5, 0, 0, 0, 0, 0.3]),
+        lambda: session.duplicate(0),
+        lambda: session.add("paper-lidar-32", np.array([9.0, -9.0])),
+        lambda: session.swap(0, "paper-camera"),
+        lambda: session.remove(1),
+    ):
+        change()
+        steps.append(session.layout)
+    for layout in reversed(steps[:-1]):
+        assert session.can_undo
+        session.undo()
+        assert session.layout is layout
+    assert not session.can_undo
+    session.undo()
+    assert session.layout is begun
+    for layout in steps[1:]:
+        session.redo()
+        assert session.layout is layout
+    assert not session.can_redo
+    session.undo()
+    session.move(0, pose_of(session, 0))
+    assert not session.can_redo  # another way was taken
+
+
+def test_no_more_than_so_many_changes_are_remembered(session):
+    layouts = [replace(session.layout, name=str(k)) for k in range(REMEMBERED + 5)]
+    for layout in layouts:
+        session.take(layout)
+    while session.can_undo:
+        session.undo()
+    assert session.layout is layouts[-1 - REMEMBERED]
+
+
+def test_a_layout_that_breaks_a_rule_opens_and_says_which(scene):
+    layout = two_units(scene)
+    poses = np.array(layout.poses)
+    poses[1, :2] += [4.0, 0.0]
+    with pytest.raises(InspeError, match="apart in plan"):
+        make_layout(list(layout.sensors), list(layout.units), poses)
+    torn = make_layout(list(layout.sensors), list(layout.units), poses, unit_rule=False)
+    session = Session(scene, torn)
+    assert session.layout is torn
+    faults = session.faults()
+    assert {s for fault in faults for s in fault.sensors} == {0, 1}
+    assert any("apart in plan" in fault.words for fault in faults)
+    session.move(1, pose_of(session, 1))  # whatever is touched is mended
+    assert session.faults() == []
+
+
+def test_where_nothing_can_stand_it_is_said_and_kept(scene):
+    place = scene.intersection
+    bare = replace(scene, intersection=replace(place, mounting=place.mounting.buffer(-9)))
+    session = Session(bare, two_units(scene))
+    (fault,) = session.faults()
+    assert "nowhere to stand" in fault.words
+    assert fault.sensors == (0, 1, 2)
+    session.move(0, pose_of(session, 0) + [1, 0, 0, 0, 0, 0])
+    assert session.layout.poses[0, 0] == pytest.approx(10.0)
+    assert "nowhere to stand" in session.notes[0]

@@ -1,0 +1,203 @@
+"""What works beside the page: jobs in turn, scores of the newest layout, a search that stops."""
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, place_sensors, world
+
+from inspe_jax.evaluation import evaluate
+from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.placement.problem import Case
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.viewer import scorer as scorers
+from inspe_jax.viewer.board import board, cost_of
+from inspe_jax.viewer.desk import Desk
+from inspe_jax.viewer.scorer import SHOWN, Scorer
+from inspe_jax.viewer.searcher import Heard, Searcher
+from inspe_jax.viewshed import sight_in
+
+WEIGHTS = (0.3, 0.5, 0.2)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=12.0, voxel=1.0, frames=50, count=6)
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return place_sensors(
+        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-135)]),
+        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
+    )
+
+
+# ── The desk ──
+
+
+def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
+    done, go = [], threading.Event()
+    desk = Desk(lambda _: None)
+    desk.ask(go.wait)
+    for k in range(5):
+        desk.ask(lambda k=k: done.append(("drag", k)), key="drag")
+    desk.ask(lambda: done.append("end"))
+    go.set()
+    desk.close()
+    assert done == [("drag", 4), "end"]
+
+
+def test_a_job_that_fails_does_not_end_the_others():
+    failed, done = [], []
+    desk = Desk(failed.append)
+    desk.ask(lambda: 1 / 0)
+    desk.ask(lambda: done.append(1))
+    desk.close()
+    assert isinstance(failed[0], ZeroDivisionError)
+    assert done == [1]
+
+
+# ── The scorer ──
+
+
+class Ear:
+    """Waits for what a thread tells."""
+
+    def __init__(self):
+        self.heard, self._changed = [], threading.Condition()
+
+    def __call__(self, *told):
+        with self._changed:
+            self.heard.append(told)
+            self._changed.notify_all()
+
+    def wait(self, enough, seconds=120):
+        with self._changed:
+            assert self._changed.wait_for(lambda: enough(self.heard), seconds), self.heard
+            return list(self.heard)
+
+
+@pytest.fixture
+def listening(scene):
+    scores, sights = Ear(), Ear()
+    case = Case(scene, Conditions.of("night", "clear"))
+    scorer = Scorer(case, WEIGHTS, scores, sights)
+    yield scorer, scores, sights
+    scorer.close()
+
+
+def test_a_few_frames_first_then_all_as_evaluate_has_them(scene, layout, listening):
+    scorer, scores, sights = listening
+    scorer.watch(3)
+    scorer.score(layout, whole=True)
+    few, whole = (told[0] for told in scores.wait(lambda heard: len(heard) == 2))
+    night = Conditions.of("night", "clear")
+    assert whole.frames == 50
+    assert whole.scores.surrogate == evaluate(scene, layout, conditions=night).surrogate
+    assert few.frames == 17  # every third
+    assert few.frames <= SHOWN
+    part = replace(scene, traffic=type(scene.traffic)(*(
+        getattr(scene.traffic, f)[::3] for f in scene.traffic.__dataclass_fields__)))  # fmt: skip
+    assert few.scores.surrogate == evaluate(part, layout, conditions=night).surrogate
+    frame, sight = sights.wait(lambda heard: heard)[-1]
+    assert frame == 3
+    np.testing.assert_array_equal(sight, sight_in(scene, layout, 3, conditions=night))
+
+
+def test_what_is_out_of_date_is_not_begun(layout, listening, monkeypatch):
+    """While one layout is scored, ten more come: the last alone is scored after it."""
+    scorer, scores, _ = listening
+    begun, go, real = [], threading.Event(), scorers.evaluate
+
+    def slowly(scene, of, **options):
+        begun.append((of.name, scene.traffic.frame_count))
+        go.wait(60)
+        return real(scene, of, **options)
+
+    monkeypatch.setattr(scorers, "evaluate", slowly)
+    scorer.score(replace(layout, name="first"), whole=True)
+    while not begun:
+        time.sleep(0.01)
+    for k in range(10):
+        scorer.score(replace(layout, name=f"dragged {k}"), whole=False)
+    scorer.score(replace(layout, name="last"), whole=True)
+    go.set()
+    scores.wait(lambda heard: len(heard) == 3)
+    assert begun == [("first", 17), ("last", 17), ("last", 50)]
+
+
+def test_a_layout_that_cannot_be_scored_is_said(layout, listening):
+    scorer, scores, _ = listening
+    away = replace(layout, poses=np.array(layout.poses) + [1e4, 0, 0, 0, 0, 0])
+    scorer.score(away, whole=False)
+    told = scores.wait(lambda heard: heard)[-1][0]
+    if told.scores is None:
+        assert told.wrong
+    else:
+        assert told.scores.surrogate == 0.0
+    scorer.score(layout, whole=False)  # and goes on
+    assert scores.wait(lambda heard: len(heard) > 1)[-1][0].scores.surrogate > 0
+
+
+# ── The search ──
+
+
+def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout):
+    progress, found, ended = Ear(), Ear(), Ear()
+    searcher = Searcher(Case(scene), WEIGHTS, Constraints(), Heard(progress, found, ended))
+    searcher.start(layout, "random", 600.0)
+    found.wait(lambda heard: len(heard) >= 2)
+    assert searcher.running
+    searcher.start(layout, "random", 600.0)  # one at a time
+    searcher.stop()
+    ((result, wrong),) = ended.wait(lambda heard: heard)
+    assert (wrong, result.status) == ("", "interrupted")
+    scores = [score for _, score in found.heard]
+    assert scores == sorted(scores)
+    assert result.objective == scores[-1]
+    np.testing.assert_array_equal(result.layout.poses, found.heard[-1][0].poses)
+    np.testing.assert_array_equal(result.path, [at.poses for at, _ in found.heard])
+    assert Space(scene, layout).violations(result.layout) == []
+    searcher.close()
+    assert not searcher.running
+    assert len(ended.heard) == 1
+
+
+def test_a_search_that_cannot_begin_says_why(scene, layout):
+    ended = Ear()
+    nowhere = Constraints(places="poles")  # there is none
+    searcher = Searcher(
+        Case(scene), WEIGHTS, nowhere, Heard(lambda *_: None, lambda *_: None, ended)
+    )
+    searcher.start(layout, "random", 5.0)
+    ((result, wrong),) = ended.wait(lambda heard: heard)
+    assert result is None
+    assert "nowhere to stand" in wrong
+    searcher.close()
+
+
+# ── The board ──
+
+
+def test_the_board_says_scores_faults_and_cost(scene, layout):
+    scored = scorers.Scored(layout, evaluate(scene, layout), 50, 0.25)
+    text = board(layout, scored, frames=50, opened=0.1, faults=["unit <x> floats"], notes=["so"])
+    assert f"{scored.scores.surrogate:.4f}" in text
+    assert f"{scored.scores.surrogate - 0.1:+.4f} since" in text
+    assert "all frames" in text
+    assert "unit &lt;x&gt; floats" in text
+    assert f"{scored.scores.region_coverage['driveway']:.3f}" in text
+    few = board(layout, replace(scored, frames=17), frames=50)
+    assert "17 of 50 frames" in few
+    assert "since" not in few
+    assert "cannot be mounted" not in few
+    assert "scoring" in board(layout, None, frames=50)
+    failed = replace(scored, scores=None, wrong="no <traffic>")
+    assert "no &lt;traffic&gt;" in board(layout, failed, frames=50)
+
+
+def test_cost_is_the_catalogue_s_and_says_what_it_has_not(layout):
+    assert cost_of(layout) == "no list price for test-camera, test-lidar"

@@ -7,31 +7,29 @@ shown frame's voxels and all that is drawn; once without a browser, and once, wh
 Chromium, with one that draws it in software on the same cores.
 """
 
-import contextlib
-import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from benchmark_speed import sensors, workload
-from common import arguments, machine, write_results
+from common import CHROMIUM, arguments, browser_on, machine, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from inspe_jax.geometry import rotation
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.handle import Pull
 
 console = Console()
 
 STEPS, EVERY = 5, 0.05
 """Events of one drag, and the time between two [s]."""
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-BROWSER = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
@@ -41,15 +39,15 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
 
     viewer.select(s)
     pose = np.array(viewer.layout.poses[s], float)
-    turn, at = np.eye(3), pose[:3] - viewer.stage.shift
+    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.stage.shift
     away = np.append(rng.uniform(-3, 3, 2), rng.uniform(-1, 1))
-    viewer.desk.ask(lambda: viewer._pull("start", at, turn))
+    viewer.desk.ask(lambda: viewer._pull(Pull("start", at, turn)))
     for k in range(1, STEPS + 1):
         to = at + away * k / STEPS
-        viewer.desk.ask(partial(viewer._pull, "update", to, turn), key="drag")
+        viewer.desk.ask(partial(viewer._pull, Pull("update", to, turn)), key="drag")
         time.sleep(EVERY)
     before, began = viewer.layout, time.monotonic()
-    viewer.desk.ask(lambda: viewer._pull("end", at + away, turn))
+    viewer.desk.ask(lambda: viewer._pull(Pull("end", at + away, turn)))
     while len(heard) < 2:
         time.sleep(0.002)
         scored = viewer._scored
@@ -62,24 +60,6 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
             if whole:
                 heard.setdefault(False, heard[True])
     return {"few": heard[False], "all": heard[True]}
-
-
-@contextlib.contextmanager
-def watched(viewer: Viewer, wanted: bool) -> Iterator[None]:
-    """With a browser on the page, if wanted."""
-    if not wanted:
-        yield
-        return
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=list(BROWSER))
-        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
-        tab.goto(viewer.url)
-        tab.wait_for_selector("[data-score]")
-        tab.wait_for_timeout(10_000)
-        yield
-        chromium.close()
 
 
 def figure(rows: list[dict[str, Any]]) -> Figure:
@@ -112,7 +92,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             viewer = Viewer(Case(scene), layout, Path(folder) / "w1.yaml", port=0)
             try:
-                with watched(viewer, browser == "a browser"):
+                looking = browser == "a browser"
+                with browser_on(viewer.url) if looking else nullcontext():
                     drag(viewer, 0, rng)  # compiles
                     for k in range(drags):
                         found = drag(viewer, k % len(layout), rng)

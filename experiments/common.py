@@ -6,7 +6,10 @@ import json
 import os
 import platform
 import resource
+import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,26 @@ from inspe_jax.files import write_text
 
 MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 """Town maps beside the checkout, where there are any."""
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+"""A browser to look at pages with, where there is one."""
+
+
+@contextmanager
+def browser_on(url: str) -> Iterator[Any]:
+    """A tab of 1440 × 900 on a page of scores, in Chromium without a graphics card."""
+    from playwright.sync_api import sync_playwright
+
+    options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=options)
+        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
+        tab.goto(url)
+        tab.wait_for_selector('[data-board^="all frames"]', timeout=120_000)
+        tab.wait_for_timeout(8000)  # until all is drawn
+        yield tab
+        chromium.close()
 
 
 def command_line(description: str | None) -> argparse.ArgumentParser:

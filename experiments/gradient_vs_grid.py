@@ -231,6 +231,9 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
         for j, mix in enumerate(mixes):
             ax = axes[i, j]
             all_runs = [runs for at, runs in found.items() if at[:2] == (place, mix)]
+            if not all_runs:
+                ax.set_axis_off()
+                continue
             end = max(t for runs in all_runs for steps in runs.values() for t, _ in steps)
             for k, name in enumerate(METHODS):
                 runs = found.get((place, mix, name))
@@ -246,8 +249,11 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
                 ax.set_xlabel("wall time [s]", fontsize=9)
             if j == 0:
                 ax.set_ylabel("exact P_sm", fontsize=9)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", fontsize=9)
+    keys: dict[str, Any] = {}
+    for ax in axes.flat:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            keys.setdefault(label, handle)
+    figure.legend(list(keys.values()), list(keys), loc="outside right upper", fontsize=9)
     figure.savefig(path, dpi=110)
 
 

@@ -1,16 +1,21 @@
-"""Claim: the README's picture is a real result, and this is how it is made.
+"""Claim: the README's pictures are real results, and this is how they are made.
 
 Scores the eight corner cameras of the built-in four-way and draws how often each
-column is seen; the same as ``inspe score four_way Cam-d1 --plot four_way.png``.
+column is seen; the same as ``inspe score four_way Cam-d1 --plot four_way.png``. And, where there
+is Chromium, takes a picture of what ``inspe view roundabout Cam-d1`` serves.
 """
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
-from common import arguments, write_results
+from common import CHROMIUM, arguments, browser_on, write_results
 
 import inspe_jax
+from inspe_jax.placement.problem import Case
 from inspe_jax.report.figures import plan_view
 from inspe_jax.report.sheet import save_figure
+from inspe_jax.viewer.app import Viewer
 
 
 def main() -> None:
@@ -26,6 +31,22 @@ def main() -> None:
     row = {name: getattr(scores, name) for name in names}
     write_results(options.out / "four_way.csv", [row], dict(scene.settings))
     print(f"wrote {picture}, .csv and .json")
+    if CHROMIUM is None:
+        print("no Chromium here: view.png is left out")
+        return
+    scene = inspe_jax.build_scene(inspe_jax.built_in("roundabout"), **size, seed=options.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        case, layout = Case(scene), inspe_jax.strategy(scene, "Cam-d1")
+        viewer = Viewer(case, layout, Path(folder) / "layout.yaml", port=0)
+        try:
+            with browser_on(viewer.url) as tab:
+                for close in tab.locator(".mantine-Notification-closeButton").all():
+                    close.click()  # that it is drawn without a graphics card
+                tab.wait_for_timeout(1000)
+                tab.screenshot(path=options.out / "view.png")
+        finally:
+            viewer.close()
+    print(f"wrote {options.out / 'view.png'}")
 
 
 if __name__ == "__main__":

@@ -5,9 +5,12 @@ import csv
 import json
 import os
 import re
+import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
+from urllib.request import urlopen
 
 import jax
 import numpy as np
@@ -110,6 +113,32 @@ def test_report_has_the_numbers_of_score(inspe, files):
     ):
         assert record == json.loads(inspe("score", "s.npz", name, "--json", "-")[1])
     assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_view_serves_until_ctrl_c(files):
+    """In a process of its own, as a stranger meets it; also a layout that breaks a rule."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        command = [sys.executable, "-c", "from inspe_jax.cli import main; main()"]
+        command += ["view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml"]
+        pipes: dict = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        with subprocess.Popen(command, cwd=files, **pipes) as served:
+            url = served.stdout.readline().split()[-1]
+            assert "only this machine can" in served.stdout.readline()
+            assert "Ctrl-C ends" in served.stdout.readline()
+            with urlopen(url) as page:
+                assert b"<html" in page.read()
+            served.send_signal(signal.SIGINT)
+            words, said = served.communicate(timeout=120)
+    assert served.returncode == 0
+    assert url.startswith("http://127.0.0.1:")
+    assert not url.endswith(f":{port}")
+    assert f"port {port} cannot be had" in said
+    assert "not saved" not in words  # nothing was changed
+    assert "Traceback" not in said
+    assert not (files / "moved.yaml").exists()
 
 
 def test_a_strategy_is_written_and_scores_as_by_name(inspe):
@@ -392,6 +421,14 @@ BAD = [
     (("report", "s.npz", "layout.yaml", "layout.yaml"), "two layouts are named 'layout'"),
     (("report", "s.npz", "L-c", "L-d3"), "no layout 'L-d3'"),
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
+    (("report", "s.npz", "."), "result.json: no such file"),
+    (("report", "s.npz", "--pareto", "."), "pareto.csv: no such file"),
+    (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
+    (
+        ("view", "s.npz", "--host", "203.0.113.1"),
+        "host 203.0.113.1, port 8080: nothing can be served",
+    ),
+    (("view", "s.npz", "layout.yaml", "--light", "noon"), "light"),
     (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),
 ]
 

@@ -6,7 +6,7 @@ Imports stay inside the commands, as of the browser's library and matplotlib.
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,6 +26,11 @@ from inspe_jax.cli.common import (
 )
 from inspe_jax.cli.options import WeightsOption
 
+if TYPE_CHECKING:
+    from inspe_jax.placement.result import Result
+    from inspe_jax.scene.scene import Scene
+    from inspe_jax.sensing.layout import Layout
+
 
 @app.command()
 def report(
@@ -33,7 +38,9 @@ def report(
     sensors: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[LAYOUT]…", help="Layouts side by side: .yaml files, or strategies by name."
+            metavar="[LAYOUT]…",
+            help="Layouts side by side: .yaml files, strategies by name, or folders that "
+            "`inspe optimise` wrote: with before and after and the course of the search.",
         ),
     ] = None,
     path: Annotated[
@@ -46,6 +53,12 @@ def report(
         bool,
         typer.Option(help="Say how carefully to install each layout; compiles for half a minute."),
     ] = False,
+    front: Annotated[
+        Path | None,
+        typer.Option(
+            "--pareto", metavar="DIR", help="Cost against score, from a folder of `inspe pareto`."
+        ),
+    ] = None,
     frame: Annotated[int, typer.Option(help="Frame of the traffic that is drawn.")] = 0,
     weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
@@ -58,10 +71,11 @@ def report(
     Examples:
 
     - `inspe report`  (the built-in four-way with cameras at its corners)
-    - `inspe report j189.npz start.yaml better/layout.yaml --tolerance --out j189.html`
+    - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (better: a search's)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
     from inspe_jax.files import check_output, whole_file, write_text
+    from inspe_jax.placement.pareto import load_pareto
     from inspe_jax.placement.problem import Case, Objective
     from inspe_jax.placement.tolerance import tolerance as installed
     from inspe_jax.report.page import check_names, entry_of, report_page, report_sheets
@@ -75,13 +89,14 @@ def report(
     with busy(f"reading {source}"):
         world = load_scene(source)
         check_frame(world, frame)
-        placed = [layout_on(world, given) for given in sensors or [DEFAULT_LAYOUT]]
+        placed = [found_or_placed(world, given) for given in sensors or [DEFAULT_LAYOUT]]
+        mixes = load_pareto(front) if front else []
     case = Case(world, conditions)
-    check_names([layout.name for layout in placed])
+    check_names([layout.name for layout, _ in placed])
     entries = []
-    for layout in placed:
+    for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = entry_of(case, layout, weights)
+            entry = entry_of(case, layout, weights, result)
         if tolerance:
             with progress(f"installations of {layout.name}") as tell:
                 slopes = installed(
@@ -90,17 +105,27 @@ def report(
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as tell:
-        page = report_page(world, entries, frame=frame, progress=tell)
+        page = report_page(world, entries, front=mixes, frame=frame, progress=tell)
     write_text(path, page)
     for entry in entries:
         out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
     out.print(f"wrote {path}, {path.stat().st_size / 2**20:.1f} MB", highlight=False)
     if pdf:
         with busy("drawing"):
-            sheets = report_sheets(world, entries, frame=frame)
+            sheets = report_sheets(world, entries, front=mixes, frame=frame)
         with whole_file(pdf) as f:
             f.write(sheets)
         out.print(f"drew {pdf}", highlight=False)
+
+
+def found_or_placed(world: "Scene", given: str) -> "tuple[Layout, Result | None]":
+    """A layout, and the search that it comes from where a folder of one is given."""
+    from inspe_jax.placement.result import load_result
+
+    if Path(given).is_dir():
+        result = load_result(given)
+        return result.layout, result
+    return layout_on(world, given), None
 
 
 @app.command()
@@ -115,7 +140,7 @@ def view(
     ] = 8080,
     host: Annotated[
         str,
-        typer.Option(help="Address to listen on; others reach the page only at another than this."),
+        typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in."),
     ] = "127.0.0.1",
     weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
@@ -145,14 +170,17 @@ def view(
         world = load_scene(source)
         layout = layout_on(world, sensors, unit_rule=False)
     viewer = Viewer(Case(world, conditions), layout, path, weights=weights, host=host, port=port)
+    kept = viewer.store.unsaved
     try:
         if port not in (0, viewer.port):
-            note([f"port {port} is taken: this is {viewer.port}"])
+            note([f"port {port} cannot be had: this is {viewer.port}"])
         out.print(f"open {viewer.url}", highlight=False, soft_wrap=True)
-        if host in ("127.0.0.1", "localhost", "::1"):
+        if host == "localhost" or host.startswith("127.") or host == "::1":
             out.print("only this machine can; --host 0.0.0.0 lets others in", highlight=False)
         else:
             note(["anyone who reaches this machine can look, change and save"])
+        if kept.exists():
+            note([f"{kept} is of another time; open it to go on from it, or a change replaces it"])
         out.print("Ctrl-C ends", highlight=False)
         while True:
             time.sleep(3600)
@@ -161,5 +189,5 @@ def view(
     finally:
         with busy("ending"):
             viewer.close()
-    if viewer.unsaved.exists():
-        out.print(f"not saved: {viewer.unsaved} has the layout", highlight=False, soft_wrap=True)
+    if not viewer.store.holds(viewer.layout):
+        out.print(f"not saved: {kept} has the layout", highlight=False, soft_wrap=True)

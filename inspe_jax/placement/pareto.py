@@ -1,15 +1,17 @@
 """Cost against score over how many of which devices: which mix is worth its money."""
 
+import csv
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
+from pathlib import Path
 
 import numpy as np
 
 from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import write_text
+from inspe_jax.files import check_input, write_text
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
 from inspe_jax.placement.problem import Case, Objective, cases_of, total_price
@@ -38,6 +40,32 @@ class Mix:
     cost: float
     result: Result
     front: bool = False
+
+    @property
+    def name(self) -> str:
+        """Such as "4 hesai-xt32 + 2 paper-camera"."""
+        return called(self.counts)
+
+    @property
+    def point(self) -> "Point":
+        """What a front shows of it."""
+        result = self.result
+        scene = " and ".join(dict.fromkeys(row["name"] for row in result.settings["scenes"]))
+        known = (self.cost, result.objective, self.front, scene, result.method)
+        return Point(dict(self.counts), *known)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A mix on paper: what it costs [US dollars], what the search for its places came to, where
+    and by which method, and whether it is on the front."""
+
+    counts: Mapping[str, int]
+    cost: float
+    objective: float
+    front: bool
+    scene: str
+    method: str
 
     @property
     def name(self) -> str:
@@ -142,7 +170,8 @@ def save_pareto(found: Sequence[Mix], folder: str | os.PathLike[str]) -> None:
     """Write what mixes came to, and the layouts of those on the front.
 
     ``pareto.csv`` has a row a mix, cheapest first, and names the layout's file where there is
-    one. Raises InspeError as :func:`~inspe_jax.placement.result.save_result` does.
+    one; :func:`load_pareto` reads it. Raises InspeError as
+    :func:`~inspe_jax.placement.result.save_result` does.
     """
     place = prepare_folder(folder)
     rows = []
@@ -151,10 +180,39 @@ def save_pareto(found: Sequence[Mix], folder: str | os.PathLike[str]) -> None:
         if mix.front:
             save_layout(mix.result.layout, place / file)
         scores = {name: getattr(mix.result.scores, name) for name in SCORES}
-        head = {**mix.counts, "cost_usd": mix.cost, "objective": mix.result.objective}
+        point = mix.point
+        head = {**point.counts, "cost_usd": point.cost, "objective": point.objective}
         ends = {"front": int(mix.front), "layout": file if mix.front else ""}
-        rows.append({**head, **scores, "seconds": mix.result.seconds, **ends})
+        how = {"scene": point.scene, "method": point.method}
+        rows.append({**head, **scores, "seconds": mix.result.seconds, **how, **ends})
     write_text(place / "pareto.csv", csv_text(rows))
+
+
+def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
+    """Read what :func:`save_pareto` wrote of every mix.
+
+    Raises InspeError where it is missing or is something else.
+    """
+    path = Path(folder) / "pareto.csv"
+    check_input(path)
+    try:
+        with path.open(newline="", encoding="utf-8") as f:
+            table = csv.DictReader(f)
+            names = list(table.fieldnames or ())
+            devices = names[: names.index("cost_usd")]
+            return [
+                Point(
+                    {name: int(row[name]) for name in devices},
+                    float(row["cost_usd"]),
+                    float(row["objective"]),
+                    row["front"] == "1",
+                    row["scene"],
+                    row["method"],
+                )
+                for row in table
+            ]
+    except (KeyError, TypeError, ValueError) as e:
+        raise InspeError(f"{path}: not a table that inspe pareto wrote") from e
 
 
 def mixes(

@@ -105,13 +105,13 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
     place = Path(folder)
     if not place.is_dir():
         raise InspeError(f"{place}: no such folder")
+    check_input(place / "result.json")
+    _read_record(place)  # first of all: of another version, other files may be missing
     for name in FILES:
         check_input(place / name)
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
-        record = json.loads((place / "result.json").read_text(encoding="utf-8"))
-        if record.pop("format") != FORMAT:
-            raise ValueError(f"format is not '{FORMAT}'")
+        record = _read_record(place)
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
@@ -141,6 +141,24 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
     write_text(place / "compare.csv", csv_text(rows))
     steps = [_of(result) | asdict(row) for result in results for row in result.history]
     write_text(place / "history.csv", csv_text(steps))
+
+
+def _read_record(place: Path) -> dict[str, Any]:
+    """What ``result.json`` holds. Raises InspeError where it is something else."""
+    try:
+        record = json.loads((place / "result.json").read_text(encoding="utf-8"))
+        written = str(record.pop("format"))
+    except (AttributeError, KeyError, TypeError, ValueError) as e:
+        raise InspeError(f"{place}: not a result saved by this package") from e
+    if written != FORMAT:
+        known = written.startswith(FORMAT.rstrip("0123456789"))
+        what = (
+            "a result of another version of inspe_jax; search again"
+            if known
+            else ("not a result saved by this package")
+        )
+        raise InspeError(f"{place}: {what}")
+    return record
 
 
 _POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")

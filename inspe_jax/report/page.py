@@ -19,16 +19,21 @@ from matplotlib.figure import Figure
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import Scores, evaluate
+from inspe_jax.placement.pareto import Point
 from inspe_jax.placement.problem import Case
+from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.tolerance import Tolerance
+from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, Layer, layers
+from inspe_jax.report.progress import before_after, history_view
 from inspe_jax.report.sheet import house_style
 from inspe_jax.report.stage import USER_COLOR, stage_page
 from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewshed import Sight, Viewshed, viewshed
 
@@ -45,39 +50,57 @@ CAPTIONS: dict[str, str] = {
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Entry:
-    """A layout with all that a page says of it; the tolerance may be left out."""
+    """A layout with all that a page says of it.
+
+    Of one that a search found, ``result``, and ``before``, the scores of where it began. Those and
+    the tolerance may be left out.
+    """
 
     layout: Layout
     scores: Scores
     shed: Viewshed
     tolerance: Tolerance | None = None
+    result: Result | None = None
+    before: Scores | None = None
 
 
-def entry_of(case: Case, layout: Layout, weights: tuple[float, float, float]) -> Entry:
-    """All that a page says of a layout. Raises InspeError as :func:`inspe_jax.evaluate` does."""
+def entry_of(
+    case: Case,
+    layout: Layout,
+    weights: tuple[float, float, float],
+    result: Result | None = None,
+) -> Entry:
+    """All that a page says of a layout, but for the tolerance; ``result`` is that it comes from.
+
+    Raises InspeError as :func:`inspe_jax.evaluate` does.
+    """
     scene, conditions = case.scene, case.conditions
-    return Entry(
-        layout,
-        evaluate(scene, layout, weights=weights, conditions=conditions),
-        viewshed(scene, layout, conditions=conditions),
-    )
+
+    def scores(of: Layout) -> Scores:
+        return evaluate(scene, of, weights=weights, conditions=conditions)
+
+    shed = viewshed(scene, layout, conditions=conditions)
+    before = None if result is None else scores(result.start)
+    return Entry(layout, scores(layout), shed, result=result, before=before)
 
 
 def report_page(
     scene: Scene,
     entries: Sequence[Entry],
     *,
+    front: Sequence[Point] = (),
     frame: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
     """The page of one or several layouts on a scene, as HTML.
 
-    ``frame`` of the traffic is the one that is drawn. ``progress(done, total)`` is called on the
-    way. Raises InspeError where there is no layout, two have the same name, or there is no such
-    frame.
+    ``front``: mixes of devices, whose cost is drawn against their score. ``frame`` of the traffic
+    is the one that is drawn. ``progress(done, total)`` is called on the way. Raises InspeError
+    where there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
-    steps = 2 + len(entries) * (1 + len(CAPTIONS))
+    searched = sum(entry.result is not None for entry in entries)
+    steps = 2 + bool(front) + len(entries) * (1 + len(CAPTIONS)) + 2 * searched
     done = 0
 
     def drawn(figure: Figure) -> str:
@@ -100,6 +123,7 @@ def report_page(
                     for name, words in CAPTIONS.items()
                 ],
                 stage=_text(stage_page(scene, entry.layout, entry.scores.conditions, frame)),
+                search=_search(scene, entry, frame, drawn),
                 tolerance=None
                 if entry.tolerance is None
                 else tolerance_record(entry.tolerance, scene, entry.layout),
@@ -131,12 +155,15 @@ def report_page(
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
         scene_figure=drawn(scene_view(scene, frame=frame)),
         height_figure=drawn(height_view(scene, [(e.layout.name, e.scores) for e in entries])),
+        front_figure=drawn(pareto_view(front)) if front else None,
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
 
 
-def report_sheets(scene: Scene, entries: Sequence[Entry], *, frame: int = 0) -> bytes:
+def report_sheets(
+    scene: Scene, entries: Sequence[Entry], *, front: Sequence[Point] = (), frame: int = 0
+) -> bytes:
     """The page's figures as a PDF, one a sheet."""
     check_names([entry.layout.name for entry in entries])
     figures = [scene_view(scene, frame=frame)]
@@ -144,6 +171,10 @@ def report_sheets(scene: Scene, entries: Sequence[Entry], *, frame: int = 0) -> 
     for entry in entries:
         of_columns = layers(scene, entry.shed)
         figures += [_plan(scene, entry, of_columns[name], frame) for name in CAPTIONS]
+        if entry.result is not None:
+            figures += [_moves(scene, entry, frame), history_view([entry.result])]
+    if front:
+        figures.append(pareto_view(front))
     made = io.BytesIO()
     with house_style(), PdfPages(made, metadata={"CreationDate": None}) as pdf:
         for figure in figures:
@@ -162,6 +193,41 @@ def check_names(names: Sequence[str]) -> None:
 
 def _plan(scene: Scene, entry: Entry, layer: Layer, frame: int) -> Figure:
     return plan_view(scene, entry.layout, entry.scores, layer, frame=frame)
+
+
+def _moves(scene: Scene, entry: Entry, frame: int) -> Figure:
+    result = entry.result
+    assert result is not None
+    assert entry.before is not None
+    return before_after(
+        scene, result.start, entry.layout, entry.before, entry.scores, path=result.path, frame=frame
+    )
+
+
+def _search(
+    scene: Scene, entry: Entry, frame: int, drawn: Callable[[Figure], str]
+) -> dict[str, Any] | None:
+    """What a page says of the search that a layout comes from."""
+    result = entry.result
+    if result is None:
+        return None
+    asked = result.settings
+    where = [
+        f"{row['name']}{Conditions.of(row['light'], row['weather']).words}"
+        for row in asked["scenes"]
+    ]
+    return dict(
+        where=" and ".join(where),
+        weights=asked["objective"]["weights"],
+        method=result.method,
+        status=STATUSES[result.status],
+        seconds=result.seconds,
+        evaluations=result.evaluations,
+        before=result.objective_before,
+        after=result.objective,
+        moves=drawn(_moves(scene, entry, frame)),
+        course=drawn(history_view([result])),
+    )
 
 
 def _shares(blind: Layer) -> list[tuple[str, str, float]]:

@@ -118,10 +118,8 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
     """Every unit's way from the first poses to the last; whether any moved."""
     moved = False
     for members in layout.members():
-        track = path[:, list(members), :2].mean(1)
-        steps = np.hypot(*np.diff(track, axis=0).T) > MOVED
-        track = np.vstack([track[:1], track[1:-1][steps[:-1]], track[-1:]])
-        if np.hypot(*(track[-1] - track[0])) <= MOVED:
+        track = _thinned(path[:, list(members), :2].mean(1))
+        if len(track) == 1:
             continue
         moved = True
         ax.plot(*track[0], "o", ms=4, mfc="white", mec=_ARROW["color"], mew=0.8, zorder=5.5)
@@ -135,6 +133,18 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
             )
         )  # fmt: skip
     return moved
+
+
+def _thinned(track: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "J 2"]:
+    """The points of a way that are further from the last one kept than :data:`MOVED`, and its end
+    in place of the last; the first alone where it never goes so far."""
+    kept = [track[0]]
+    for at in track[1:]:
+        if np.hypot(*(at - kept[-1])) > MOVED:
+            kept.append(at)
+    if len(kept) > 1:
+        kept[-1] = track[-1]
+    return np.array(kept)
 
 
 def history_view(results: Sequence[Result]) -> Figure:

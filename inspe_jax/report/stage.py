@@ -4,6 +4,7 @@ Drawn with viser, for a browser. World metres about the scene's centre, since gr
 single precision.
 """
 
+import errno
 import io
 import socket
 from collections.abc import Iterable
@@ -11,6 +12,7 @@ from contextlib import AbstractContextManager, redirect_stdout
 from typing import Any
 
 import numpy as np
+import shapely
 import viser
 from jaxtyping import Float, Int
 from matplotlib.colors import to_rgb
@@ -39,8 +41,13 @@ OPACITY = {Sight.OUT_OF_VIEW: 0.45, Sight.HIDDEN: 0.6, Sight.SEEN: 0.12}
 """Of the voxels that are drawn."""
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera's frame in the body's: right, down and forward are −y, −z and x."""
+MOUNTING_COLOR = "#303030"
+"""Of outlines of mounting areas, and of standing poles, which are drawn as high as this:"""
+POLE = 4.0
 ABOVE = 0.8
 """Numbers stand so far above a unit's highest sensor [m]."""
+PORTS = 100
+"""How many are tried."""
 LIFT = 0.05
 """Lines on the ground are drawn so much above it [m]."""
 
@@ -69,6 +76,25 @@ class Stage:
         api.add_light_directional("light/sun", intensity=1.0, position=(-60.0, -100.0, 200.0))
         self._draw_ground()
         self._draw_lanes()
+
+    def draw_mounting(self) -> None:
+        """Outlines of where units can stand, and the poles that there are."""
+        place, center = self.scene.intersection, self.shift[:2]
+        radius = self.scene.voxels.radius
+        within = place.mounting.intersection(shapely.Point(center).buffer(radius))
+        rings = [
+            shapely.segmentize(ring, 2.0)
+            for part in shapely.get_parts(within)
+            if part.geom_type == "Polygon"
+            for ring in (part.exterior, *part.interiors)
+        ]
+        lines = [segments(self._on_ground(shapely.get_coordinates(ring))) for ring in rings]
+        at = place.poles[np.hypot(*(place.poles[:, :2] - center).T) <= radius]
+        if len(at):
+            feet = self._on_ground(at[:, :2], lift=0.0)
+            lines.append(np.stack([feet, feet + [0, 0, POLE]], 1))
+        if lines:
+            self._lines("ground/mounting", np.concatenate(lines), MOUNTING_COLOR, 0.1)
 
     def draw_users(self, frame: int) -> None:
         """The road users of one frame as boxes, white as on the maps."""
@@ -280,18 +306,28 @@ def quiet() -> AbstractContextManager[Any]:
 
 
 def serve(host: str, port: int) -> viser.ViserServer:
-    """A server for browsers, at the port or the next that is free; any at port 0.
+    """A server for browsers, at the port or the next that can be had; any at port 0.
 
-    Raises InspeError where the host is none of this machine's.
+    Raises InspeError where the host is none of this machine's, or no port can be had.
     """
     try:
-        check = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        with socket.socket(check[0][0], socket.SOCK_STREAM) as trial:
-            trial.bind(check[0][4])
+        kind, _, _, _, at = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as e:
         raise InspeError(f"host {host}: nothing can be served there ({e.strerror})") from None
-    with quiet():
-        return viser.ViserServer(host=host, port=port, verbose=False)
+    wrong = OSError()
+    for free in range(port, min(port + PORTS, 65536)):
+        try:
+            with socket.socket(kind, socket.SOCK_STREAM) as trial:
+                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                trial.bind((at[0], free, *at[2:]))
+        except OSError as e:
+            wrong = e
+            if e.errno not in (errno.EADDRINUSE, errno.EACCES):
+                break
+        else:
+            with quiet():
+                return viser.ViserServer(host=host, port=free, verbose=False)
+    raise InspeError(f"host {host}, port {port}: nothing can be served there ({wrong.strerror})")
 
 
 def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:

@@ -8,19 +8,24 @@ from inspe_jax.errors import InspeError
 from inspe_jax.placement.problem import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
-from inspe_jax.report.stage import BROKEN_COLOR, USER_COLOR
+from inspe_jax.report.stage import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
 from inspe_jax.report.tables import METRICS
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scorer import Scored
 from inspe_jax.viewshed import Sight
 
+SIGHTS = {
+    Sight.HIDDEN: "hidden by traffic",
+    Sight.OUT_OF_VIEW: "never in view",
+    Sight.SEEN: "seen",
+}
+"""Kinds of voxels in words."""
 KEYS = (
-    ("hidden by traffic", SIGHT_COLORS[Sight.HIDDEN]),
-    ("never in view", SIGHT_COLORS[Sight.OUT_OF_VIEW]),
-    ("seen", SIGHT_COLORS[Sight.SEEN]),
+    *((words, SIGHT_COLORS[kind]) for kind, words in SIGHTS.items()),
     ("road user", USER_COLOR),
     ("camera", SENSOR_COLORS["camera"]),
     ("LiDAR", SENSOR_COLORS["lidar"]),
+    ("can be mounted here", MOUNTING_COLOR),
 )
 
 _BOARD = Environment(
@@ -41,17 +46,21 @@ def board(
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
 ) -> str:
-    """A layout's scores as HTML; ``scored`` is None while there are none yet.
+    """A layout's scores as HTML.
 
-    ``frames`` of the whole traffic; ``opened``, the score of the layout that was opened;
-    ``faults``, why it cannot be mounted; ``notes``, what mounting made of the last change.
+    ``scored`` is the last that was scored, None while there is none; of another layout it stands
+    there, in grey, until there are new ones. ``frames`` of the whole traffic; ``opened``, the score
+    of the layout that was opened; ``faults``, why it cannot be mounted; ``notes``, what mounting
+    made of the last change.
     """
     scores = None if scored is None else scored.scores
-    state = "scoring …"
-    if scored is not None and scores is not None:
+    state, new = "scoring …", scored is not None and scored.layout is layout
+    if scored is None or not new:
+        pass
+    elif scores is not None:
         some = f"{scored.frames} of {frames} frames" if scored.frames < frames else "all frames"
         state = f"{some}, scored in {scored.seconds:.2f} s"
-    elif scored is not None:
+    else:
         state = "no scores"
     regions = {} if scores is None else scores.region_coverage
     return _BOARD.render(
@@ -59,7 +68,8 @@ def board(
         around="" if scores is None else scores.conditions.words,
         change=None if scores is None or opened is None else scores.surrogate - opened,
         state=state,
-        wrong="" if scored is None else scored.wrong,
+        new=new,
+        wrong=scored.wrong if scored is not None and new else "",
         faults=faults,
         notes=notes,
         broken=BROKEN_COLOR,

@@ -47,3 +47,22 @@ class Desk:
             job()
         except Exception as e:
             self._failed(e)
+
+
+class Later:
+    """One thing to do after a while; another one takes its place."""
+
+    def __init__(self) -> None:
+        self._timer: threading.Timer | None = None
+
+    def do(self, seconds: float, job: Job) -> None:
+        """Do this so many seconds from now, and what waited not at all."""
+        self.cancel()
+        self._timer = threading.Timer(seconds, job)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def cancel(self) -> None:
+        """Do not do what waits."""
+        if self._timer is not None:
+            self._timer.cancel()

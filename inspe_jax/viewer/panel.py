@@ -1,32 +1,26 @@
 """The controls beside the scene: what can be pressed, and what it says."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.sensing.devices import devices
+from inspe_jax.viewer.board import SIGHTS
 from inspe_jax.viewshed import Sight
 
 SECONDS = 60.0
 """What a search is given if nobody says otherwise [s]."""
-SHOWN = {
-    Sight.HIDDEN: "hidden by traffic",
-    Sight.OUT_OF_VIEW: "never in view",
-    Sight.SEEN: "seen",
-}
-"""Kinds of voxels that can be shown."""
 POSE = {
-    "x": ("x [m]", 0.1),
-    "y": ("y [m]", 0.1),
-    "height": ("height [m]", 0.1),
-    "yaw": ("yaw [°]", 1.0),
-    "pitch": ("pitch [°]", 1.0),
+    "x": "x [m]",
+    "y": "y [m]",
+    "height": "height [m]",
+    "yaw": "yaw [°]",
+    "pitch": "pitch [°]",
 }
-"""The numbers of a pose, with what one press changes."""
-
-Ask = Callable[..., None]
+"""The numbers of a pose, to a tenth."""
 
 
 class Panel:
@@ -36,16 +30,14 @@ class Panel:
     """
 
     def __init__(self, gui: viser.GuiApi, asked: Any, frames: int) -> None:
-        """``asked`` has a method for each: see the calls of ``_bind`` below."""
+        """``asked`` has a method for each: see what is bound below."""
         known = list(devices())
         self.board = gui.add_html("")
         self.edit = gui.add_button_group("Change", ("Undo", "Redo"))
         with gui.add_folder("Sensor"):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.device = gui.add_dropdown("Device", known)
-            self.pose = {
-                key: gui.add_number(label, 0.0, step=step) for key, (label, step) in POSE.items()
-            }
+            self.pose = {key: gui.add_number(label, 0.0, step=0.1) for key, label in POSE.items()}
             self.existing = gui.add_button_group("This one", ("Duplicate", "Remove"))
             self.new = gui.add_dropdown("New device", known, hint="What Add puts up")
             self.add = gui.add_button(
@@ -62,7 +54,8 @@ class Panel:
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
             self.shown = {
-                kind: gui.add_checkbox(name, kind is not Sight.SEEN) for kind, name in SHOWN.items()
+                kind: gui.add_checkbox(name, kind is not Sight.SEEN)
+                for kind, name in SIGHTS.items()
             }
         with gui.add_folder("File"):
             self.file = gui.add_markdown("")
@@ -71,10 +64,11 @@ class Panel:
 
         self._bind(self.edit.on_click, lambda: asked.undo_or_redo(self.edit.value))
         self._bind(self.sensor.on_update, lambda: asked.select(self.chosen))
-        self._bind(self.device.on_update, lambda: asked.swap(self.device.value))
-        for number in self.pose.values():
-            self._bind(number.on_update, asked.type_pose)
-        self._bind(self.existing.on_click, lambda: asked.copy_or_remove(self.existing.value))
+        self._bind(self.device.on_update, lambda: asked.swap(self.chosen, self.device.value))
+        for key, number in self.pose.items():
+            self._bind(number.on_update, partial(self._typed, asked, key))
+        which = {"Duplicate": asked.duplicate, "Remove": asked.remove}
+        self._bind(self.existing.on_click, lambda: which[self.existing.value](self.chosen))
         self._bind(self.optimise.on_click, asked.optimise)
         self._bind(self.stop.on_click, asked.stop)
         self._bind(self.frame.on_update, asked.watch)
@@ -88,10 +82,13 @@ class Panel:
         async def _(event: Any) -> None:
             asked.add(self.new.value, event.client)
 
+    def _typed(self, asked: Any, key: str) -> None:
+        asked.type_number(self.chosen, key, float(self.pose[key].value))
+
     @property
     def chosen(self) -> int:
         """The place in the layout of the sensor that is chosen."""
-        return self.sensor.options.index(self.sensor.value)
+        return int(self.sensor.value.split()[0]) - 1
 
     def list_sensors(self, names: Sequence[str], chosen: int) -> None:
         """Offer these sensors, numbered, and choose one."""
@@ -110,9 +107,9 @@ class Panel:
         """While a search runs, nothing can be changed, and it can be stopped."""
         self.stop.visible = self.bar.visible = self.course.visible = on
         self.optimise.visible = self.edit.visible = self.existing.visible = not on
-        for control in (self.device, *self.pose.values(), self.new, self.add):
+        others = (self.device, self.new, self.add, self.method, self.seconds, self.save)
+        for control in (*others, *self.pose.values(), self.report):
             control.disabled = on
-        self.method.disabled = self.seconds.disabled = on
 
     @staticmethod
     def _bind(register: Callable[[Any], Any], ask: Callable[[], None]) -> None:

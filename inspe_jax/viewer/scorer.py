@@ -52,7 +52,7 @@ class Scorer:
         self.case, self.weights = case, weights
         self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
-        step = -(-traffic.frame_count // SHOWN)
+        step = max(1, -(-traffic.frame_count // SHOWN))
         self.few = replace(case.scene, traffic=jax.tree.map(lambda leaf: leaf[::step], traffic))
         self._layout: Layout | None = None
         self._frame, self._since = 0, 0.0
@@ -106,12 +106,14 @@ class Scorer:
             scores = evaluate(scene, layout, conditions=conditions, weights=self.weights)
         except InspeError as e:
             wrong = str(e)
+        except Exception as e:  # as out of memory: the next layout may be had
+            wrong = f"it could not be scored: {e!r}"
         frames = scene.traffic.frame_count
         self._scored(Scored(layout, scores, frames, time.monotonic() - since, wrong))
 
     def _see(self, layout: Layout, frame: int) -> None:
         try:
             sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
-        except InspeError:  # as the scores say
+        except Exception:  # of which the scores tell
             return
         self._sighted(frame, sight)

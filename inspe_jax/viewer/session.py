@@ -25,6 +25,10 @@ BESIDE = 0.8
 """A copy is turned by this share of the field of view: the two views then overlap a little."""
 
 
+Mounted = tuple[Layout, tuple[str, ...]]
+"""A layout, and what mounting made of it in words."""
+
+
 class Session:
     """A layout on a scene, and what was done to it.
 
@@ -41,6 +45,7 @@ class Session:
         self._past: list[Layout] = []
         self._future: list[Layout] = []
         self._space: Space | None = None
+        self._own = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
 
     def faults(self) -> list[Fault]:
         """What keeps the layout from being mounted; empty where nothing does."""
@@ -51,7 +56,7 @@ class Session:
 
     # ── Changes ──
 
-    def moved(self, s: int, pose: Float[np.ndarray, "6"]) -> Layout:
+    def moved(self, s: int, pose: Float[np.ndarray, "6"]) -> Mounted:
         """Where sensor ``s`` would be if it were let go at a world pose; nothing changes.
 
         Its unit goes with it in plan, as it stands on one foot, and its sensors keep their heights
@@ -65,14 +70,14 @@ class Session:
         ground = self._ground(foot)
         poses[members, :2] += pose[:2] - poses[s, :2]
         poses[s, 2:] = pose[2:]
-        poses[members, 2] += ground - old.units[unit].base[2]
+        poses[members, 2] += ground - self._ground(np.array(old.units[unit].base[:2]))
         units = list(old.units)
         units[unit] = replace(units[unit], base=(*foot.tolist(), ground))
         return self._mounted(replace(old, poses=poses, units=tuple(units)))
 
     def move(self, s: int, pose: Float[np.ndarray, "6"]) -> None:
         """Let sensor ``s`` go at a world pose: see :meth:`moved`."""
-        self.take(self.moved(s, pose))
+        self.take(*self.moved(s, pose))
 
     def height(self, s: int) -> float:
         """Of sensor ``s`` above the ground at its unit's foot [m]."""
@@ -92,14 +97,13 @@ class Session:
         pose = [*foot, ground + HEIGHT, 0.0, pitch, np.arctan2(to[1], to[0])]
         unit = Unit(_free("unit", [u.name for u in old.units]), (*foot.tolist(), ground))
         sensor = Sensor(_free(spec.name, [s.name for s in old.sensors]), spec, len(old.units))
-        self._take_mounted(
-            replace(
-                old,
-                poses=np.vstack([np.asarray(old.poses, float), pose]),
-                sensors=(*old.sensors, sensor),
-                units=(*old.units, unit),
-            )
+        wanted = replace(
+            old,
+            poses=np.vstack([np.asarray(old.poses, float), pose]),
+            sensors=(*old.sensors, sensor),
+            units=(*old.units, unit),
         )
+        self.take(*self._mounted(wanted))
         return len(self.layout) - 1
 
     def duplicate(self, s: int) -> int:
@@ -115,13 +119,12 @@ class Session:
         pose = poses[s] + [0, 0, 0, 0, 0, BESIDE * wide]
         copy = replace(sensor, name=_free(sensor.name, [x.name for x in old.sensors]))
         after = s + 1  # beside its model, so that sensors stay in the order of their units
-        self._take_mounted(
-            replace(
-                old,
-                poses=np.insert(poses, after, pose, axis=0),
-                sensors=(*old.sensors[:after], copy, *old.sensors[after:]),
-            )
+        wanted = replace(
+            old,
+            poses=np.insert(poses, after, pose, axis=0),
+            sensors=(*old.sensors[:after], copy, *old.sensors[after:]),
         )
+        self.take(*self._mounted(wanted))
         return after
 
     def remove(self, s: int) -> None:
@@ -140,60 +143,49 @@ class Session:
         self.take(replace(old, poses=poses, sensors=sensors, units=units))
 
     def swap(self, s: int, name: str) -> None:
-        """Another device of the catalogue in place of sensor ``s``.
+        """Another device in place of sensor ``s``: of the opened layout, or of the catalogue.
 
         Raises InspeError where there is no such device.
         """
         sensors = list(self.layout.sensors)
-        sensors[s] = replace(sensors[s], spec=device(name).spec)
-        self._take_mounted(replace(self.layout, sensors=tuple(sensors)))
+        spec = self._own[name] if name in self._own else device(name).spec
+        sensors[s] = replace(sensors[s], spec=spec)
+        self.take(*self._mounted(replace(self.layout, sensors=tuple(sensors))))
 
-    def take(self, layout: Layout) -> None:
+    def take(self, layout: Layout, notes: tuple[str, ...] = ()) -> None:
         """Go on with another layout; the one before can be had again by :meth:`undo`."""
         self._past = [*self._past[1 - REMEMBERED :], self.layout]
         self._future = []
-        self.layout = layout
+        self.layout, self.notes = layout, notes
 
     # ── Back and forth ──
 
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is a change to take back."""
-        return bool(self._past)
+    def undo(self) -> bool:
+        """Take the last change back; whether there is one."""
+        return self._go(self._past, self._future)
 
-    @property
-    def can_redo(self) -> bool:
-        """Whether there is one that was taken back."""
-        return bool(self._future)
+    def redo(self) -> bool:
+        """Do again what was taken back last; whether anything was."""
+        return self._go(self._future, self._past)
 
-    def undo(self) -> None:
-        """Take the last change back, if there is one."""
-        if self._past:
-            self._future.append(self.layout)
-            self.layout = self._past.pop()
-
-    def redo(self) -> None:
-        """Do again what was taken back last, if anything was."""
-        if self._future:
-            self._past.append(self.layout)
-            self.layout = self._future.pop()
+    def _go(self, there: list[Layout], here: list[Layout]) -> bool:
+        if not there:
+            return False
+        here.append(self.layout)
+        self.layout, self.notes = there.pop(), ()
+        return True
 
     # ── Mounting ──
 
-    def _take_mounted(self, wanted: Layout) -> None:
-        self.take(self._mounted(wanted))
-
-    def _mounted(self, wanted: Layout) -> Layout:
+    def _mounted(self, wanted: Layout) -> Mounted:
         """The nearest layout that mounting allows; the wanted one where there is none."""
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted)
             found = space.layout(x)
         except InspeError as wrong:
-            self.notes = (str(wrong),)
-            return wanted
-        self.notes = notes
-        return found
+            return wanted, (str(wrong),)
+        return found, notes
 
     def _space_for(self, wanted: Layout) -> Space:
         """Where these sensors may be.

@@ -8,7 +8,7 @@ from mounts import assert_mountable, lanes_of
 
 from inspe_jax.errors import InspeError
 from inspe_jax.placement import pareto as module
-from inspe_jax.placement.pareto import around, mixes, pareto, save_pareto
+from inspe_jax.placement.pareto import around, load_pareto, mixes, pareto, save_pareto
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene
@@ -83,6 +83,17 @@ def test_it_is_saved(found, scene, tmp_path):
         if mix.front:
             again = load_layout(tmp_path / "pareto" / row["layout"])
             assert len(again) == len(mix.result.layout)
+    assert load_pareto(tmp_path / "pareto") == [mix.point for mix in mixed]
+    assert [point.name for point in load_pareto(tmp_path / "pareto")] == [m.name for m in mixed]
+
+
+@pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "x,cost_usd,objective\n1,2,3\n"])
+def test_what_is_no_table_of_mixes_is_refused(content, tmp_path):
+    with pytest.raises(InspeError, match=r"pareto\.csv: no such file"):
+        load_pareto(tmp_path)
+    (tmp_path / "pareto.csv").write_text(content)
+    with pytest.raises(InspeError, match="not a table that inspe pareto wrote"):
+        load_pareto(tmp_path)
 
 
 def test_a_budget_leaves_out_what_costs_more():

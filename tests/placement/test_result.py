@@ -112,7 +112,7 @@ def test_a_folder_that_cannot_be_is_refused_before_any_work(tmp_path):
 def test_what_is_no_result_is_refused(result, tmp_path):
     with pytest.raises(InspeError, match="no such folder"):
         load_result(tmp_path / "none")
-    with pytest.raises(InspeError, match=r"layout\.yaml: no such file"):
+    with pytest.raises(InspeError, match=r"result\.json: no such file"):
         load_result(tmp_path)
     save_result(result, tmp_path)
     good = (tmp_path / "result.json").read_text()
@@ -120,7 +120,7 @@ def test_what_is_no_result_is_refused(result, tmp_path):
     for content in (
         "",
         "[]",
-        good.replace(FORMAT, "inspe_jax result 0"),
+        good.replace(FORMAT, "inspe_jax results"),
         json.dumps(record | {"surprise": 1}),
         json.dumps({k: v for k, v in record.items() if k != "seed"}),
         json.dumps(record | {"scores": {}}),
@@ -128,6 +128,11 @@ def test_what_is_no_result_is_refused(result, tmp_path):
         (tmp_path / "result.json").write_text(content)
         with pytest.raises(InspeError, match="not a result saved by this package"):
             load_result(tmp_path)
+    (tmp_path / "result.json").write_text(good.replace(FORMAT, FORMAT[:-1] + "1"))
+    (tmp_path / "path.csv").rename(tmp_path / "kept.csv")
+    with pytest.raises(InspeError, match="of another version of inspe_jax"):
+        load_result(tmp_path)
+    (tmp_path / "kept.csv").rename(tmp_path / "path.csv")
     (tmp_path / "result.json").write_text(good)
     (tmp_path / "history.csv").write_text("seconds,evaluations,score,best\n1,2,x,4\n")
     with pytest.raises(InspeError, match="not a result"):

@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 from browser import browser, errors_of, needs_browser
 from matplotlib import image
-from worlds import CAMERA, LIDAR, random_layout, world
+from worlds import CAMERA, LIDAR, place_sensors, random_layout, world
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import evaluate
+from inspe_jax.placement.optimise import optimise
+from inspe_jax.placement.pareto import Point
+from inspe_jax.placement.problem import Case
+from inspe_jax.placement.result import load_result, save_result
 from inspe_jax.placement.tolerance import Slopes, Tolerance
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
-from inspe_jax.report.page import CAPTIONS, Entry, report_page, report_sheets
+from inspe_jax.report.page import CAPTIONS, Entry, entry_of, report_page, report_sheets
 from inspe_jax.report.stage import runs
 from inspe_jax.report.tables import scores_record
 from inspe_jax.viewshed import viewshed
@@ -116,6 +120,30 @@ def test_figures_as_sheets(scene, entries):
     count = len(re.findall(rb"/Type /Page\b", made))
     assert count == 2 + len(entries) * len(CAPTIONS)
     assert made == report_sheets(scene, entries)
+
+
+def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
+    """From files, as the command line has it; and cost against score of mixes of devices."""
+    case, begun = Case(scene), place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0.8]))
+    save_result(optimise(scene, begun, "random", evaluations=8), tmp_path)
+    result = load_result(tmp_path)
+    entry = entry_of(case, result.layout, (0.3, 0.5, 0.2), result)
+    assert entry.before.surrogate == evaluate(scene, begun).surrogate
+    front = [Point({"a": k}, 100.0 * k, 0.1 * k, True, "here", "random") for k in (1, 2)]
+    told = []
+    page = report_page(
+        scene, [entry], front=front, progress=lambda done, total: told.append((done, total))
+    )
+    assert told[-1][0] == told[-1][1]
+    reader = Reader(page)
+    shown = [shown["alt"] for shown in reader.images]
+    assert {"Before and after", "Score against time", "Cost against score"} <= set(shown)
+    assert len(shown) == 2 + len(CAPTIONS) + 3
+    assert {str(result.objective_before), str(result.objective)} <= set(reader.titles)
+    sheets = report_sheets(scene, [entry], front=front)
+    assert len(re.findall(rb"/Type /Page\b", sheets)) == len(shown)
+    plain = Reader(report_page(scene, [entry_of(case, begun, (0.3, 0.5, 0.2))]))
+    assert len(plain.images) == 2 + len(CAPTIONS)
 
 
 def test_layouts_have_names_of_their_own(scene, entries):

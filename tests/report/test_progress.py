@@ -16,7 +16,7 @@ from inspe_jax.evaluation import evaluate
 from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
-from inspe_jax.report.progress import WENT, before_after, history_view
+from inspe_jax.report.progress import MOVED, WENT, before_after, history_view
 from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 
 
@@ -105,6 +105,27 @@ def test_a_way_leads_through_where_the_search_had_a_unit(result, scene):
     assert [[9.0, 9.0], [-9.0, 9.0]] in ways
     words = [text.get_text() for legend in fig.legends for text in legend.get_texts()]
     assert WENT in words
+
+
+def test_a_way_of_small_steps_is_drawn_as_it_went(result, scene):
+    """Steps of 0.3 m on an arc, and another unit's round trip."""
+    start, _ = result.path
+    path = np.stack([start] * 40)
+    turn = np.linspace(0, np.pi / 2, 40)
+    path[:, 0, :2] = np.column_stack([9 * np.cos(turn), 9 * np.sin(turn)])
+    path[:20, 1, 0] -= np.linspace(0, 3, 20)
+    path[20:, 1, 0] -= np.linspace(3, 0, 20)
+    fig = before_after(
+        scene, result.start, result.layout, result.scores_before, result.scores, path=path
+    )
+    ways = [line.get_xydata() for line in maps_of(fig)[1].lines if len(line.get_xydata()) > 8]
+    arcs = [way for way in ways if np.allclose(np.hypot(*way.T), 9.0)]
+    assert len(arcs) == 1
+    steps = np.hypot(*np.diff(arcs[0], axis=0).T)
+    assert steps.max() < 2 * MOVED
+    arrows = [p for p in maps_of(fig)[1].patches if isinstance(p, FancyArrowPatch)]
+    assert len(arrows) == 2
+    assert arrows[1]._posA_posB[1] == (-9.0, -9.0)
 
 
 def test_no_arrows_and_no_key_of_them_where_nothing_moved(result, scene):

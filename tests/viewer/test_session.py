@@ -57,7 +57,7 @@ def assert_mounted(session):
 def test_a_unit_goes_with_its_sensor_in_plan_and_no_other(session):
     before = np.array(session.layout.poses)
     pose = pose_of(session, 0) + [0.5, 1.0, 0, 0, 0, 0]
-    shown = session.moved(0, pose)
+    shown, _ = session.moved(0, pose)
     np.testing.assert_array_equal(session.layout.poses, before)  # only looked at
     session.move(0, pose)
     np.testing.assert_array_equal(session.layout.poses, shown.poses)
@@ -150,6 +150,28 @@ def test_a_copy_stands_beside_its_model_and_looks_to_its_left(session):
     assert_mounted(session)
 
 
+def test_heights_are_above_the_ground_also_where_a_base_is_not_on_it(scene):
+    """A file may give a base any height."""
+    layout = two_units(scene)
+    x, y, z = layout.units[0].base
+    raised = replace(layout.units[0], base=(x, y, z + 2.0))
+    session = Session(scene, replace(layout, units=(raised, layout.units[1])))
+    session.move(0, pose_of(session, 0) + [0.5, 0.5, 1.0, 0, 0, 0])
+    assert session.height(0) == pytest.approx(7.0, abs=1e-6)
+    assert session.height(1) == pytest.approx(7.0, abs=1e-6)
+
+
+def test_notes_are_of_the_last_change(session):
+    session.move(0, np.array([5.0, 12.0, 6.0, 0, -0.3, -2.3]))
+    assert session.notes
+    session.moved(0, np.array([5.0, -12.0, 6.0, 0, -0.3, -2.3]))  # only looked at
+    assert "2.30 m" in session.notes[0]
+    session.remove(2)
+    assert session.notes == ()
+    session.undo()
+    assert session.notes == ()
+
+
 def test_a_unit_goes_with_its_last_sensor_and_the_last_sensor_stays(session):
     session.remove(2)
     assert [unit.name for unit in session.layout.units] == ["north"]
@@ -166,6 +188,8 @@ def test_another_device(session):
     assert session.layout.sensors[2].name == "c"
     with pytest.raises(InspeError, match="paper-camera"):
         session.swap(2, "paper-camra")
+    session.swap(2, LIDAR.name)  # which the catalogue has not, and the opened layout had
+    assert session.layout.sensors[2].spec is LIDAR
     assert_mounted(session)
 
 
@@ -182,27 +206,25 @@ def test_every_change_can_be_taken_back_and_done_again(session):
         change()
         steps.append(session.layout)
     for layout in reversed(steps[:-1]):
-        assert session.can_undo
-        session.undo()
+        assert session.undo()
         assert session.layout is layout
-    assert not session.can_undo
-    session.undo()
+    assert not session.undo()
     assert session.layout is begun
     for layout in steps[1:]:
-        session.redo()
+        assert session.redo()
         assert session.layout is layout
-    assert not session.can_redo
+    assert not session.redo()
     session.undo()
     session.move(0, pose_of(session, 0))
-    assert not session.can_redo  # another way was taken
+    assert not session.redo()  # another way was taken
 
 
 def test_no_more_than_so_many_changes_are_remembered(session):
     layouts = [replace(session.layout, name=str(k)) for k in range(REMEMBERED + 5)]
     for layout in layouts:
         session.take(layout)
-    while session.can_undo:
-        session.undo()
+    while session.undo():
+        pass
     assert session.layout is layouts[-1 - REMEMBERED]
 
 

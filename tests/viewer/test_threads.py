@@ -14,7 +14,7 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer.board import board, cost_of
-from inspe_jax.viewer.desk import Desk
+from inspe_jax.viewer.desk import Desk, Later
 from inspe_jax.viewer.scorer import SHOWN, Scorer
 from inspe_jax.viewer.searcher import Heard, Searcher
 from inspe_jax.viewshed import sight_in
@@ -48,6 +48,16 @@ def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     go.set()
     desk.close()
     assert done == [("drag", 4), "end"]
+
+
+def test_of_what_is_to_be_done_later_only_the_last_is_done():
+    done, later, told = [], Later(), threading.Event()
+    for k in range(3):
+        later.do(0.05, lambda k=k: (done.append(k), told.set()))
+    assert told.wait(60)
+    later.do(60, lambda: done.append("never"))
+    later.cancel()
+    assert done == [2]
 
 
 def test_a_job_that_fails_does_not_end_the_others():
@@ -134,12 +144,36 @@ def test_a_layout_that_cannot_be_scored_is_said(layout, listening):
     away = replace(layout, poses=np.array(layout.poses) + [1e4, 0, 0, 0, 0, 0])
     scorer.score(away, whole=False)
     told = scores.wait(lambda heard: heard)[-1][0]
-    if told.scores is None:
-        assert told.wrong
-    else:
-        assert told.scores.surrogate == 0.0
+    assert told.scores is None
+    assert "is this layout for another scene" in told.wrong
     scorer.score(layout, whole=False)  # and goes on
     assert scores.wait(lambda heard: len(heard) > 1)[-1][0].scores.surrogate > 0
+
+
+def test_without_traffic_there_is_no_score_and_it_is_said(layout):
+    scores = Ear()
+    empty = world(radius=12.0, voxel=1.0, count=0)
+    scorer = Scorer(Case(empty), WEIGHTS, scores, lambda *_: None)
+    scorer.score(layout, whole=True)
+    told = scores.wait(lambda heard: len(heard) == 2)
+    assert [one.scores for (one,) in told] == [None, None]
+    assert all("traffic" in one.wrong for (one,) in told)
+    scorer.close()
+
+
+def test_a_fault_of_ours_does_not_end_the_scorer(layout, listening, monkeypatch):
+    scorer, scores, _ = listening
+    real = scorers.evaluate
+
+    def failing(*_, **__):
+        monkeypatch.setattr(scorers, "evaluate", real)
+        raise MemoryError("too large")
+
+    monkeypatch.setattr(scorers, "evaluate", failing)
+    scorer.score(layout, whole=False)
+    assert "too large" in scores.wait(lambda heard: heard)[0][0].wrong
+    scorer.score(layout, whole=False)
+    assert scores.wait(lambda heard: len(heard) == 2)[1][0].scores.surrogate > 0
 
 
 # ── The search ──
@@ -195,6 +229,10 @@ def test_the_board_says_scores_faults_and_cost(scene, layout):
     assert "since" not in few
     assert "cannot be mounted" not in few
     assert "scoring" in board(layout, None, frames=50)
+    later = board(replace(layout, name="moved"), scored, frames=50, faults=["floats"])
+    assert "scoring" in later  # what is known is of another layout
+    assert "all frames" not in later
+    assert "floats" in later
     failed = replace(scored, scores=None, wrong="no <traffic>")
     assert "no &lt;traffic&gt;" in board(layout, failed, frames=50)
 

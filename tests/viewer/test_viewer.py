@@ -1,0 +1,205 @@
+"""The page's server without a browser: what its handle and its buttons ask for."""
+
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from worlds import CAMERA, LIDAR, place_sensors, world
+
+from inspe_jax.evaluation import evaluate
+from inspe_jax.geometry import rotation
+from inspe_jax.placement.problem import Case
+from inspe_jax.sensing.layout import load_layout
+from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.handle import Pull
+from inspe_jax.viewer.panel import put
+
+AHEAD, LEFT, UP = np.eye(3)
+YAW = np.radians(-100)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=14.0, voxel=1.0, frames=3, count=4)
+
+
+@pytest.fixture
+def layout():
+    return place_sensors(
+        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, YAW]),
+        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
+    )
+
+
+@pytest.fixture
+def viewer(scene, layout, tmp_path):
+    found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
+    found.told = []
+    found._tell = lambda *words: found.told.append(words)
+    yield found
+    found.close()
+
+
+def done(viewer, true=lambda: True, seconds=120):
+    """Wait until the desk has done what it was asked, and something holds."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        waits = []
+        viewer.desk.ask(lambda waits=waits: waits.append(1))
+        while not waits:
+            time.sleep(0.005)
+        if true():
+            return
+        time.sleep(0.02)
+    pytest.fail("it does not come to that")
+
+
+def about(axis, degrees):
+    """The handle's turn by so much about one of its own axes, from where it stands upright."""
+    rotvec = np.radians(degrees) * axis
+    return rotation(np.array([0, 0, YAW]), np) @ Rotation.from_rotvec(rotvec).as_matrix()
+
+
+def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
+    at = np.array(viewer.layout.poses[viewer._picked, :3]) - viewer.stage.shift
+    turn = about(UP, 0) if turn is None else turn
+    for phase in phases:
+        to = at if phase == "start" else at + shift
+        viewer.desk.ask(lambda phase=phase, to=to: viewer._pull(Pull(phase, to, turn)))
+    done(viewer)
+
+
+@pytest.mark.parametrize(
+    ("axis", "degrees", "yaw", "pitch"),
+    [(UP, 30, 30, 0), (LEFT, -12, 0, 12), (LEFT, 12, 0, -12), (AHEAD, 90, 0, 0)],
+)
+def test_rings_turn_by_yaw_and_pitch_and_never_roll(viewer, layout, axis, degrees, yaw, pitch):
+    """Nose-up is a turn about the axis to the left by a negative angle."""
+    pull(viewer, turn=about(axis, degrees))
+    turned = np.degrees(np.array(viewer.layout.poses[0]) - layout.poses[0])[3:]
+    np.testing.assert_allclose(turned, [0, pitch, yaw], atol=1e-3)
+
+
+def test_a_click_on_the_handle_changes_nothing(viewer, layout):
+    pull(viewer, phases=("start", "end"))
+    assert viewer.layout is layout
+    assert not viewer.session.undo()
+    assert not viewer.store.unsaved.exists()
+
+
+def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
+    """Another browser takes another sensor in hand meanwhile, or changes the layout."""
+    at = np.array(layout.poses[0, :3]) - viewer.stage.shift + [0, 0, 1.0]
+    pull(viewer, (0, 0, 1.0), phases=("start", "update"))
+    viewer.select(1)
+    viewer.desk.ask(lambda: viewer._pull(Pull("end", at, about(UP, 0))))
+    done(viewer)
+    assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
+    np.testing.assert_allclose(viewer.layout.poses[1], layout.poses[1], atol=1e-6)
+
+    viewer.select(0)
+    done(viewer)
+    pull(viewer, (0, 0, 1.0), phases=("start", "update"))
+    viewer.remove(1)
+    viewer.desk.ask(lambda: viewer._pull(Pull("end", at + [0, 0, 3.0], about(UP, 0))))
+    done(viewer)
+    assert len(viewer.layout) == 1
+    assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
+
+
+def test_what_is_undone_to_what_was_opened_leaves_no_file(viewer, layout):
+    pull(viewer, (0, 0, 1.0))
+    assert not viewer.store.holds(viewer.layout)
+    assert viewer.store.unsaved.is_file()
+    viewer.undo_or_redo("Undo")
+    done(viewer)
+    assert viewer.layout is layout
+    assert viewer.store.holds(viewer.layout)
+    assert not viewer.store.unsaved.exists()
+    viewer.undo_or_redo("Undo")
+    done(viewer)
+    assert viewer.told[-1][:2] == ("Undo", "there is nothing more")
+
+
+def test_where_nothing_can_be_kept_the_page_goes_on(viewer):
+    viewer.store.path = viewer.store.path.parent / "gone" / "layout.yaml"
+    pull(viewer, (0, 0, 1.0))
+    assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
+    done(viewer, lambda: viewer._scored and viewer._scored.layout is viewer.layout)
+    assert viewer.told[-1][0] == "That did not work"
+    assert "gone" in viewer.told[-1][1]
+
+
+def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
+    better = replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0])
+
+    def failing(case, begun, method, seconds, *, found, **_):
+        found(better, 0.9)
+        raise MemoryError("too large")
+
+    monkeypatch.setattr("inspe_jax.viewer.searcher.optimise", failing)
+    monkeypatch.setattr("threading.excepthook", lambda *_: None)  # it is raised again, to be seen
+    viewer.optimise()
+    done(viewer, lambda: viewer.layout is not layout and not viewer._searching)
+    assert viewer.layout is better
+    assert any("too large" in words for _, words, _ in viewer.told)
+    np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
+
+
+def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
+    put(viewer.panel.method, "random")
+    viewer.optimise()
+    done(viewer, lambda: viewer._best is not layout)
+    for control in (viewer.panel.save, viewer.panel.report, viewer.panel.add):
+        assert control.disabled
+    viewer.save()
+    viewer.remove(0)
+    viewer.undo_or_redo("Undo")
+    pull(viewer, (0, 0, 1.0))
+    assert viewer.layout is layout
+    assert not viewer.store.path.exists()
+    kept = load_layout(viewer.store.unsaved)  # the search's best so far
+    assert (kept.poses != layout.poses).any()
+    viewer.stop()
+    done(viewer, lambda: not viewer._searching)
+    assert not viewer.panel.save.disabled
+    assert len(viewer.layout) == 2
+
+
+def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer):
+    """Sights that come of drags and of ticks begin no second turn."""
+    seen, real = [], viewer._next
+    viewer._next = lambda: (seen.append(time.monotonic()), real())
+    put(viewer.panel.play, True)
+    viewer.watch()
+    for _ in range(10):
+        viewer.show_voxels()
+        viewer.scorer.watch(0)
+        time.sleep(0.02)
+    done(viewer, lambda: len(seen) >= 5)
+    put(viewer.panel.play, False)
+    assert np.diff(seen).min() > 0.2
+
+
+def test_a_new_sensor_stands_where_one_looks(viewer, scene):
+    client = SimpleNamespace(camera=SimpleNamespace(look_at=np.array([9.0, -9.0, 0.0])))
+    viewer.add("paper-lidar-32", client)
+    done(viewer, lambda: len(viewer.layout) == 3)
+    np.testing.assert_allclose(viewer.layout.poses[2, :2], [9.0, -9.0], atol=1e-2)
+    away = SimpleNamespace(camera=SimpleNamespace(look_at=np.array([900.0, 0.0, 0.0])))
+    viewer.add("paper-lidar-32", away)
+    done(viewer, lambda: len(viewer.layout) == 4)
+    assert np.hypot(*viewer.layout.poses[3, :2]) <= scene.voxels.radius + 1e-3
+
+
+def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_path):
+    viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
+    viewer.write_report()
+    viewer.write_report()
+    done(viewer, lambda: viewer.store._report is not None)
+    viewer.close()
+    page = (tmp_path / "layout.html").read_text()
+    assert str(evaluate(scene, layout).surrogate) in page

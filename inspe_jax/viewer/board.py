@@ -25,7 +25,6 @@ KEYS = (
     ("road user", USER_COLOR),
     ("camera", SENSOR_COLORS["camera"]),
     ("LiDAR", SENSOR_COLORS["lidar"]),
-    ("can be mounted here", MOUNTING_COLOR),
 )
 
 _BOARD = Environment(
@@ -83,6 +82,7 @@ def board(
         units=len(layout.units),
         cost=cost_of(layout),
         keys=KEYS,
+        mounting=MOUNTING_COLOR,
     )
 
 

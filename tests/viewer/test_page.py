@@ -21,7 +21,7 @@ from inspe_jax.viewer.panel import put
 
 pytestmark = [pytest.mark.slow, needs_browser]
 
-WAIT = 30_000
+WAIT = 120_000
 """For what compiles first [ms]."""
 
 

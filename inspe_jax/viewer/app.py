@@ -23,7 +23,7 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.board import board
 from inspe_jax.viewer.desk import Desk, Later
 from inspe_jax.viewer.handle import Handle, Pull
-from inspe_jax.viewer.panel import Panel, put
+from inspe_jax.viewer.panel import POSE, Panel, put
 from inspe_jax.viewer.scorer import Scored, Scorer
 from inspe_jax.viewer.searcher import Heard, Searcher
 from inspe_jax.viewer.session import Session
@@ -69,7 +69,7 @@ class Viewer:
         self._sight: tuple[int, UInt[np.ndarray, " V"]] | None = None
         self._drawn_frame, self._began = -1, 0.0
         self.desk = Desk(self._failed)
-        self._typing, self._playing = Later(), Later()
+        self._typing, self._playing = {key: Later() for key in POSE}, Later()
         self.server = serve(host, port)
         self.port = self.server.get_port()
         named = f"[{host}]" if ":" in host else host
@@ -109,8 +109,8 @@ class Viewer:
 
     def close(self) -> None:
         """End the search with its best, finish a report, and stop serving."""
-        self._typing.cancel()
-        self._playing.cancel()
+        for waiting in (*self._typing.values(), self._playing):
+            waiting.cancel()
         self.searcher.close()
         self.scorer.close()
         self.store.close()
@@ -155,7 +155,7 @@ class Viewer:
                 pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
             self.session.move(s, pose)
 
-        self._typing.do(TYPED, lambda: self._change(job))
+        self._typing[key].do(TYPED, lambda: self._change(job))
 
     def duplicate(self, s: int) -> None:
         """Another one like a sensor."""

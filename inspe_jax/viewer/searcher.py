@@ -1,6 +1,7 @@
 """A search beside the page: it can be stopped, and what it has found so far is told at once."""
 
 import threading
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,7 +28,7 @@ class Heard:
 
 
 class Searcher:
-    """One search at a time."""
+    """One search at a time; ``running`` until its end is told."""
 
     def __init__(
         self,
@@ -40,16 +41,13 @@ class Searcher:
         self._heard = heard
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-
-    @property
-    def running(self) -> bool:
-        """Whether a search is under way."""
-        return self._thread is not None and self._thread.is_alive()
+        self.running = False
 
     def start(self, layout: Layout, method: str, seconds: float) -> None:
         """Search from a layout; nothing where a search is under way."""
         if self.running:
             return
+        self.running = True
         self._stop.clear()
         self._thread = threading.Thread(
             target=self._search, args=(layout, method, seconds), name="search", daemon=True
@@ -72,6 +70,7 @@ class Searcher:
             if self._stop.is_set():
                 raise KeyboardInterrupt  # as by hand: the search ends with the best so far
 
+        result, wrong = None, ""
         try:
             result = optimise(
                 self.case,
@@ -84,11 +83,11 @@ class Searcher:
                 found=self._heard.found,
             )
         except KeyboardInterrupt:
-            self._heard.ended(None, "stopped before there was a score")
+            wrong = "stopped before there was a score"
         except InspeError as e:
-            self._heard.ended(None, str(e))
+            wrong = str(e)
         except Exception as e:
-            self._heard.ended(None, f"the search failed: {e!r}")
-            raise
-        else:
-            self._heard.ended(result, "")
+            traceback.print_exception(e)
+            wrong = f"the search failed: {e!r}"
+        self.running = False
+        self._heard.ended(result, wrong)

@@ -141,7 +141,6 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
         raise MemoryError("too large")
 
     monkeypatch.setattr("inspe_jax.viewer.searcher.optimise", failing)
-    monkeypatch.setattr("threading.excepthook", lambda *_: None)  # it is raised again, to be seen
     viewer.optimise()
     done(viewer, lambda: viewer.layout is not layout and not viewer._searching)
     assert viewer.layout is better
@@ -182,6 +181,17 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer):
     done(viewer, lambda: len(seen) >= 5)
     put(viewer.panel.play, False)
     assert np.diff(seen).min() > 0.2
+
+
+def test_numbers_typed_one_after_another_all_count(viewer, layout):
+    viewer.type_number(0, "height", 1.0)  # on the way to 10
+    viewer.type_number(0, "height", 10.0)
+    viewer.type_number(0, "yaw", -90.0)
+    done(viewer, lambda: viewer.session._past[1:])
+    assert len(viewer.session._past) == 2
+    wanted = np.array(layout.poses)
+    wanted[0, 2], wanted[0, 5] = 10.0, np.radians(-90)
+    np.testing.assert_allclose(viewer.layout.poses, wanted, atol=1e-6)
 
 
 def test_a_new_sensor_stands_where_one_looks(viewer, scene):

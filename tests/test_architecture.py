@@ -31,7 +31,7 @@ ROOMS = {
     "optax": ("placement/adam.py",),
     "matplotlib": ("report/",),
     "viser": ("report/", "viewer/"),
-    "jinja2": ("report/", "viewer/"),
+    "jinja2": ("report/",),
     "typer": ("cli/",),
     "distributed": ("study/",),
     "dask": ("study/",),

@@ -13,7 +13,7 @@ from datetime import date
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
@@ -131,14 +131,7 @@ def report_page(
         )
         done += 1
     records: list[dict[str, Any]] = [part["record"] for part in parts]  # type: ignore[misc]
-    page = Environment(
-        loader=PackageLoader("inspe_jax", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("page.html.j2")
-    return page.render(
+    return template("report", "page.html.j2").render(
         scene=scene,
         around=entries[0].scores.conditions.words,
         keys={
@@ -159,6 +152,17 @@ def report_page(
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
+
+
+def template(room: str, name: str) -> Template:
+    """A template of HTML in a folder of the package; what is put in is text, not markup."""
+    return Environment(
+        loader=PackageLoader("inspe_jax", room),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template(name)
 
 
 def report_sheets(

@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from inspe_jax.errors import InspeError
 from inspe_jax.placement.problem import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.page import template
 from inspe_jax.report.stage import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
 from inspe_jax.report.tables import METRICS
 from inspe_jax.sensing.layout import Layout
@@ -27,13 +26,7 @@ KEYS = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-_BOARD = Environment(
-    loader=PackageLoader("inspe_jax", "viewer"),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-).get_template("board.html.j2")
+_BOARD = template("viewer", "board.html.j2")
 
 
 def board(

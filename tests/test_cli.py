@@ -115,7 +115,8 @@ def test_report_has_the_numbers_of_score(inspe, files):
     assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_view_serves_until_ctrl_c(files):
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_view_serves_until_it_is_stopped(files, stop):
     """In a process of its own, as a stranger meets it; also a layout that breaks a rule."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -123,15 +124,25 @@ def test_view_serves_until_ctrl_c(files):
         port = taken.getsockname()[1]
         command = [sys.executable, "-c", "from inspe_jax.cli import main; main()"]
         command += ["view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml"]
-        pipes: dict = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        with subprocess.Popen(command, cwd=files, **pipes) as served:
+        served = subprocess.Popen(
+            command,
+            cwd=files,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            # Tests that run in the background have Ctrl-C ignored.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        try:
             url = served.stdout.readline().split()[-1]
             assert "only this machine can" in served.stdout.readline()
             assert "Ctrl-C ends" in served.stdout.readline()
             with urlopen(url) as page:
                 assert b"<html" in page.read()
-            served.send_signal(signal.SIGINT)
+            served.send_signal(stop)
             words, said = served.communicate(timeout=120)
+        finally:
+            served.kill()
     assert served.returncode == 0
     assert url.startswith("http://127.0.0.1:")
     assert not url.endswith(f":{port}")

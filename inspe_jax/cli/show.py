@@ -3,6 +3,7 @@
 Imports stay inside the commands, as of the browser's library and matplotlib.
 """
 
+import signal
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -181,6 +182,7 @@ def view(
             note(["anyone who reaches this machine can look, change and save"])
         if kept.exists():
             note([f"{kept} is of another time; open it to go on from it, or a change replaces it"])
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         out.print("Ctrl-C ends", highlight=False)
         while True:
             time.sleep(3600)

@@ -15,6 +15,7 @@ from urllib.request import urlopen
 import jax
 import numpy as np
 import pytest
+from processes import inspe_process
 
 from inspe_jax.cli import main
 from inspe_jax.cli.common import keep_compiled
@@ -122,17 +123,8 @@ def test_view_serves_until_it_is_stopped(files, stop):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        command = [sys.executable, "-c", "from inspe_jax.cli import main; main()"]
-        command += ["view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml"]
-        served = subprocess.Popen(
-            command,
-            cwd=files,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            # Tests that run in the background have Ctrl-C ignored.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
+        arguments = ("view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml")
+        served = inspe_process(*arguments, cwd=files)
         try:
             url = served.stdout.readline().split()[-1]
             assert "only this machine can" in served.stdout.readline()

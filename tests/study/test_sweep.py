@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +13,7 @@ import psutil
 import pytest
 import yaml
 from distributed import CancelledError
+from processes import inspe_process
 
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.errors import InspeError
@@ -45,14 +45,8 @@ def write(folder: Path, **changes) -> Path:
 
 def begin(path: Path, out: Path, *options: str) -> subprocess.Popen:
     """`inspe sweep` in a process and a group of its own."""
-    command = "from inspe_jax.cli import main; main()"
-    return subprocess.Popen(
-        [sys.executable, "-c", command, "sweep", str(path), "--out", str(out), *options],
-        start_new_session=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    arguments = ("sweep", str(path), "--out", str(out), *options)
+    return inspe_process(*arguments, start_new_session=True)
 
 
 def wait_for_rows(process: subprocess.Popen, out: Path, count: int) -> None:

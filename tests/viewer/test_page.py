@@ -229,7 +229,7 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
     second = settled(tab, first)
     assert viewer.store.unsaved.is_file()
     press(tab, "Save layout")
-    tab.get_by_text("Saved").first.wait_for()
+    tab.get_by_text("Saved", exact=True).wait_for()
     again = load_layout(viewer.store.path, scene)
     assert evaluate(scene, again).surrogate == pytest.approx(second, abs=1e-6)
     assert not viewer.store.unsaved.exists()

@@ -10,7 +10,6 @@ Chromium, with one that draws it in software on the same cores.
 import tempfile
 import time
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +40,12 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
     pose = np.array(viewer.layout.poses[s], float)
     turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.stage.shift
     away = np.append(rng.uniform(-3, 3, 2), rng.uniform(-1, 1))
-    viewer.desk.ask(lambda: viewer._pull(Pull("start", at, turn)))
+    viewer._hear_pull(Pull("start", at, turn))
     for k in range(1, STEPS + 1):
-        to = at + away * k / STEPS
-        viewer.desk.ask(partial(viewer._pull, Pull("update", to, turn)), key="drag")
+        viewer._hear_pull(Pull("update", at + away * k / STEPS, turn))
         time.sleep(EVERY)
     before, began = viewer.layout, time.monotonic()
-    viewer.desk.ask(lambda: viewer._pull(Pull("end", at + away, turn)))
+    viewer._hear_pull(Pull("end", at + away, turn))
     while len(heard) < 2:
         time.sleep(0.002)
         scored = viewer._scored

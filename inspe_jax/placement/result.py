@@ -106,12 +106,11 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
     if not place.is_dir():
         raise InspeError(f"{place}: no such folder")
     check_input(place / "result.json")
-    _read_record(place)  # first of all: of another version, other files may be missing
+    record = _read_record(place)  # first of all: of another version, other files may be missing
     for name in FILES:
         check_input(place / name)
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
-        record = _read_record(place)
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])

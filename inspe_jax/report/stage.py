@@ -66,7 +66,8 @@ class Stage:
         self.api, self.scene = api, scene
         self.shift = scene.voxels.center
         self.drawn: dict[str, Any] = {}
-        self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
+        self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn,
+        self._at: dict[int, Float[np.ndarray, 6]] = {}  # and where they are
         self._units = 0  # whose numbers are
         api.set_up_direction("+z")
         api.configure_environment_map(None)
@@ -111,11 +112,11 @@ class Stage:
         grid = self.scene.voxels
         by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
         for kind, opacity in OPACITY.items():
-            name = f"voxels/{kind.name.lower().replace('_', ' ')}"
-            column, low, high = runs(by_column == kind)
-            if kind not in wanted or not len(column):
+            name, own = f"voxels/{kind.name.lower().replace('_', ' ')}", by_column == kind
+            if kind not in wanted or not own.any():
                 self._forget(name)
                 continue
+            column, low, high = runs(own)
             foot = grid.ground[column] + grid.size * low
             tall = grid.size * (high - low)
             center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
@@ -138,13 +139,15 @@ class Stage:
             if k >= len(looks) or look != looks[k]:
                 for part in ("device", "frustum", "pole", "view"):
                     self._forget(f"sensors/{k + 1}/{part}")
-                del self._looks[k]
+                del self._looks[k], self._at[k]
         poses = np.asarray(layout.poses, float)
         for k, (spec, color) in enumerate(looks):
             if k not in self._looks:
                 new[k] = self._draw_sensor(k, spec, color)
                 self._looks[k] = (spec, color)
-            self._move_sensor(k, spec, poses[k])
+            if k not in self._at or (self._at[k] != poses[k]).any():
+                self._move_sensor(k, spec, poses[k])
+                self._at[k] = poses[k].copy()
         self._number(layout, poses, wrong)
         return new
 

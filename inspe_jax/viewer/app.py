@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt
 
 from inspe_jax.errors import InspeError
-from inspe_jax.placement.constraints import Constraints
+from inspe_jax.metrics import WEIGHTS
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
@@ -49,7 +49,7 @@ class Viewer:
         layout: Layout,
         path: Path,
         *,
-        weights: tuple[float, float, float] = (0.3, 0.5, 0.2),
+        weights: tuple[float, float, float] = WEIGHTS,
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
@@ -59,7 +59,7 @@ class Viewer:
         """
         self.case, self.weights, self.store = case, weights, Store(path, layout)
         self.frames = case.scene.traffic.frame_count
-        self.session = Session(case.scene, layout, Constraints())
+        self.session = Session(case.scene, layout)
         self._opened, self._picked = layout, 0
         self._grip: tuple[int, Layout, bool] | None = None  # which, of what, whether it was pulled
         self._searching, self._best = False, layout
@@ -99,6 +99,11 @@ class Viewer:
     def layout(self) -> Layout:
         """The layout in hand."""
         return self.session.layout
+
+    @property
+    def _frame(self) -> int:
+        """That the slider says; of one frame alone it has two places."""
+        return min(int(self.panel.frame.value), self.frames - 1)
 
     def _greet(self, client: Any) -> None:
         """On a narrow screen the controls lie over the lower part: look at the scene above them."""
@@ -180,7 +185,7 @@ class Viewer:
 
     def watch(self) -> None:
         """See the frame that the slider says."""
-        self.scorer.watch(min(int(self.panel.frame.value), self.frames - 1))
+        self.scorer.watch(self._frame)
 
     def show_voxels(self) -> None:
         """Show those kinds of voxels that are ticked."""
@@ -217,7 +222,7 @@ class Viewer:
 
         def job() -> None:
             self.store.save(self.layout)
-            self.panel.file.content = self.store.words(self.layout)
+            self._show_file()
             self._tell("Saved", str(self.store.path), "green")
 
         self._alone(job)
@@ -233,8 +238,7 @@ class Viewer:
                 self._failed(wrong)
 
         def job() -> None:
-            frame = min(int(self.panel.frame.value), self.frames - 1)
-            if self.store.report(self.case, self.layout, self.weights, frame, ended):
+            if self.store.report(self.case, self.layout, self.weights, self._frame, ended):
                 self.panel.report.disabled = True
                 self._tell("Report", "drawing …", None)
 
@@ -362,7 +366,6 @@ class Viewer:
 
     def _after_change(self) -> None:
         self._show()
-        self.panel.file.content = self.store.words(self.layout)
         self.store.keep(self.layout)
 
     def _show(self) -> None:
@@ -370,6 +373,7 @@ class Viewer:
         self._faults = self.session.faults()
         self._draw(self.layout)
         self._show_controls()
+        self._show_file()
         self.scorer.score(self.layout, whole=True)
 
     def _draw(self, layout: Layout) -> None:
@@ -401,6 +405,9 @@ class Viewer:
     def _show_handle(self) -> None:
         pose = np.asarray(self.layout.poses[self._picked], float)
         self.handle.show(pose, self.stage.shift, visible=not self._searching)
+
+    def _show_file(self) -> None:
+        self.panel.file.content = self.store.words(self.layout)
 
     def _show_board(self) -> None:
         in_hand = self._shown is self.layout

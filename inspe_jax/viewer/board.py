@@ -46,22 +46,15 @@ def board(
     made of the last change.
     """
     scores = None if scored is None else scored.scores
-    state, new = "scoring …", scored is not None and scored.layout is layout
-    if scored is None or not new:
-        pass
-    elif scores is not None:
-        some = f"{scored.frames} of {frames} frames" if scored.frames < frames else "all frames"
-        state = f"{some}, scored in {scored.seconds:.2f} s"
-    else:
-        state = "no scores"
+    new = scored if scored is not None and scored.layout is layout else None
     regions = {} if scores is None else scores.region_coverage
     return _BOARD.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change=None if scores is None or opened is None else scores.surrogate - opened,
-        state=state,
-        new=new,
-        wrong=scored.wrong if scored is not None and new else "",
+        state="scoring …" if new is None else _state(new, frames),
+        new=new is not None,
+        wrong="" if new is None else new.wrong,
         faults=faults,
         notes=notes,
         broken=BROKEN_COLOR,
@@ -77,6 +70,13 @@ def board(
         keys=KEYS,
         mounting=MOUNTING_COLOR,
     )
+
+
+def _state(scored: Scored, frames: int) -> str:
+    if scored.scores is None:
+        return "no scores"
+    some = f"{scored.frames} of {frames} frames" if scored.frames < frames else "all frames"
+    return f"{some}, scored in {scored.seconds:.2f} s"
 
 
 def cost_of(layout: Layout) -> str:

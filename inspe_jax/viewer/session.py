@@ -66,11 +66,12 @@ class Session:
         old = self.layout
         unit = old.sensors[s].unit
         members, poses = list(old.members()[unit]), np.array(old.poses, float)
-        foot = np.array(old.units[unit].base[:2]) + pose[:2] - poses[s, :2]
+        stood, shift = np.array(old.units[unit].base[:2]), pose[:2] - poses[s, :2]
+        foot = stood + shift
         ground = self._ground(foot)
-        poses[members, :2] += pose[:2] - poses[s, :2]
         poses[s, 2:] = pose[2:]
-        poses[members, 2] += ground - self._ground(np.array(old.units[unit].base[:2]))
+        poses[members, :2] += shift
+        poses[members, 2] += ground - self._ground(stood)
         units = list(old.units)
         units[unit] = replace(units[unit], base=(*foot.tolist(), ground))
         return self._mounted(replace(old, poses=poses, units=tuple(units)))

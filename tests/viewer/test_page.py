@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from browser import browser, errors_of, needs_browser
-from worlds import CAMERA, LIDAR, place_sensors, world
+from worlds import world
 
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import evaluate
@@ -28,14 +28,6 @@ WAIT = 120_000
 @pytest.fixture(scope="module")
 def scene():
     return world(radius=14.0, voxel=1.0, frames=30, count=6)
-
-
-@pytest.fixture
-def layout():
-    return place_sensors(
-        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-100)]),
-        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
-    )
 
 
 @pytest.fixture(scope="module")

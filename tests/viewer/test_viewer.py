@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from worlds import CAMERA, LIDAR, place_sensors, world
+from worlds import world
 
 from inspe_jax.evaluation import evaluate
 from inspe_jax.geometry import rotation
@@ -24,14 +24,6 @@ YAW = np.radians(-100)
 @pytest.fixture(scope="module")
 def scene():
     return world(radius=14.0, voxel=1.0, frames=3, count=4)
-
-
-@pytest.fixture
-def layout():
-    return place_sensors(
-        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, YAW]),
-        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
-    )
 
 
 @pytest.fixture

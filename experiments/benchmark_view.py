@@ -72,6 +72,7 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
     frames = {"few": "20 frames", "all": "all frames"}
     ax.set_yticks(range(len(names)), [f"{frames[key]}, {browser}" for browser, key in names])
     ax.set(xlabel="from the end of a drag to its scores [s]", xlim=(0, None))
+    ax.margins(y=0.2)
     ax.invert_yaxis()
     return fig
 

@@ -2,64 +2,46 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import shapely
 from shapely.geometry import LineString, Point
-from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.legs import SIDEWALK, TRAVEL, Leg, arms_of
+from inspe_jax.scene.map_parts import (
+    CLUSTER,
+    MARGIN,
+    STEP,
+    JunctionInfo,
+    check_radius,
+    clean,
+    crossing_lines,
+    crosswalks_of,
+    distance_from,
+    joined_lines,
+    mounting_of,
+    resample,
+)
 from inspe_jax.scene.opendrive_map import (
     INSET,
-    SIDEWALK,
-    STEP,
-    TRAVEL,
     Strip,
     TownMap,
-    distance_from,
     heading_of,
     load_map,
     position,
     same_level,
     strips_near,
 )
-from inspe_jax.scene.opendrive_regions import (
-    CLUSTER,
-    Leg,
-    areas_of,
-    arms_of,
-    clean,
-    crosswalks_of,
-    interior_of,
-    legs_of,
-    mounting_of,
-)
+from inspe_jax.scene.opendrive_regions import areas_of, interior_of, legs_of
 from inspe_jax.scene.regions import Region
 
-MARGIN = 10.0
-"""The map is read this much beyond the radius [m]."""
 APRON = 25.0
 """Lanes are followed this much beyond what is kept, so that nothing at the rim is left open [m]."""
-
-
-@dataclass(frozen=True)
-class JunctionInfo:
-    """A junction of a map: its id, middle (x, y, z) [m], arms, size, crosswalks and signals.
-
-    ``size`` is the larger side of its bounding box [m]; ``crosswalks`` and ``signals`` count
-    those that the map itself has near it.
-    """
-
-    id: int
-    center: tuple[float, float, float]
-    arms: int
-    size: float
-    crosswalks: int
-    signals: int
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
@@ -97,8 +79,7 @@ def read_opendrive(
     """
     world = load_map(path)
     members, middle, place = _choose(world, junction, center)
-    if not 0 < radius <= 500:
-        raise InspeError(f"radius {radius:g} m is out of range: between 0 and 500 m")
+    check_radius(radius)
     interior = interior_of(world, members)
     reach = radius + MARGIN
     strips = strips_near(world, middle, reach + APRON)
@@ -116,11 +97,12 @@ def read_opendrive(
     ground = np.concatenate([s.center for s in strips])
     ground = ground[distance_from(ground, middle) <= reach + 5.0]
     disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-    walks = crosswalks_of(world, areas, arms, ground, disc, notes)
+    walks = crosswalks_of(world.crosswalks, areas, arms, ground, disc, notes)
     areas[Region.CROSSWALK] = clean(unary_union(walks))
     regions = {region: areas[region].intersection(disc) for region in Region}
 
-    mounting = mounting_of(regions, strips, arms, disc)
+    medians = [s.polygon for s in strips if s.kind == "median"]
+    mounting = mounting_of(regions, medians, arms, disc)
 
     signals = world.signals[distance_from(world.signals, middle) <= reach]
     if not len(signals):
@@ -143,7 +125,7 @@ def read_opendrive(
     def on_ground(xy: np.ndarray) -> np.ndarray:
         return np.column_stack([xy[:, :2], found.ground(xy[:, :2])])
 
-    people = [*_crossings(walks), *_pavements(strips, middle, radius)]
+    people = [*crossing_lines(walks), *_pavements(strips, middle, radius)]
     routes = [
         *_vehicle_routes(world, legs, arm_of, members, interior, middle, radius),
         *(Route(on_ground(line), 2.0, "pedestrian") for p in people for line in (p, p[::-1])),
@@ -211,7 +193,7 @@ def _vehicle_routes(
                 if exit_arm in (entry_arm, -1):
                     continue
                 line = [*upstream, *path, *_follow(last, "next", middle, radius)]
-                points = _resample(np.array([position(w.transform.location) for w in line]))
+                points = resample(np.array([position(w.transform.location) for w in line]))
                 yield Route(points, mouth.lane_width, "vehicle", (entry_arm, exit_arm))
 
 
@@ -254,42 +236,8 @@ def _follow(start: Any, way: str, middle: np.ndarray, radius: float) -> list[Any
     return line
 
 
-def _crossings(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
-    """The middle line of each crosswalk, along its longer side and 3 m beyond (N, 2)."""
-    for walk in walks:
-        corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
-        sides = np.diff(corners[:3], axis=0)
-        along = sides[np.argmax(np.hypot(*sides.T))]
-        reach = along / 2 + 3.0 * along / np.linalg.norm(along)
-        middle = corners.mean(0)
-        yield _resample(np.array([middle - reach, middle + reach]))
-
-
 def _pavements(strips: list[Strip], middle: np.ndarray, radius: float) -> Iterator[np.ndarray]:
     """The middle lines of sidewalks (N, 2), joined where one goes on from another; 5 m or more."""
     walks = [s for s in strips if s.kind in SIDEWALK]
     near = [run for s in walks for run in s.runs(distance_from(s.center, middle) <= radius)]
-    lines = [s.center[:, :2] for s in near]
-    while lines:
-        line = lines.pop()
-        grown = True
-        while grown:
-            grown = False
-            for i, other in enumerate(lines):
-                for a in (line, line[::-1]):
-                    for b in (other, other[::-1]):
-                        if not grown and np.hypot(*(a[-1] - b[0])) < 1.5:
-                            line, grown = np.concatenate([a, b]), True
-                            del lines[i]
-                if grown:
-                    break
-        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
-            yield _resample(line)
-
-
-def _resample(line: np.ndarray) -> np.ndarray:
-    """Points evenly spaced in plan, about 1 m apart."""
-    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
-    even = np.linspace(0, arc[-1], max(2, round(arc[-1] / STEP) + 1))
-    return np.column_stack([np.interp(even, arc, column) for column in line.T])
+    return joined_lines([s.center[:, :2] for s in near])

@@ -24,20 +24,12 @@ from shapely.ops import unary_union
 
 from inspe_jax.errors import InspeError
 from inspe_jax.files import check_input
+from inspe_jax.scene.map_parts import CLEARANCE, STEP, distance_from
 
-TRAVEL = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bus", "taxi", "HOV"}
-TRAVEL |= {"mwyEntry", "mwyExit"}
-CARRIAGEWAY = TRAVEL | {"bidirectional", "parking", "biking", "stop", "restricted", "roadWorks"}
-SHOULDER = {"shoulder", "border", "curb"}
-SIDEWALK = {"sidewalk", "walking"}
 TRAFFIC_LIGHT = "1000001"
 
-STEP = 1.0
-"""Spacing of the stations sampled along lanes and routes [m]."""
 GRADE = 0.3
 """A lane that has climbed more steeply than this is on another level; Town03 has streets of 0.2."""
-CLEARANCE = 2.5
-"""Lanes that overlap in plan and differ in height by more than this are on two levels [m]."""
 INSET = 1e-3
 """CARLA answers at a lane's very end with the next lane; stay this much inside [m]."""
 
@@ -217,11 +209,6 @@ def _deduplicate(points: list[np.ndarray]) -> np.ndarray:
         if all(np.hypot(*(point - other)[:2]) >= 0.5 for other in kept):
             kept.append(point)
     return np.array(kept).reshape(-1, 3)
-
-
-def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Plan distance of points (N, 2 or 3) from the middle [m]."""
-    return np.hypot(*(points[:, :2] - middle[:2]).T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,77 +1,21 @@
-"""Where the roads of an OpenDRIVE map meet: legs, arms and the five regions."""
+"""Where the roads of an OpenDRIVE map meet: legs and the five regions."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import shapely
-from jaxtyping import Float
-from scipy.spatial import cKDTree
-from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.intersection import Arm, corner_islands, mouth_crosswalks
-from inspe_jax.scene.opendrive_map import (
-    CARRIAGEWAY,
-    INSET,
-    SHOULDER,
-    SIDEWALK,
-    TRAVEL,
-    Road,
-    Strip,
-    TownMap,
-    heading_of,
-    position,
-)
+from inspe_jax.scene.legs import CARRIAGEWAY, SHOULDER, SIDEWALK, Leg
+from inspe_jax.scene.map_parts import CLUSTER, clean, valid
+from inspe_jax.scene.opendrive_map import INSET, Road, Strip, TownMap, heading_of, position
 from inspe_jax.scene.regions import Region
 
 ISLAND = 3.0
 """A gap between a junction's lanes is paved unless a circle of this radius fits in it [m]."""
-CLUSTER = 35.0
-"""Around ``center``, junctions whose middle is this near count as one [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Leg:
-    """The end of a road at the junction, cut across; offsets run left, looking outward."""
-
-    road: int
-    end: str  # 'start' or 'end' of the road
-    origin: Float[np.ndarray, "2"]
-    outward: float  # heading away from the junction at the cut
-    bearing: float  # the same over the first 15 m, which a flare does not turn
-    lanes: tuple[tuple[int, str, float, float, bool], ...]  # id, type, from, to, inbound
-
-    def point(self, offset: float) -> np.ndarray:
-        """The point of the cut at an offset to the left (2,)."""
-        return self.origin + offset * np.array([-np.sin(self.outward), np.cos(self.outward)])
-
-    @property
-    def kerbs(self) -> tuple[float, float]:
-        """Offsets of the carriageway's right and left edge."""
-        lanes = [lane for lane in self.lanes if lane[1] in CARRIAGEWAY]
-        return min(lane[2] for lane in lanes), max(lane[3] for lane in lanes)
-
-    @property
-    def edges(self) -> tuple[float, float]:
-        """Offsets of the whole road's right and left edge."""
-        return min(lane[2] for lane in self.lanes), max(lane[3] for lane in self.lanes)
-
-    @property
-    def one_way(self) -> int:
-        """+1 if all lanes lead in, −1 if all lead out, 0 otherwise."""
-        ways = {lane[4] for lane in self.lanes if lane[1] in TRAVEL}
-        return {frozenset([True]): 1, frozenset([False]): -1}.get(frozenset(ways), 0)
-
-    def strip(self, kinds: set[str], side: int) -> tuple[float, float] | None:
-        """Inner and outer offset of the lanes of some kinds beyond the left (+1) or right kerb."""
-        kerb = self.kerbs[1] if side > 0 else self.kerbs[0]
-        beyond = [x for x in self.lanes if x[1] in kinds and side * ((x[2] + x[3]) / 2 - kerb) > 0]
-        if not beyond:
-            return None
-        low, high = min(x[2] for x in beyond), max(x[3] for x in beyond)
-        return (low, high) if side > 0 else (high, low)
 
 
 def interior_of(world: TownMap, members: set[int]) -> set[int]:
@@ -153,47 +97,6 @@ def _cut(world: TownMap, road: Road, s: float, away: int) -> Leg | None:
     return Leg(road.id, "", origin, heading, heading, tuple(cut))
 
 
-def arms_of(legs: list[Leg]) -> tuple[tuple[Arm, ...], dict[tuple[int, str], int]]:
-    """One arm a leg, or a pair of legs where a divided road leads in on one and out on the other.
-
-    Also says to which arm each (road, end) belongs. Arms go counter-clockwise by bearing.
-    """
-    groups = [[leg] for leg in legs]
-    for i, leg in enumerate(legs):
-        partners = [
-            other
-            for other in legs[i + 1 :]
-            if leg.one_way * other.one_way == -1
-            and np.cos(leg.bearing - other.bearing) > np.cos(np.radians(40))
-            and _gap(leg, other) <= 20.0
-        ]
-        free = [p for p in partners if [p] in groups and [leg] in groups]
-        if free:
-            partner = min(free, key=lambda other: _gap(leg, other))
-            groups.remove([leg])
-            groups[groups.index([partner])].append(leg)
-    made = sorted(((_arm(g), g) for g in groups), key=lambda x: x[0].bearing)
-    return (
-        tuple(arm for arm, _ in made),
-        {(leg.road, leg.end): i for i, (_, g) in enumerate(made) for leg in g},
-    )
-
-
-def _gap(a: Leg, b: Leg) -> float:
-    """Distance between the nearest kerbs of two cuts [m]."""
-    return min(float(np.hypot(*(a.point(s) - b.point(t)))) for s in a.kerbs for t in b.kerbs)
-
-
-def _arm(group: list[Leg]) -> Arm:
-    along = np.sum([[np.cos(g.bearing), np.sin(g.bearing)] for g in group], axis=0)
-    bearing = float(np.arctan2(along[1], along[0]))
-    axes = np.array([[np.cos(bearing), np.sin(bearing)], [-np.sin(bearing), np.cos(bearing)]])
-    kerbs = np.array([axes @ g.point(k) for g in group for k in g.kerbs])  # (2 or 4, 2)
-    low, high = kerbs[:, 1].min(), kerbs[:, 1].max()
-    x, y = np.array([kerbs[:, 0].mean(), (low + high) / 2]) @ axes
-    return Arm((float(x), float(y)), bearing, float(high - low))
-
-
 def areas_of(
     world: TownMap, strips: list[Strip], members: set[int], interior: set[int], notes: list[str]
 ) -> dict[Region, BaseGeometry]:
@@ -269,7 +172,7 @@ def _corners(legs: list[Leg], kinds: set[str]) -> Iterator[Polygon]:
         if a is None or b is None:
             continue
         inner, outer = (_bend(legs[i], s, legs[j], t) for s, t in zip(a, b, strict=True))
-        yield _valid(Polygon(np.concatenate([inner, outer[::-1]])))
+        yield valid(Polygon(np.concatenate([inner, outer[::-1]])))
 
 
 def _bend(a: Leg, s: float, b: Leg, t: float) -> np.ndarray:
@@ -285,56 +188,3 @@ def _bend(a: Leg, s: float, b: Leg, t: float) -> np.ndarray:
         return straight
     control = start + reach[0] * inward[0]
     return (1 - u) ** 2 * start + 2 * u * (1 - u) * control + u**2 * end
-
-
-def mounting_of(
-    regions: dict[Region, BaseGeometry], strips: list[Strip], arms: tuple[Arm, ...], disc: Polygon
-) -> BaseGeometry:
-    """Where a pole may stand: sidewalks, shoulders and medians, clear of traffic and crossings.
-
-    Islands at the corners stand in only where there is none of these beside the junction: next
-    to a sidewalk they add nothing, and on a deck they would hang in the air.
-    """
-    standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER]]
-    standing += [s.polygon for s in strips if s.kind == "median"]
-    if unary_union(standing).distance(regions[Region.JUNCTION]) > 5.0:
-        standing.append(corner_islands(arms))
-    traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
-    free = unary_union(standing).intersection(disc).difference(unary_union(traffic))
-    return clean(free)
-
-
-def crosswalks_of(
-    world: TownMap,
-    areas: dict[Region, BaseGeometry],
-    arms: tuple[Arm, ...],
-    ground: np.ndarray,
-    disc: Polygon,
-    notes: list[str],
-) -> list[BaseGeometry]:
-    """The map's crosswalks within the disc; strips across the mouths if it has none here."""
-    index = cKDTree(ground[:, :2])
-    walks = []
-    for loop in world.crosswalks:
-        middle = loop.mean(0)
-        level = ground[index.query(middle[:2])[1], 2]
-        if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
-            walks.append(_valid(Polygon(loop[:, :2])))
-    if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
-        return walks
-    if areas[Region.SIDEWALK].intersection(disc).is_empty:
-        notes.append("no crosswalks: the map has none here, and no sidewalks they could join")
-        return walks
-    notes.append("the map has no crosswalks here; strips across the junction's mouths stand in")
-    return walks + [mouth_crosswalks((arm,)) for arm in arms]
-
-
-def _valid(shape: BaseGeometry) -> BaseGeometry:
-    return shape if shape.is_valid else shape.buffer(0)
-
-
-def clean(shape: BaseGeometry) -> BaseGeometry:
-    """Close seams and drop slivers of a few centimetres and crumbs; corners stay square."""
-    for step in (0.05, -0.12, 0.07):
-        shape = shape.buffer(step, join_style="mitre")
-    return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])

@@ -29,16 +29,15 @@ from inspe_jax.scene.map_parts import (
 )
 from inspe_jax.scene.opendrive_map import (
     INSET,
-    Strip,
     TownMap,
     heading_of,
     load_map,
     position,
-    same_level,
     strips_near,
 )
 from inspe_jax.scene.opendrive_regions import areas_of, interior_of, legs_of
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.strips import Strip, same_level
 
 APRON = 25.0
 """Lanes are followed this much beyond what is kept, so that nothing at the rim is left open [m]."""

@@ -11,8 +11,9 @@ from shapely.ops import unary_union
 
 from inspe_jax.scene.legs import CARRIAGEWAY, SHOULDER, SIDEWALK, Leg
 from inspe_jax.scene.map_parts import CLUSTER, clean, valid
-from inspe_jax.scene.opendrive_map import INSET, Road, Strip, TownMap, heading_of, position
+from inspe_jax.scene.opendrive_map import INSET, Road, TownMap, heading_of, position
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.strips import Strip
 
 ISLAND = 3.0
 """A gap between a junction's lanes is paved unless a circle of this radius fits in it [m]."""

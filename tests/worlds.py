@@ -64,6 +64,15 @@ def crossing(
     )
 
 
+def still(frames: int, count: int) -> dict[str, Any]:
+    """What boxes that never move have beside their places; entry b is the same all along."""
+    return dict(
+        track=np.tile(np.arange(count), (frames, 1)),
+        velocity=np.zeros((frames, count, 3)),
+        time=np.arange(frames, dtype=float),
+    )
+
+
 def random_traffic(
     place: Intersection, frames: int, count: int, radius: float, seed: int
 ) -> TrafficFrames:
@@ -78,6 +87,7 @@ def random_traffic(
         size=size,
         valid=rng.uniform(size=(frames, count)) < 0.9,
         kind=np.zeros((frames, count), np.int8),
+        **still(frames, count),
     )
 
 
@@ -89,6 +99,7 @@ def no_traffic() -> TrafficFrames:
         size=np.ones((1, 0, 3)),
         valid=np.zeros((1, 0), bool),
         kind=np.zeros((1, 0), np.int8),
+        **still(1, 0),
     )
 
 
@@ -118,6 +129,7 @@ def with_boxes(scene: Scene, *boxes: tuple[float, float, float, float, float, fl
         size=b[None, :, 3:],
         valid=np.ones((1, len(b)), bool),
         kind=np.zeros((1, len(b)), np.int8),
+        **still(1, len(b)),
     )
     return replace(scene, traffic=traffic)
 

@@ -125,8 +125,8 @@ def known(source: str) -> str:
 
     if source not in BUILT_INS:
         raise InspeError(
-            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}), an OpenDRIVE .xodr map or "
-            f"a saved .npz{nearest(source, tuple(BUILT_INS))}"
+            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}), a map (.xodr, .net.xml, "
+            f".osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"
         )
     return source
 

@@ -36,13 +36,15 @@ if TYPE_CHECKING:
 def scene(
     source: Annotated[
         str,
-        typer.Argument(help="A built-in intersection, an OpenDRIVE .xodr map or a saved .npz."),
+        typer.Argument(
+            help="A built-in intersection, a map (.xodr, .net.xml, .osm) or a saved .npz."
+        ),
     ] = DEFAULT_SCENE,
     list_: Annotated[
         bool, typer.Option("--list", help="List the junctions of a map, or the built-ins.")
     ] = False,
     junction: Annotated[
-        int | None, typer.Option(help="Junction id on the map (see --list).")
+        str | None, typer.Option(help="Junction id on the map (see --list).")
     ] = None,
     center: Annotated[
         tuple[float, float] | None,
@@ -65,9 +67,20 @@ def scene(
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Frames of traffic; 100 if not given.")] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Time from one frame to the next [s]; 1 if not given.")
+    ] = None,
     mix: Annotated[
         str | None,
         typer.Option(help="mixed road users, or the paper's largest vehicle only: largest."),
+    ] = None,
+    traffic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="waypoints|sumo|LOG",
+            help="What moves it: the paper's waypoint model; SUMO, on maps; or a .log of CARLA's "
+            "recorder. waypoints if not given.",
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the traffic; 0 if not given.")] = None,
     save: Annotated[
@@ -82,14 +95,24 @@ def scene(
     - `inspe scene roundabout --plot roundabout.png`
     - `inspe scene MAP.xodr --list`
     - `inspe scene MAP.xodr --junction 189 --radius 50 --voxel 0.5 --density medium --out j189.npz`
+    - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
+    - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
     from inspe_jax.files import check_output
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scene_table
+    from inspe_jax.scene.carla_log import LOG_SUFFIXES
+    from inspe_jax.scene.maps import is_map, read_map
     from inspe_jax.scene.procedural import built_in
-    from inspe_jax.scene.scene import SCENE_SUFFIXES, build_scene, load_scene, save_scene
+    from inspe_jax.scene.scene import (
+        SCENE_SUFFIXES,
+        build_scene,
+        load_scene,
+        save_scene,
+        traffic_source,
+    )
 
     if list_:
         _list_places(source)
@@ -99,7 +122,14 @@ def scene(
     options: dict[str, Any] = {
         name: value
         for name, value in dict(
-            radius=radius, voxel=voxel, density=density, frames=frames, mix=mix, seed=seed
+            radius=radius,
+            voxel=voxel,
+            density=density,
+            frames=frames,
+            step=step,
+            mix=mix,
+            traffic=traffic,
+            seed=seed,
         ).items()
         if value is not None
     }
@@ -114,21 +144,28 @@ def scene(
             )
         built = load_scene(source)
     else:
-        if path.suffix.lower() == ".xodr":
-            from inspe_jax.scene.opendrive import read_opendrive
-
+        if traffic is not None and traffic.endswith(LOG_SUFFIXES):
+            own = [name for name in ("density", "mix", "seed") if name in options]
+            if own:
+                raise InspeError(
+                    f"--traffic {traffic}: a log has its own traffic; leave out "
+                    + ", ".join(f"--{name}" for name in own)
+                )
+        elif traffic is not None:
+            traffic_source(traffic)
+        if is_map(path):
             if (junction is None) == (center is None):
                 raise InspeError(
                     f"{source}: say which place: --junction ID, or --center X Y; "
                     "--list shows the junctions"
                 )
             with busy(f"reading {path.name}"):
-                place = read_opendrive(
+                place = read_map(
                     path, junction=junction, center=center, radius=options.get("radius", 50.0)
                 )
         else:
             if junction is not None or center is not None:
-                raise InspeError(f"{source}: --junction and --center are for .xodr maps")
+                raise InspeError(f"{source}: --junction and --center are for maps")
             place = built_in(known(source))
         with progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
@@ -250,9 +287,10 @@ def devices() -> None:
 
 def _warn_of_full_roads(built: "Scene") -> None:
     """Say so where the roads could not hold the traffic that was asked for."""
-    from inspe_jax.scene.scene import density_count
+    from inspe_jax.scene.scene import AS_RECORDED, density_count
 
-    asked = density_count(dict(built.settings).get("density", "none"))
+    density = dict(built.settings).get("density", "none")
+    asked = 0 if density == AS_RECORDED else density_count(density)
     held = built.traffic.mean_count
     if held < 0.9 * asked:
         err.print(
@@ -263,10 +301,9 @@ def _warn_of_full_roads(built: "Scene") -> None:
 
 def _list_places(source: str) -> None:
     from inspe_jax.report.tables import built_ins_table, junctions_table
+    from inspe_jax.scene.maps import is_map, list_junctions
 
-    if Path(source).suffix.lower() == ".xodr":
-        from inspe_jax.scene.opendrive import list_junctions
-
+    if is_map(source):
         with busy(f"reading {source}"):
             found = list_junctions(source)
         out.print(junctions_table(found, Path(source).name))

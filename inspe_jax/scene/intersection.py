@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -66,7 +67,8 @@ class Intersection:
     its label by :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is
     where a pole may be put (sidewalk, shoulder, islands); ``poles`` (P, 3) are
     feet of those that stand already, as signal poles; ``ground_points`` (G, 3)
-    carry the height of the ground; ``notes`` say what was assumed.
+    carry the height of the ground; ``notes`` say what was assumed. ``map`` is the file that it was
+    read from, for as long as it is not saved: SUMO's traffic runs on that.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Intersection:
     poles: Float[np.ndarray, "P 3"]
     ground_points: Float[np.ndarray, "G 3"]
     notes: tuple[str, ...] = field(default=())
+    map: Path | None = None
 
     @cached_property
     def _ground_index(self) -> cKDTree:

@@ -140,7 +140,8 @@ def mounting_of(
     to a sidewalk they add nothing, and on a deck they would hang in the air.
     """
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
-    if unary_union(standing).distance(regions[Region.JUNCTION]) > 5.0:
+    beside = unary_union(standing).distance(regions[Region.JUNCTION])
+    if not beside <= 5.0:  # not a number where there is none at all
         standing.append(corner_islands(arms))
     traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
     free = unary_union(standing).intersection(disc).difference(unary_union(traffic))

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,7 @@ def read_opendrive(
         poles=signals,
         ground_points=ground,
         notes=tuple(notes),
+        map=Path(path).resolve(),
     )
 
     # Signals hang on poles or are sunk in the map; their feet, the centre and people stand on

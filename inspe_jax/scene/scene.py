@@ -6,7 +6,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import jax
@@ -15,14 +15,20 @@ import shapely
 
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import check_input, check_output, whole_file
+from inspe_jax.scene.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.intersection import Arm, Intersection, Route
+from inspe_jax.scene.maps import is_map
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.traffic import DENSITIES, TrafficFrames, waypoint_traffic
+from inspe_jax.scene.traffic import DENSITIES, TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
+from inspe_jax.scene.waypoint_traffic import waypoint_traffic
 
-FORMAT = "inspe_jax scene 1"
+FORMAT = "inspe_jax scene 2"
 SCENE_SUFFIXES = (".npz",)
+TRAFFIC = ("waypoints", "sumo")
+"""Where traffic can come from, beside the logs of CARLA's recorder."""
+AS_RECORDED = "as recorded"
 # What reading a file that is something else can raise; a scene raises none of them.
 _NOT_A_SCENE = (
     AttributeError,
@@ -38,12 +44,16 @@ _NOT_A_SCENE = (
 )
 
 
+class _Earlier(Exception):
+    """A scene saved in a form that is no longer read."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What the sensors look at. Frozen; arrays in world metres and radians; equal only to itself.
 
-    ``settings`` say how it was made (radius, voxel, density, frames, seed).
+    ``settings`` say how it was made (radius, voxel, density, frames, step, mix, traffic, seed).
     """
 
     voxels: VoxelGrid
@@ -64,37 +74,56 @@ def build_scene(
     voxel: float = 0.5,
     density: str | int = "medium",
     frames: int = 100,
+    step: float = 1.0,
     mix: str = "mixed",
+    traffic: str | os.PathLike[str] = "waypoints",
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
-    """Voxelise an intersection and fill it with waypoint traffic.
+    """Voxelise an intersection and fill it with traffic.
 
     ``radius`` and ``voxel`` in metres; ``density`` is ``none``, ``low``,
     ``medium``, ``high`` or a mean number of objects; ``mix`` as in
-    :func:`~inspe_jax.scene.traffic.waypoint_traffic`; ``progress`` is called with
-    (frames done, frames). Raises InspeError on a value out of range.
+    :func:`~inspe_jax.scene.waypoint_traffic.waypoint_traffic`; frames are ``step`` seconds apart.
+    ``traffic`` is where it comes from: ``waypoints``, the paper's model; ``sumo``, for an
+    intersection read from a map; or a log of CARLA's recorder (.log), which has its own density
+    and mix. ``progress`` is called with (steps done, steps). Raises InspeError on a value out of
+    range, and as the source of the traffic does.
     """
-    count = density_count(density)
     voxels = build_voxels(intersection, radius=radius, voxel=voxel)
-    traffic = waypoint_traffic(
-        intersection,
-        radius=radius,
-        count=count,
-        frames=frames,
-        mix=mix,
-        seed=seed,
-        progress=progress,
+    settings = dict(radius=f"{radius:g}", voxel=f"{voxel:g}")
+    if str(traffic).endswith(LOG_SUFFIXES):
+        found = log_traffic(intersection, Path(traffic), radius=radius, frames=frames, step=step)
+        settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
+        settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
+    else:
+        found = traffic_source(str(traffic))(
+            intersection,
+            radius=radius,
+            count=density_count(density),
+            frames=frames,
+            mix=mix,
+            step=step,
+            seed=seed,
+            progress=progress,
+        )
+        settings |= dict(density=str(density), frames=str(frames), step=f"{step:g}")
+        settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
+    return Scene(voxels, found, intersection, tuple(settings.items()))
+
+
+def traffic_source(name: str) -> Callable[..., TrafficFrames]:
+    """What makes traffic, by its name in :data:`TRAFFIC`. Raises InspeError for another."""
+    if name == "waypoints":
+        return waypoint_traffic
+    if name == "sumo":
+        from inspe_jax.scene.sumo_traffic import sumo_traffic
+
+        return sumo_traffic
+    raise InspeError(
+        f"traffic '{name}': {', '.join(TRAFFIC)}, or a log of CARLA's recorder (.log)"
+        + nearest(name, TRAFFIC)
     )
-    settings = dict(
-        radius=f"{radius:g}",
-        voxel=f"{voxel:g}",
-        density=str(density),
-        frames=str(frames),
-        mix=mix,
-        seed=str(seed),
-    )
-    return Scene(voxels, traffic, intersection, tuple(settings.items()))
 
 
 def load_scene(source: str | os.PathLike[str]) -> Scene:
@@ -106,7 +135,7 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
     if str(source) in BUILT_INS:
         return build_scene(built_in(str(source)))
     path = Path(source)
-    if path.suffix == ".xodr":
+    if is_map(path):
         raise InspeError(
             f"{path}: a map is not a scene yet; build one: inspe scene {path} --junction ID "
             "--out scene.npz (--list shows the junctions)"
@@ -121,6 +150,10 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
         try:
             with np.load(f, allow_pickle=False) as data:
                 return _unpack({k: data[k] for k in data.files})
+        except _Earlier:
+            raise InspeError(
+                f"{path}: saved by another version of this package; build it again: inspe scene"
+            ) from None
         except _NOT_A_SCENE as e:
             raise InspeError(f"{path}: not a scene saved by this package") from e
 
@@ -151,7 +184,7 @@ def density_count(density: str | int) -> int:
 
 
 _GRID = ("columns", "ground", "region", "center")
-_TRAFFIC = ("center", "yaw", "size", "valid", "kind")
+_TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 
 def _pack(scene: Scene) -> dict[str, np.ndarray]:
@@ -186,6 +219,8 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
 def _unpack(data: dict[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
+        if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
+            raise _Earlier
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
     shapes = [
         shapely.from_wkb(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)

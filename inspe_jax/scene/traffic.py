@@ -1,16 +1,15 @@
-"""Traffic as frames of oriented prisms, and the paper's waypoint model that makes them."""
+"""Traffic as frames of oriented prisms, whatever made them: classes, mixes and densities."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.errors import InspeError, nearest
-from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.waypoint_model import RoadUser, WaypointModel
-from inspe_jax.scene.waypoint_paths import USERS, Paths, lay_paths
+from inspe_jax.scene.waypoint_model import RoadUser
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
@@ -48,12 +47,6 @@ MIXES: dict[str, Mix] = {
 }
 """Traffic mixes by name; ``largest`` is the paper's, every box the largest vehicle."""
 
-WARM_UP = 40.0
-"""Time [s] that the model runs before the first frame."""
-
-STEP = 0.2
-"""Longest step of the model [s]."""
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -62,7 +55,9 @@ class TrafficFrames:
 
     ``center`` is at mid-height; ``yaw`` in radians; ``size`` is length, width,
     height; ``kind`` indexes :data:`CLASSES`. Entries with ``valid`` false are
-    padding. A row b is not one vehicle's track.
+    padding. Entry b of one frame need not be entry b of the next: who is the
+    same has the same number in ``track``, −1 in padding. ``velocity`` in m/s;
+    ``time`` of each frame in seconds, from the first.
     """
 
     center: Float[np.ndarray, "T B 3"]
@@ -70,6 +65,9 @@ class TrafficFrames:
     size: Float[np.ndarray, "T B 3"]
     valid: Bool[np.ndarray, "T B"]
     kind: Int[np.ndarray, "T B"]
+    track: Int[np.ndarray, "T B"]
+    velocity: Float[np.ndarray, "T B 3"]
+    time: Float[np.ndarray, " T"]
 
     @property
     def frame_count(self) -> int:
@@ -82,32 +80,61 @@ class TrafficFrames:
         return float(self.valid.sum(1).mean()) if self.frame_count else 0.0
 
 
-def waypoint_traffic(
-    intersection: Intersection,
-    *,
-    radius: float,
-    count: int,
-    frames: int,
-    mix: str = "mixed",
-    step: float = 1.0,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-) -> TrafficFrames:
-    """Traffic on the waypoints of an intersection's routes (paper, section 4).
+class Snapshot(NamedTuple):
+    """One frame of n road users, in the words of :class:`TrafficFrames`."""
 
-    About ``count`` objects at a time whose centre lies within ``radius`` [m] of
-    the centre, or as many as the roads hold, in ``frames`` frames ``step``
-    seconds apart. ``mix`` is a key of :data:`MIXES`. Beyond the paper they
-    behave: they keep their distance, slow for bends, give way where paths
-    cross, first come first served, and never overlap; cyclists keep to the
-    right of the lane, pedestrians walk their own routes. Who leaves is replaced
-    at an entry as soon as there is room. Yaw is the direction of travel; boxes
-    stand on the route's own height. ``progress`` is told (frames done, frames).
+    center: Float[np.ndarray, "n 3"]
+    yaw: Float[np.ndarray, " n"]
+    size: Float[np.ndarray, "n 3"]
+    kind: Int[np.ndarray, " n"]
+    track: Int[np.ndarray, " n"]
+    velocity: Float[np.ndarray, "n 3"]
 
-    The same seed gives the same traffic; turning the intersection turns it.
-    Raises InspeError for a value out of range, an unknown mix, or where no
-    route lies within the radius.
+    def within(self, middle: Float[np.ndarray, "3"], radius: float) -> "Snapshot":
+        """Those whose centre lies within ``radius`` [m] of the middle, in plan."""
+        away = self.center[:, :2] - np.asarray(middle)[:2]
+        near = away[:, 0] ** 2 + away[:, 1] ** 2 <= radius**2
+        return Snapshot(*(part[near] for part in self))
+
+
+def pack_frames(seen: Sequence[Snapshot], step: float) -> TrafficFrames:
+    """Frames of unequal number ``step`` seconds apart, padded at the end to the fullest."""
+    shape = (len(seen), max(len(frame.kind) for frame in seen))
+    padding: dict[str, np.ndarray] = {
+        "center": np.zeros((*shape, 3)),
+        "yaw": np.zeros(shape),
+        "size": np.ones((*shape, 3)),
+        "kind": np.zeros(shape, np.int8),
+        "track": np.full(shape, -1, np.int32),
+        "velocity": np.zeros((*shape, 3)),
+    }
+    valid = np.zeros(shape, bool)
+    for t, frame in enumerate(seen):
+        valid[t, : len(frame.kind)] = True
+        for name, part in zip(Snapshot._fields, frame, strict=True):
+            padding[name][t, : len(part)] = part
+    return TrafficFrames(**padding, valid=valid, time=np.arange(len(seen)) * step)
+
+
+def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
+    """How many of ``count`` are of each class, by largest remainder, among those that ``may`` be.
+
+    All 0 where none of the mix may.
     """
+    share = np.where(may, mix.shares, 0.0)
+    if not share.any():
+        return np.zeros(len(CLASSES), int)
+    exact = count * share / share.sum()
+    each = np.floor(exact).astype(int)
+    most = np.argsort(each - exact, kind="stable")
+    each[most[: count - each.sum()]] += 1
+    return each
+
+
+def check_traffic(
+    *, radius: float, count: int, frames: int, mix: str, step: float, seed: int
+) -> None:
+    """Raise InspeError where a value is out of range, or the mix is unknown."""
     if mix not in MIXES:
         raise InspeError(f"traffic mix '{mix}': one of {', '.join(MIXES)}{nearest(mix, [*MIXES])}")
     for name, value, least in (("count", count, 0), ("frames", frames, 1), ("seed", seed, 0)):
@@ -118,68 +145,3 @@ def waypoint_traffic(
     for name, size in (("radius", radius), ("step", step)):
         if not (np.isfinite(size) and size > 0):
             raise InspeError(f"traffic {name} {size} is out of range: above 0")
-    paths = lay_paths(intersection, radius)
-    kind = _quota(paths, MIXES[mix], count)
-    if len(kind) < count:
-        raise InspeError(
-            f"{intersection.name}: no route within {radius:g} m of the centre for mix '{mix}'"
-        )
-    rng = np.random.default_rng(seed)
-    model = WaypointModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix].spread, rng)
-    model.fill()
-    _advance(model, WARM_UP)
-    seen = []
-    for frame in range(frames):
-        if frame:
-            _advance(model, step)
-        seen.append(_snapshot(model, intersection.center, radius))
-        if progress is not None:
-            progress(frame + 1, frames)
-    return _pack(seen)
-
-
-def _quota(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    """Classes of ``count`` users by largest remainder, among those that have a path.
-
-    Cyclists ride where people walk too: not on motorways.
-    """
-    has_path = [bool((paths.user == USERS.index(u.path)).any()) for u in ROAD_USERS]
-    has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
-    share = np.where(has_path, mix.shares, 0.0)
-    if not share.any():
-        return np.zeros(0, np.int8)
-    exact = count * share / share.sum()
-    each = np.floor(exact).astype(int)
-    most = np.argsort(each - exact, kind="stable")
-    each[most[: count - each.sum()]] += 1
-    return np.repeat(np.arange(len(CLASSES), dtype=np.int8), each)
-
-
-def _advance(model: WaypointModel, time: float) -> None:
-    steps = int(np.ceil(time / STEP - 1e-9))
-    for _ in range(steps):
-        model.step(time / steps)
-
-
-def _snapshot(
-    model: WaypointModel, center: Float[np.ndarray, "3"], radius: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Centres, yaws, sizes and kinds of those on the road within the radius."""
-    away = model.point[:, :2] - np.asarray(center)[:2]
-    on = np.flatnonzero(model.active & (away[:, 0] ** 2 + away[:, 1] ** 2 <= radius**2))
-    middle = model.point[on].copy()
-    middle[:, 2] += model.size[on, 2] / 2
-    yaw = np.arctan2(model.heading[on, 1], model.heading[on, 0])
-    return middle, yaw, model.size[on].copy(), model.kind[on]
-
-
-def _pack(seen: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> TrafficFrames:
-    """Frames of unequal number, padded at the end to the fullest."""
-    shape = (len(seen), max(len(kind) for *_, kind in seen))
-    center, yaw, size = np.zeros((*shape, 3)), np.zeros(shape), np.ones((*shape, 3))
-    valid, kind = np.zeros(shape, bool), np.zeros(shape, np.int8)
-    for t, (middle, angle, extent, index) in enumerate(seen):
-        many = len(index)
-        center[t, :many], yaw[t, :many], size[t, :many] = middle, angle, extent
-        valid[t, :many], kind[t, :many] = True, index
-    return TrafficFrames(center=center, yaw=yaw, size=size, valid=valid, kind=kind)

@@ -4,7 +4,7 @@ The file; paths are relative to it, and every setting is one value or a list of 
 
     scenes:
       - built_in: four_way
-      - map: Town05.xodr             # OpenDRIVE
+      - map: Town05.xodr             # OpenDRIVE; or SUMO's .net.xml, or .osm
         junction: 53                 # or center: [x, y]
         radius: 60                   # settings of a scene's own stand before the study's
         tags: {kind: four-way}       # go into columns of the results; a note does not
@@ -17,7 +17,8 @@ The file; paths are relative to it, and every setting is one value or a list of 
     devices:                         # of your own, in the keys of the catalogue
       far: {like: paper-camera, depth_m: 60}
     settings:
-      density: [low, medium, high]   # of scenes: radius, voxel, density, frames, mix, seed
+      density: [low, medium, high]   # of scenes: radius, voxel, density, frames, step, mix,
+                                     #   traffic (waypoints or sumo), seed
       light: [midday, night]         # of the sensors: light, weather
       weather: [clear, "rain:10"]    # of the scores: weights, occlusion_reference, visibility
       method: [none, greedy-adam]    # score as it is, or search first: method, seconds,
@@ -45,7 +46,7 @@ from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
 from inspe_jax.placement.strategies import choose
 from inspe_jax.scene.procedural import BUILT_INS
-from inspe_jax.scene.scene import build_scene, density_count, load_scene
+from inspe_jax.scene.scene import TRAFFIC, build_scene, density_count, load_scene
 from inspe_jax.scene.traffic import MIXES
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.devices import spec_of
@@ -56,7 +57,7 @@ T = TypeVar("T")
 
 AS_IT_IS = "none"
 """The method that only scores."""
-BUILD = ("radius", "voxel", "density", "frames", "mix", "seed")
+BUILD = ("radius", "voxel", "density", "frames", "step", "mix", "traffic", "seed")
 """Settings that a scene is built with."""
 CONDITIONS = ("light", "weather")
 SCORE = ("weights", "occlusion_reference", "visibility")
@@ -74,7 +75,7 @@ class SceneSource:
     name: str
     built_in: str | None = None
     map: str | None = None
-    junction: int | None = None
+    junction: str | int | None = None
     center: tuple[float, float] | None = None
     file: str | None = None
     content: str = ""
@@ -170,7 +171,9 @@ class _Build(_Strict):
     voxel: _Several[_Length] = []
     density: _Several[str | int] = []
     frames: _Several[_Frames] = []
+    step: _Several[_Length] = []
     mix: _Several[str] = []
+    traffic: _Several[str] = []
     seed: _Several[_Count] = []
 
 
@@ -190,7 +193,7 @@ class _SceneEntry(_Build):
     name: _Line | None = None
     built_in: str | None = None
     map: _Text | None = None
-    junction: int | None = None
+    junction: str | int | None = None
     center: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     file: _Text | None = None
     tags: dict[_Line, _Line] = {}
@@ -336,6 +339,7 @@ def _check_settings(given: Mapping[str, Any], where: str) -> None:
 
     check("density", density_count)
     check("mix", one_of(MIXES))
+    check("traffic", one_of(TRAFFIC))
     check("light", Conditions.of)
     check("weather", lambda value: Conditions.of("midday", value))
     check("weights", lambda value: check_options(tuple(value), "roi", "in_view"))

@@ -56,10 +56,10 @@ def build(job: Job) -> Scene | str:
             return f"{path}: is no longer what it was when the study began"
         if source.file is not None:
             return load_scene(path)
-        from inspe_jax.scene.opendrive import read_opendrive
+        from inspe_jax.scene.maps import read_map
 
         at: dict[str, Any] = dict(junction=source.junction, center=source.center)
-        return build_scene(read_opendrive(path, **at, radius=settings["radius"]), **settings)
+        return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
     except Exception as e:
         return _told(e)
 

@@ -18,8 +18,6 @@ from inspe_jax.scene.traffic import (
     MIXES,
     ROAD_USERS,
     TrafficFrames,
-    _quota,
-    waypoint_traffic,
 )
 from inspe_jax.scene.waypoint_model import (
     WEDGED,
@@ -29,6 +27,7 @@ from inspe_jax.scene.waypoint_model import (
     _truncated_normal,
 )
 from inspe_jax.scene.waypoint_paths import SPACING, lay_paths
+from inspe_jax.scene.waypoint_traffic import _kinds, waypoint_traffic
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 LANE = 3.5
@@ -102,7 +101,7 @@ def model_of(
     place: Intersection, count: int, *, radius: float = 50.0, seed: int = 0
 ) -> WaypointModel:
     paths = lay_paths(place, radius)
-    kind = _quota(paths, MIXES["mixed"], count)
+    kind = _kinds(paths, MIXES["mixed"], count)
     return WaypointModel(paths, ROAD_USERS, kind, 0.06, np.random.default_rng(seed))
 
 
@@ -186,10 +185,10 @@ def test_sizes_by_class() -> None:
 def test_shares() -> None:
     paths = lay_paths(crossing(), 50)
     # 0.68 · 20 = 13.6, 2, 2, 2.4: the one left over goes to the largest remainder.
-    assert np.bincount(_quota(paths, MIXES["mixed"], 20)).tolist() == [14, 2, 2, 2]
+    assert np.bincount(_kinds(paths, MIXES["mixed"], 20)).tolist() == [14, 2, 2, 2]
     roads = lay_paths(crossing(walks=False), 50)
     # Nobody cycles where nobody walks: 68 : 10 of 88 is 76.7 : 11.3.
-    assert np.bincount(_quota(roads, MIXES["mixed"], 88)).tolist() == [77, 11]
+    assert np.bincount(_kinds(roads, MIXES["mixed"], 88)).tolist() == [77, 11]
 
 
 def test_tables_agree() -> None:

@@ -1,0 +1,161 @@
+"""Ways through a region of interest on a SUMO network: driven, ridden and walked."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from inspe_jax.scene.map_parts import distance_from
+from inspe_jax.scene.sumo_streets import Streets
+from inspe_jax.scene.traffic import CLASSES
+
+APPROACH = 60.0
+"""Vehicles come in this much beyond the radius [m], or where their road begins."""
+FOOT_APPROACH = 15.0
+"""… and people on foot."""
+V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestrian": "pedestrian"}
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way through: its edges, where on the first it begins and on the last it ends [m], and its
+    share of the arrivals."""
+
+    edges: tuple[str, ...]
+    begin: float
+    end: float
+    weight: float
+
+
+def ways_through(streets: Streets, center: np.ndarray, radius: float) -> dict[str, list[Way]]:
+    """The ways of each class through the region of interest."""
+    return {
+        kind: _walks(streets, center, radius)
+        if kind == "pedestrian"
+        else _drives(streets, V_CLASS[kind], center, radius)
+        for kind in CLASSES
+    }
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """An edge near the region: its middle line (N, 2), the arc [m] at each point of it, how far
+    each is from the centre [m], and its lanes that a class may use."""
+
+    name: str
+    line: Float[np.ndarray, "N 2"]
+    arc: Float[np.ndarray, " N"]
+    away: Float[np.ndarray, " N"]
+    lanes: int
+    edge: Any
+
+
+def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> list[_Edge]:
+    """The edges that come within reach and that a class may use, in the network's order."""
+    found = []
+    for edge in streets.road.net.getEdges(withInternal=False):
+        lanes = [lane for lane in edge.getLanes() if lane.allows(v_class)]
+        if v_class == "pedestrian":  # beside the road, not on it
+            lanes = [lane for lane in lanes if not lane.allows("passenger")]
+        strips = [streets.strips[n.getID()] for n in lanes if n.getID() in streets.strips]
+        if not strips:
+            continue
+        line = strips[0].center[:, :2]
+        away = distance_from(line, center)
+        if away.min() > reach:
+            continue
+        steps = np.hypot(*np.diff(line, axis=0).T)
+        arc = np.concatenate([[0.0], np.cumsum(steps)]) * edge.getLength() / steps.sum()
+        found.append(_Edge(edge.getID(), line, arc, away, len(lanes), edge))
+    return found
+
+
+def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[Way]:
+    """The shortest ways from every road that leads in from outside to every one that leads out.
+
+    Of those that pass the region of interest; back to where one came from only if there is no other
+    way. From each road straight on is likelier, up to three to one.
+    """
+    edges = _edges(streets, v_class, center, radius + APPROACH)
+    index = {e.name: k for k, e in enumerate(edges)}
+    links = [
+        (k, index[after.getID()])
+        for k, e in enumerate(edges)
+        for after in e.edge.getAllowedOutgoing(v_class)
+        if after.getID() in index
+    ]
+    if not links:
+        return []
+    one, two = np.array(links).T
+    length = np.array([e.edge.getLength() for e in edges])
+    graph = csr_array((length[two] + 1e-3, (one, two)), shape=(len(edges),) * 2)
+    back = {(a, b) for a, b in links if _returns(edges[a], edges[b])}
+    forward = [(a, b) for a, b in links if (a, b) not in back]
+    sources = sorted({*range(len(edges))} - {b for _, b in forward})
+    sinks = sorted({*range(len(edges))} - {a for a, _ in forward})
+    outside = [k for k, e in enumerate(edges) if e.away.max() > radius]
+    sources = [k for k in sources if edges[k].away[0] > radius] or outside
+    sinks = [k for k in sinks if edges[k].away[-1] > radius] or outside
+    away, before = dijkstra(graph, indices=sources, return_predecessors=True)
+    ways = []
+    for row, source in enumerate(sources):
+        reached = [s for s in sinks if s != source and np.isfinite(away[row, s])]
+        paths = [(s, _path(before[row], s)) for s in reached]
+        found = [(s, p) for s, p in paths if min(edges[k].away.min() for k in p) <= radius]
+        onward = [(s, p) for s, p in found if not _returns(edges[source], edges[s])] or found
+        if not onward:
+            continue
+        begin = edges[source].arc[np.argmax(edges[source].away <= radius + APPROACH)]
+        straight = [1 + 2 * max(_alike(edges[source], edges[s]), 0.0) for s, _ in onward]
+        for (sink, path), weight in zip(onward, straight, strict=True):
+            near = np.flatnonzero(edges[sink].away <= radius + APPROACH)
+            end = edges[sink].arc[near[-1]]
+            share = edges[source].lanes * weight / sum(straight)
+            ways.append(Way(tuple(edges[k].name for k in path), float(begin), float(end), share))
+    return ways
+
+
+def _returns(one: _Edge, two: _Edge) -> bool:
+    """Whether an edge leads back along another."""
+    return bool(
+        one.edge.getFromNode() is two.edge.getToNode()
+        and one.edge.getToNode() is two.edge.getFromNode()
+    ) or bool(
+        np.hypot(*(one.line[0] - two.line[-1])) < 20.0
+        and _alike(one, two) < -0.9
+        and one.edge.getFromNode() is two.edge.getToNode()
+    )
+
+
+def _alike(one: _Edge, two: _Edge) -> float:
+    """Cosine between the headings with which one is entered and the other left."""
+    a, b = one.line[1] - one.line[0], two.line[-1] - two.line[-2]
+    return float(a @ b / np.hypot(*a) / np.hypot(*b))
+
+
+def _path(before: np.ndarray, sink: int) -> list[int]:
+    """The edges from a source to a sink."""
+    path = [sink]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    return path[::-1]
+
+
+def _walks(streets: Streets, center: np.ndarray, radius: float) -> list[Way]:
+    """Walks from the rim of the region to the rim elsewhere; SUMO finds the way between."""
+    edges = _edges(streets, "pedestrian", center, radius + FOOT_APPROACH)
+    ends = []  # (edge, arc, point) where a sidewalk leaves the region
+    for e in edges:
+        rim = np.flatnonzero((e.away[:-1] <= radius) != (e.away[1:] <= radius))
+        ends += [(e.name, float(e.arc[k]), e.line[k]) for k in rim]
+    if len(ends) < 2:
+        ends = [(e.name, float(e.arc[len(e.arc) // 2]), e.line[len(e.line) // 2]) for e in edges]
+    return [
+        Way((a, b), begin, end, 1.0)
+        for a, begin, here in ends
+        for b, end, there in ends
+        if a != b and np.hypot(*(here - there)) > 0.5 * radius
+    ]

@@ -31,6 +31,13 @@ CAMERA = CameraSpec(
 )
 
 
+def rilsa() -> Path:
+    """A signalled four-way with crossings that comes with SUMO; skips where SUMO is absent."""
+    sumo = pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
+    home = Path(sumo.SUMO_HOME)
+    return home / "tools" / "sumolib" / "scenario" / "scenarios" / "RiLSA1" / "rilsa1.net.xml"
+
+
 def slow_but(names: Iterable[str], *quick: str) -> list[Any]:
     """Parameters, marked as slow but for a few: with the oldest dependencies those will do."""
     return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]

@@ -45,7 +45,8 @@ def _roads(edges: Iterable[Any]) -> list[Any]:
 def _arm_count(node: Any) -> int:
     """How many other nodes the roads of a node lead to or come from."""
     beyond = {e.getToNode().getID() for e in _roads(node.getOutgoing())}
-    return len(beyond | {e.getFromNode().getID() for e in _roads(node.getIncoming())})
+    beyond |= {e.getFromNode().getID() for e in _roads(node.getIncoming())}
+    return len(beyond - {node.getID()})
 
 
 def _is_junction(node: Any) -> bool:

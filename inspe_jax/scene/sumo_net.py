@@ -42,6 +42,7 @@ _HOW = {
         "--osm-files",
         *("--geometry.remove", "true", "--junctions.join", "true", "--ramps.guess", "true"),
         *("--tls.guess-signals", "true", "--tls.discard-simple", "true", "--tls.join", "true"),
+        *("--osm.sidewalks", "true"),
         *("--sidewalks.guess", "true", "--crossings.guess", "true"),
         *("--no-turnarounds.except-deadend", "true"),
     ),
@@ -97,7 +98,7 @@ def _read(path: Path, where: Path, _modified: int, _size: int) -> RoadNet:
             str(file), withInternal=True, withPedestrianConnections=True, lxml=False
         )
     except (SAXException, KeyError, ValueError, AttributeError, TypeError) as error:
-        raise InspeError(f"{path}: not a SUMO network: {error}") from error
+        raise InspeError(f"{path}: not a SUMO network: it lacks or misstates {error}") from error
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
     moved = np.array(net.getLocationOffset(), float)

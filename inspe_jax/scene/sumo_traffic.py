@@ -43,6 +43,8 @@ SWIFTEST = 0.5
 """Most arrivals a second for each lane that leads in."""
 STEP = 0.2
 """Longest step of SUMO [s]."""
+LANE_CHANGE = 2.5
+"""How long a change of lanes takes [s]."""
 
 
 @dataclass
@@ -87,19 +89,19 @@ def sumo_traffic(
     """Traffic that SUMO simulates on the map an intersection was read from.
 
     About ``count`` objects at a time whose centre lies within ``radius`` [m] of the centre, or as
-    many as the roads let in, in ``frames`` frames ``step`` seconds apart, whole milliseconds.
+    many as the roads let in, in ``frames`` frames ``step`` seconds apart.
     ``mix`` is a key of :data:`~inspe_jax.scene.traffic.MIXES`; people walk where the network has
-    sidewalks, and cross where it has crossings. Yaw is the heading of the body; boxes stand on the
-    intersection's ground, and who is on another level is left out. ``progress`` is told (runs
-    done, most runs): SUMO runs until the number is about right.
+    sidewalks, and cross where it has crossings. Cyclists ride in the middle of the lane. Bodies
+    overlap where SUMO lets them, as where long ones turn: a pair or less in most frames. Boxes
+    stand on the intersection's ground; who is on another level is left out. ``progress`` is told
+    (runs done, most runs): SUMO runs until the number is about right.
 
     The same seed gives the same traffic, with the same version of SUMO. Raises InspeError for a
     value out of range, an unknown mix, an intersection that was not read from a map, where SUMO is
     missing, or where no road leads through the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
-    if abs(step * 1000 - round(step * 1000)) > 1e-6:
-        raise InspeError(f"traffic step {step} s: SUMO's time is in whole milliseconds")
+    small = _small_step(step)
     if intersection.map is None:
         raise InspeError(
             f"{intersection.name}: SUMO runs on a map (.net.xml, .osm or .xodr); "
@@ -114,12 +116,23 @@ def sumo_traffic(
         )
     arrivals = _arrivals(ways, wanted, MIXES[mix], seed)
     with tempfile.TemporaryDirectory() as folder:
-        world = _World(Path(folder), streets, intersection, radius, seed, step)
-        rates = _rates(world, arrivals, wanted, frames, progress)
+        world = _World(Path(folder), streets, intersection, radius, seed, small)
+        rates = _rates(world, arrivals, wanted, frames * step, progress)
         seen = world.simulate(arrivals, rates, frames, step)
     if progress is not None:
         progress(TRIES + 1, TRIES + 1)
     return pack_frames(seen, step)
+
+
+def _small_step(step: float) -> float:
+    """The longest step [s] of SUMO, in its whole milliseconds, that goes into a step of frames."""
+    time = round(step * 1000)
+    parts = [n for n in range(1, time + 1) if time % n == 0 and 20 <= time / n <= 1000 * STEP]
+    if abs(step * 1000 - time) > 1e-6 or not parts:
+        raise InspeError(
+            f"traffic step {step:g} s: SUMO needs whole milliseconds, in even parts of 20 to 200"
+        )
+    return time / parts[0] / 1000
 
 
 def _arrivals(
@@ -138,10 +151,11 @@ def _rates(
     world: "_World",
     arrivals: list[Arrivals],
     wanted: Int[np.ndarray, " K"],
-    frames: int,
+    time: float,
     progress: Callable[[int, int], None] | None,
 ) -> list[float]:
-    """Arrivals a second of each class that keep about as many in the region as wanted."""
+    """Arrivals a second of each class that keep about as many in the region as wanted, on average
+    over a time [s]."""
     target = np.array([wanted[a.kind] for a in arrivals], float)
     most = np.array([SWIFTEST * sum(w.weight for w in a.ways) for a in arrivals])
     stay = np.array([2 * world.radius / min(ROAD_USERS[a.kind].top_speed, 6.0) for a in arrivals])
@@ -149,8 +163,8 @@ def _rates(
     if not len(rates):
         return []
     best, off = rates, np.inf
-    every = max(1.0, world.step)
-    many = int(np.ceil(max(frames * world.step, OBSERVED) / every))
+    every = world.small * np.ceil(1.0 / world.small)
+    many = int(np.ceil(max(time, OBSERVED) / every))
     for turn in range(TRIES):
         seen = world.simulate(arrivals, rates.tolist(), many, every)
         here = np.array([[(s.kind == a.kind).sum() for a in arrivals] for s in seen]).mean(0)
@@ -182,26 +196,27 @@ class _World:
     intersection: Intersection
     radius: float
     seed: int
-    step: float
+    small: float
 
     def simulate(
         self, arrivals: list[Arrivals], rates: list[float], frames: int, every: float
     ) -> list[Snapshot]:
         """Everybody in the region, in frames ``every`` so many seconds after the warm-up."""
-        end = WARM_UP + (frames - 1) * every
+        begin = self.small * np.ceil(WARM_UP / self.small)
+        end = begin + (frames - 1) * every
         routes, found = self.folder / "routes.xml", self.folder / "found.xml"
         sizes = _write_routes(routes, arrivals, rates, end)
-        small = every / np.ceil(every / STEP - 1e-9)
         options = {
             "net-file": self.streets.road.file,
             "route-files": routes,
             "fcd-output": found,
             "fcd-output.attributes": "x,y,z,angle,speed",
-            "device.fcd.begin": f"{WARM_UP:.3f}",
+            "device.fcd.begin": f"{begin:.3f}",
             "device.fcd.period": f"{every:.3f}",
-            "end": f"{end + small:.3f}",
-            "step-length": f"{small:.6f}",
-            "lateral-resolution": "0.8",
+            "end": f"{end + self.small:.3f}",
+            "step-length": f"{self.small:.3f}",
+            "lanechange.duration": f"{LANE_CHANGE:g}",
+            "precision": 4,
             "seed": self.seed,
             "time-to-teleport": 60,
             "collision.action": "remove",
@@ -269,8 +284,6 @@ def _write_routes(
             kind |= {"height": height, "minGap": f"{ROAD_USERS[stream.kind].gap:g}"}
             if name in ("cyclist", "pedestrian"):
                 kind["maxSpeed"] = f"{ROAD_USERS[stream.kind].top_speed:g}"
-            if name == "cyclist":
-                kind["latAlignment"] = "right"
             ET.SubElement(root, "vType", kind)
             when = stream.when[n] / rate
             common = {"id": who, "type": who, "depart": f"{when:.2f}"}

@@ -1,0 +1,355 @@
+"""SUMO's networks and traffic: against the raw XML, CARLA's reading of the same town, and paper."""
+
+import sys
+import xml.etree.ElementTree as ET
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import LineString, Point, Polygon
+from worlds import MAPS, rilsa
+
+import inspe_jax
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.maps import list_junctions, read_map
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+from inspe_jax.scene.sumo_traffic import sumo_traffic
+from inspe_jax.scene.traffic import CLASSES, ROAD_USERS
+
+pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
+
+CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
+
+
+@pytest.fixture(scope="module")
+def place():
+    """RiLSA's signalled four-way: lanes of 3.2 m, crossings of 4 m, arms to all four winds."""
+    return read_map(rilsa(), junction="0", radius=50)
+
+
+@pytest.fixture(scope="module")
+def traffic(place):
+    return sumo_traffic(place, radius=50, count=30, frames=100, seed=3)
+
+
+# ---- the place ------------------------------------------------------------------------------
+
+
+def test_the_junction_is_what_its_file_says(place):
+    (info,) = list_junctions(rilsa())
+    assert (info.id, info.arms, info.crosswalks, info.signals) == ("0", 4, 4, 4)
+    assert np.allclose(info.center, 0, atol=0.01)  # 500, 500 less the 500, 500 it was moved by
+    assert np.allclose(place.center, 0, atol=0.5)
+    bearings = [arm.bearing for arm in place.arms]
+    assert np.allclose(bearings, np.radians([-90, 0, 90, 180]), atol=0.02)
+    # Two lanes in, one out, all of 3.2 m.
+    assert np.allclose([arm.width for arm in place.arms], 3 * 3.2, atol=0.3)
+    drives = [r for r in place.routes if r.user == "vehicle"]
+    assert Counter(r.through for r in drives) == {
+        (a, b): 1 for a in range(4) for b in range(4) if a != b
+    }
+    assert "no signal poles" in " ".join(place.notes)
+
+
+def test_every_lane_of_the_raw_file_lies_in_its_region(place):
+    """An independent reading of the XML: the middle of each lane, and its edges but for 0.2 m."""
+    root = ET.parse(rilsa()).getroot()
+    moved = [float(v) for v in root.find("location").attrib["netOffset"].split(",")]
+    seen = Counter()
+    for edge in root.iter("edge"):
+        for lane in edge.iter("lane"):
+            line = np.array([p.split(",")[:2] for p in lane.attrib["shape"].split()], float) - moved
+            if edge.get("function") == "walkingarea" or len(line) < 2:
+                continue
+            half = float(lane.get("width", 3.2)) / 2 - 0.2
+            ribbon = LineString(line).buffer(half, cap_style="flat")
+            ribbon = ribbon.intersection(Point(0, 0).buffer(55))
+            if ribbon.area < 1.0:
+                continue
+            walked = lane.get("allow") == "pedestrian"
+            crossing = edge.get("function") == "crossing"
+            regions = (
+                [Region.CROSSWALK]
+                if crossing
+                else [Region.SIDEWALK, Region.JUNCTION, Region.CROSSWALK]
+                if walked
+                else [Region.DRIVEWAY, Region.JUNCTION]
+            )
+            whole = shapely.union_all([place.regions[r] for r in regions])
+            assert ribbon.difference(whole).area < 0.02 * ribbon.area, lane.attrib["id"]
+            seen["crossing" if crossing else "walked" if walked else "driven"] += 1
+    assert seen["crossing"] == 4
+    assert seen["walked"] == 8
+    assert seen["driven"] > 16
+
+
+def test_nothing_is_paved_where_the_file_has_nothing(place):
+    root = ET.parse(rilsa()).getroot()
+    moved = [float(v) for v in root.find("location").attrib["netOffset"].split(",")]
+
+    def shape(text):
+        return np.array([p.split(",")[:2] for p in text.split()], float) - moved
+
+    known = [
+        LineString(shape(lane.attrib["shape"])).buffer(float(lane.get("width", 3.2)) / 2)
+        for edge in root.iter("edge")
+        for lane in edge.iter("lane")
+        if edge.get("function") != "walkingarea" and len(lane.attrib["shape"].split()) > 1
+    ]
+    known += [
+        Polygon(shape(lane.attrib["shape"])).buffer(0)
+        for edge in root.iter("edge")
+        for lane in edge.iter("lane")
+        if edge.get("function") == "walkingarea" and len(lane.attrib["shape"].split()) > 2
+    ]
+    known += [
+        Polygon(shape(node.attrib["shape"])).buffer(0)
+        for node in root.iter("junction")
+        if len(node.get("shape", "").split()) > 2
+    ]
+    disc = Point(0, 0).buffer(50)
+    ours = shapely.union_all(list(place.regions.values())).intersection(disc)
+    assert ours.difference(shapely.union_all(known).buffer(0.1)).area < 1.0
+    traffic = [place.regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
+    assert place.mounting.area > 100
+    assert place.mounting.intersection(shapely.union_all(traffic)).area < 0.01
+
+
+def test_routes_run_from_rim_to_rim_without_a_jump(place):
+    for route in place.routes:
+        if route.user == "vehicle":
+            steps = np.hypot(*np.diff(route.waypoints[:, :2], axis=0).T)
+            assert steps.max() < 1.6
+            away = np.hypot(*route.waypoints[:, :2].T)
+            assert away[[0, -1]] == pytest.approx(50, abs=1.5)
+            assert away.min() < 15
+
+
+@pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
+def test_a_town_is_the_same_place_by_its_net_and_by_opendrive():
+    pytest.importorskip("carla", reason="reading OpenDRIVE needs the CARLA client")
+    net = read_map(MAPS / "Town05.net.xml", junction=53)
+    own = read_map(MAPS / "Town05.xodr", junction=53)
+    assert np.hypot(*(net.center - own.center)[:2]) < 1.0
+    drive = [
+        shapely.union_all([p.regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION)])
+        for p in (net, own)
+    ]
+    # CARLA's crosswalks and shoulders are carriageway to SUMO.
+    assert drive[0].intersection(drive[1]).area > 0.93 * min(d.area for d in drive)
+    ends = [
+        {tuple(np.round(end, -1)) for r in p.routes if r.user == "vehicle"
+         for end in (r.waypoints[len(r.waypoints) // 2, :2],)}
+        for p in (net, own)
+    ]  # fmt: skip
+    assert len(ends[0] & ends[1]) >= 0.7 * len(ends[0])
+    assert net.mounting.area > 0  # islands at the corners: the net has no sidewalks
+    assert {a.bearing > 0 for a in net.arms} == {True, False}
+
+
+def test_several_junctions_about_a_centre_are_one():
+    one = read_map(rilsa(), center=(3.0, -2.0), radius=30)
+    assert len(one.arms) == 4
+    assert np.allclose(one.center[:2], [3.0, -2.0])
+
+
+# ---- OpenStreetMap --------------------------------------------------------------------------
+
+
+def extract(footways: bool = True) -> str:
+    """A crossroads near the equator, where a thousandth of a degree is 111 m either way."""
+    at = {1: (0, 0), 2: (0.001, 0), 3: (-0.001, 0), 4: (0, 0.001), 5: (0, -0.001)}
+    nodes = "".join(f'<node id="{k}" lat="{y}" lon="{9 + x}"/>' for k, (y, x) in at.items())
+    tags = '<tag k="highway" v="secondary"/><tag k="lanes" v="2"/>'
+    tags += '<tag k="sidewalk" v="both"/>' if footways else ""
+    ways = "".join(
+        f'<way id="{10 + k}"><nd ref="{k}"/><nd ref="1"/>{tags}</way>' for k in (2, 3, 4, 5)
+    )
+    bounds = '<bounds minlat="-0.002" minlon="8.998" maxlat="0.002" maxlon="9.002"/>'
+    return f'<?xml version="1.0"?><osm version="0.6">{bounds}{nodes}{ways}</osm>'
+
+
+def test_an_extract_of_openstreetmap_is_an_intersection(tmp_path):
+    path = tmp_path / "crossroads.osm"
+    path.write_text(extract())
+    infos = list_junctions(path)
+    assert [info.arms for info in infos] == [4]
+    place = read_map(path, junction=infos[0].id, radius=40)
+    assert place.name == "crossroads junction 1"
+    across = sorted(np.degrees([arm.bearing for arm in place.arms]) % 360)
+    assert np.allclose(across, [0, 90, 180, 270], atol=3) or np.allclose(
+        across, [90, 180, 270, 360], atol=3
+    )
+    scene = build_scene(place, radius=40, voxel=1.0, density=10, frames=5, traffic="sumo")
+    assert {Region(r) for r in np.unique(scene.voxels.region)} >= {
+        Region.DRIVEWAY,
+        Region.JUNCTION,
+        Region.SIDEWALK,
+    }
+    assert scene.traffic.mean_count > 3
+
+
+# ---- traffic --------------------------------------------------------------------------------
+
+
+def test_as_many_as_asked_for_of_every_class(traffic):
+    assert traffic.frame_count == 100
+    assert traffic.mean_count == pytest.approx(30, abs=4)
+    by_class = np.bincount(traffic.kind[traffic.valid], minlength=4) / 100
+    assert by_class[CAR] == pytest.approx(0.68 * 30, rel=0.35)
+    assert (by_class > 0.5).all()
+    assert np.allclose(traffic.time, np.arange(100))
+
+
+def test_sizes_are_the_classes_and_stay_with_the_track(traffic):
+    for kind, user in enumerate(ROAD_USERS):
+        own = traffic.size[traffic.valid & (traffic.kind == kind)]
+        assert np.allclose(own.mean(0), user.size, rtol=0.1)
+        assert (np.abs(own / user.size - 1) <= 2 * 0.06 + 1e-9).all()
+    for track in np.unique(traffic.track[traffic.valid]):
+        own = traffic.track == track
+        assert len(np.unique(traffic.size[own], axis=0)) == 1
+        assert len(np.unique(traffic.kind[own])) == 1
+    assert (traffic.track[~traffic.valid] == -1).all()
+
+
+def test_everybody_moves_as_its_velocity_says(place):
+    """Between frames 0.1 s apart: half the steps to 0.01 m/s, all but those that brake or change
+    lanes (SUMO has those move sideways) to 0.5."""
+    traffic = sumo_traffic(place, radius=50, count=20, frames=60, step=0.1, seed=1)
+    off = []
+    for track in np.unique(traffic.track[traffic.valid]):
+        frame, entry = np.nonzero(traffic.track == track)
+        at, speed = (x[frame, entry, :2] for x in (traffic.center, traffic.velocity))
+        moved = np.diff(at, axis=0) / 0.1
+        off += np.hypot(*(moved - (speed[1:] + speed[:-1]) / 2).T)[np.diff(frame) == 1].tolist()
+    assert len(off) > 500
+    assert np.median(off) < 0.01
+    assert np.quantile(off, 0.98) < 0.5
+
+
+def test_vehicles_keep_to_the_road_and_people_to_sidewalks_and_crossings(place, traffic):
+    at = traffic.center[traffic.valid][:, :2]
+    kind = traffic.kind[traffic.valid]
+    road = [place.regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
+    foot = [place.regions[r] for r in (Region.SIDEWALK, Region.JUNCTION, Region.CROSSWALK)]
+    drives = shapely.contains_xy(shapely.union_all(road), *at[kind != PEDESTRIAN].T)
+    walks = shapely.contains_xy(shapely.union_all(foot), *at[kind == PEDESTRIAN].T)
+    assert drives.mean() > 0.999
+    assert walks.mean() > 0.98
+
+
+def test_cars_wait_for_signals_and_people_cross(place, traffic):
+    cars = traffic.valid & (traffic.kind == CAR)
+    speed = np.hypot(*traffic.velocity[..., :2].T).T
+    assert 0.1 < (speed[cars] < 0.1).mean() < 0.9
+    inside = shapely.contains_xy(place.regions[Region.JUNCTION], *traffic.center[cars][:, :2].T)
+    assert 0.01 < inside.mean() < 0.5
+    people = traffic.valid & (traffic.kind == PEDESTRIAN)
+    zebra = place.regions[Region.CROSSWALK]
+    assert shapely.contains_xy(zebra, *traffic.center[people][:, :2].T).any()
+
+
+def test_the_same_seed_gives_the_same_traffic(place):
+    def made(seed):
+        return sumo_traffic(place, radius=30, count=8, frames=5, seed=seed)
+
+    one, two, other = made(0), made(0), made(1)
+    for name in ("center", "yaw", "size", "kind", "track", "velocity"):
+        assert np.array_equal(getattr(one, name), getattr(two, name))
+    assert not np.array_equal(one.center, other.center)
+
+
+def test_the_scores_take_it_and_a_saved_scene_keeps_it(place, tmp_path):
+    scene = build_scene(place, radius=25, voxel=1.0, density=10, frames=4, traffic="sumo")
+    save_scene(scene, tmp_path / "s.npz")
+    again = load_scene(tmp_path / "s.npz")
+    for name in ("center", "track", "velocity", "time"):
+        assert np.array_equal(getattr(scene.traffic, name), getattr(again.traffic, name))
+    assert dict(again.settings)["traffic"] == "sumo"
+    scores = inspe_jax.evaluate(again, inspe_jax.strategy(again, "L-d1"))
+    assert 0.5 < scores.surrogate <= 1.0
+
+
+def test_nobody_comes_where_nobody_is_wanted(place):
+    assert sumo_traffic(place, radius=30, count=0, frames=3).mean_count == 0.0
+
+
+def test_the_largest_vehicle_alone(place):
+    traffic = sumo_traffic(place, radius=40, count=6, frames=10, mix="largest")
+    assert set(traffic.kind[traffic.valid].tolist()) == {CLASSES.index("truck")}
+    assert np.allclose(traffic.size[traffic.valid], ROAD_USERS[TRUCK].size)
+
+
+def test_progress_is_told_to_its_end(place):
+    told = []
+    sumo_traffic(
+        place, radius=30, count=5, frames=2, progress=lambda done, total: told.append((done, total))
+    )
+    assert told[-1][0] == told[-1][1]
+    assert all(a[0] < b[0] for a, b in pairwise(told))
+
+
+# ---- bad input ------------------------------------------------------------------------------
+
+NET = '<net version="1.20"><location netOffset="0.00,0.00" convBoundary="0,0,1,1" '
+NET += 'origBoundary="0,0,1,1" projParameter="!"/>{}</net>'
+
+BROKEN = {
+    "empty": (NET.format(""), "the network has no roads"),
+    "cut": ("<net version='1.20'><edge id='a'", "not a SUMO network"),
+    "other": ("<html/>", "the root element is <html>, not <net>"),
+    "nothing": ("", "not well-formed XML"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_each_bad_net_gets_its_message(tmp_path, case):
+    text, message = BROKEN[case]
+    path = tmp_path / "a.net.xml"
+    path.write_text(text)
+    with pytest.raises(InspeError, match=message) as raised:
+        list_junctions(path)
+    assert str(path) in str(raised.value)
+
+
+def test_an_extract_that_is_none_is_named(tmp_path):
+    path = tmp_path / "a.osm"
+    path.write_text("<html/>")
+    with pytest.raises(InspeError, match=r"a\.osm: the root element is <html>, not <osm>"):
+        list_junctions(path)
+    path.write_text('<osm version="0.6"></osm>')
+    with pytest.raises(InspeError, match=r"a\.osm: "):
+        list_junctions(path)
+
+
+def test_other_bad_input(place, tmp_path):
+    with pytest.raises(InspeError, match="no junction '7'; there are: 0"):
+        read_map(rilsa(), junction=7)
+    with pytest.raises(InspeError, match=r"no junction within 35 m of .*; the nearest is 0 at 200"):
+        read_map(rilsa(), center=(200, 0))
+    with pytest.raises(InspeError, match="either a junction or a center"):
+        read_map(rilsa())
+    with pytest.raises(InspeError, match="no such file"):
+        list_junctions(tmp_path / "missing.net.xml")
+    with pytest.raises(InspeError, match="radius 600 m is out of range"):
+        read_map(rilsa(), junction="0", radius=600)
+    with pytest.raises(InspeError, match=r"four_way: SUMO runs on a map"):
+        build_scene(inspe_jax.built_in("four_way"), traffic="sumo", radius=20, voxel=1.0)
+    with pytest.raises(InspeError, match=r"traffic 'somo': waypoints, sumo.*did you mean sumo"):
+        build_scene(place, traffic="somo")
+    for step in (0.0001, 0.0333, 0.007):
+        with pytest.raises(InspeError, match="SUMO needs whole milliseconds"):
+            sumo_traffic(place, radius=30, count=5, frames=2, step=step)
+
+
+def test_a_missing_extra_says_what_to_install(tmp_path, monkeypatch):
+    path = tmp_path / "a.net.xml"
+    path.write_text(Path(rilsa()).read_text())
+    monkeypatch.setitem(sys.modules, "sumolib", None)
+    with pytest.raises(InspeError, match=r"pip install 'inspe_jax\[sumo\]'"):
+        list_junctions(path)

@@ -14,6 +14,8 @@ from inspe_jax.scene.traffic import CLASSES
 
 APPROACH = 60.0
 """Vehicles come in this much beyond the radius [m], or where their road begins."""
+TOUCH = 15.0
+"""A road that comes this near to the region [m] leads into it: junctions are that wide."""
 FOOT_APPROACH = 15.0
 """… and people on foot."""
 V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestrian": "pedestrian"}
@@ -74,10 +76,10 @@ def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> 
 
 
 def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[Way]:
-    """The shortest ways from every road that leads in from outside to every one that leads out.
+    """The shortest ways from every road that leads into the region to every one that leads out.
 
-    Of those that pass the region of interest; back to where one came from only if there is no other
-    way. From each road straight on is likelier, up to three to one.
+    Back to where one came from only if there is no other way. From each road straight on is
+    likelier, up to three to one. Ways begin some way up the road, so that queues have room.
     """
     edges = _edges(streets, v_class, center, radius + APPROACH)
     index = {e.name: k for k, e in enumerate(edges)}
@@ -87,35 +89,57 @@ def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -
         for after in e.edge.getAllowedOutgoing(v_class)
         if after.getID() in index
     ]
-    if not links:
-        return []
-    one, two = np.array(links).T
-    length = np.array([e.edge.getLength() for e in edges])
-    graph = csr_array((length[two] + 1e-3, (one, two)), shape=(len(edges),) * 2)
-    back = {(a, b) for a, b in links if _returns(edges[a], edges[b])}
-    forward = [(a, b) for a, b in links if (a, b) not in back]
-    sources = sorted({*range(len(edges))} - {b for _, b in forward})
-    sinks = sorted({*range(len(edges))} - {a for a, _ in forward})
-    outside = [k for k, e in enumerate(edges) if e.away.max() > radius]
-    sources = [k for k in sources if edges[k].away[0] > radius] or outside
-    sinks = [k for k in sinks if edges[k].away[-1] > radius] or outside
-    away, before = dijkstra(graph, indices=sources, return_predecessors=True)
+    near = [e.away.min() <= radius + TOUCH for e in edges]
+    entries = [
+        k for k, e in enumerate(edges) if near[k] and e.away[0] > radius and e.away[-1] < e.away[0]
+    ]
+    exits = [
+        k for k, e in enumerate(edges) if near[k] and e.away[-1] > radius and e.away[-1] > e.away[0]
+    ]
+    inner = [(a, b) for a, b in links if near[a] and near[b] and b not in entries]
+    inner = [(a, b) for a, b in inner if a not in exits]  # once out, nobody comes in again
+    one, two = np.array(inner, int).reshape(-1, 2).T
+    length = np.array([e.edge.getLength() for e in edges]) + 1e-3
+    graph = csr_array((length[two], (one, two)), shape=(len(edges),) * 2)
     ways = []
-    for row, source in enumerate(sources):
-        reached = [s for s in sinks if s != source and np.isfinite(away[row, s])]
-        paths = [(s, _path(before[row], s)) for s in reached]
-        found = [(s, p) for s, p in paths if min(edges[k].away.min() for k in p) <= radius]
-        onward = [(s, p) for s, p in found if not _returns(edges[source], edges[s])] or found
+    for entry in entries:
+        away, before = dijkstra(graph, indices=entry, return_predecessors=True)
+        paths = [_path(before, k) for k in exits if k != entry and np.isfinite(away[k])]
+        paths = [p for p in paths if min(edges[k].away.min() for k in p) <= radius]
+        onward = [p for p in paths if not _returns(edges[entry], edges[p[-1]])] or paths
         if not onward:
             continue
-        begin = edges[source].arc[np.argmax(edges[source].away <= radius + APPROACH)]
-        straight = [1 + 2 * max(_alike(edges[source], edges[s]), 0.0) for s, _ in onward]
-        for (sink, path), weight in zip(onward, straight, strict=True):
-            near = np.flatnonzero(edges[sink].away <= radius + APPROACH)
-            end = edges[sink].arc[near[-1]]
-            share = edges[source].lanes * weight / sum(straight)
-            ways.append(Way(tuple(edges[k].name for k in path), float(begin), float(end), share))
+        first = _upstream(edges, links, entry)
+        begin = _arc_at(edges[first[0]], radius + APPROACH, first=True)
+        straight = [1 + 2 * max(_alike(edges[entry], edges[p[-1]]), 0.0) for p in onward]
+        for path, weight in zip(onward, straight, strict=True):
+            names = [edges[k].name for k in (*first, *path[1:])]
+            end = _arc_at(edges[path[-1]], radius + APPROACH, first=False)
+            share = edges[entry].lanes * weight / sum(straight)
+            ways.append(Way(tuple(names), begin, end, share))
     return ways
+
+
+def _upstream(edges: list[_Edge], links: list[tuple[int, int]], entry: int) -> list[int]:
+    """The edges that lead to an entry, straight on, for :data:`APPROACH` metres; and the entry."""
+    found, far = [entry], float(edges[entry].away[0])
+    while far < edges[entry].away.min() + APPROACH:
+        here = edges[found[0]]
+        before = [a for a, b in links if b == found[0] and a not in found]
+        before = [a for a in before if not _returns(edges[a], here) and edges[a].away[0] > far]
+        if not before:
+            break
+        found.insert(0, max(before, key=lambda a: _alike(edges[a], here)))
+        far = float(edges[found[0]].away[0])
+    return found
+
+
+def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
+    """The first or last arc of an edge that lies within reach [m]; its end where none does."""
+    inside = np.flatnonzero(edge.away <= reach)
+    if not len(inside):
+        return float(edge.arc[-1 if first else 0])
+    return float(edge.arc[inside[0 if first else -1]])
 
 
 def _returns(one: _Edge, two: _Edge) -> bool:

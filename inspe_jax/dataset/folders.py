@@ -1,0 +1,101 @@
+"""Data sets as folders: splits, scenarios, and frames that load what is asked for."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from inspe_jax.dataset.opv2v import PROTOCOL
+from inspe_jax.dataset.opv2v_reader import agent_ids, frame_of, read_protocol, stems
+from inspe_jax.dataset.record import Frame
+from inspe_jax.errors import InspeError
+
+SPLITS = ("train", "validate", "test")
+"""The splits that come first; a set may have others, such as ``test_culvercity``."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario on disk, as it was when first asked."""
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.path.name
+
+    @cached_property
+    def protocol(self) -> Mapping[str, Any]:
+        """What made it; empty where it does not tell."""
+        return read_protocol(self.path)
+
+    @cached_property
+    def agents(self) -> tuple[int, ...]:
+        """Ids of its agents: infrastructure −1, −2, … first, then vehicles."""
+        return agent_ids(self.path)
+
+    @cached_property
+    def frames(self) -> tuple[int, ...]:
+        """Numbers of the frames that every agent has."""
+        each = [set(stems(self.path / str(agent))) for agent in self.agents]
+        return tuple(sorted(set.intersection(*each))) if each else ()
+
+    def frame(self, number: int) -> Frame:
+        """A frame, as :func:`~inspe_jax.dataset.read_frame` reads it."""
+        return frame_of(self.path, number, self.agents, self.protocol)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Scenarios by split. ``splits`` has train, validate and test first, of those there are."""
+
+    path: Path
+    splits: Mapping[str, tuple[Scenario, ...]]
+
+    @property
+    def scenarios(self) -> tuple[Scenario, ...]:
+        """All scenarios, split by split."""
+        return tuple(scenario for split in self.splits.values() for scenario in split)
+
+
+def open_dataset(path: str | os.PathLike[str]) -> Dataset:
+    """A data set on disk: a folder of splits, one split, or one scenario.
+
+    A split is named for the folder that holds its scenarios. Nothing but names is read until
+    asked for. Raises InspeError where there is no such folder, or it is none of the three.
+    """
+    given = Path(path)
+    if not given.is_dir():
+        raise InspeError(f"{given}: no such folder")
+    folder = given.resolve()
+    if _is_scenario(folder):
+        return Dataset(folder, {folder.parent.name: (Scenario(folder),)})
+    scenarios = _scenarios(folder)
+    if scenarios:
+        return Dataset(folder, {folder.name: scenarios})
+    splits = {child.name: _scenarios(child) for child in _folders(folder)}
+    first = [name for name in SPLITS if name in splits]
+    ordered = [*first, *(name for name in splits if name not in first)]
+    found = {name: splits[name] for name in ordered if splits[name]}
+    if not found:
+        raise InspeError(
+            f"{given}: not a data set: expected SPLIT/SCENARIO/AGENT/000000.yaml, "
+            f"SCENARIO/AGENT/000000.yaml or AGENT/000000.yaml in it"
+        )
+    return Dataset(folder, found)
+
+
+def _scenarios(split: Path) -> tuple[Scenario, ...]:
+    return tuple(Scenario(child) for child in _folders(split) if _is_scenario(child))
+
+
+def _folders(path: Path) -> list[Path]:
+    return sorted(child for child in path.iterdir() if child.is_dir())
+
+
+def _is_scenario(path: Path) -> bool:
+    """Whether a folder has a protocol, or an agent with a frame."""
+    return (path / PROTOCOL).is_file() or any(stems(path / str(a)) for a in agent_ids(path))

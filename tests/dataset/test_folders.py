@@ -1,0 +1,278 @@
+"""Data sets opened as folders: ours, those of others, and what is neither."""
+
+import copy
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from frames import WORLD, assert_same, frame, station
+from PIL import Image as Pillow
+
+import inspe_jax.dataset as dataset
+from inspe_jax.dataset import read_frame, write_frame, write_protocol
+from inspe_jax.errors import InspeError
+
+OTHERS = """\
+camera0:
+  cords: [100.0, 50.0, 2.0, 0.0, 90.0, 0.0]
+  extrinsic: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  intrinsic: [[335.64, 0, 400], [0, 335.64, 300], [0, 0, 1]]
+camera1:
+  cords: [100.0, 50.0, 2.0, 0.0, -90.0, 0.0]
+  extrinsic: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  intrinsic: [[335.64, 0, 400], [0, 335.64, 300], [0, 0, 1]]
+ego_speed: 20.0
+lidar_pose: [100.0, 50.0, 1.9, 0.0, 90.0, 0.0]
+plan_trajectory: [[1.0, 2.0], [3.0]]
+predicted_ego_pos: [100.1, 50.1, 0.1, 0.0, 90.0, 0.0]
+true_ego_pos: [100.0, 50.0, 0.0, 0.0, 90.0, 0.0]
+vehicles:
+  215:
+    angle: [0.5, -90.0, 1.0]
+    center: [0.0, 0.25, 0.7]
+    extent: [2.0, 0.9, 0.7]
+    location: [110.0, 50.0, 0]
+    speed: 36
+"""
+"""A frame as OPV2V has it, made up: a car that drives north in the left-handed world's −y."""
+
+POINTS = """\
+# .PCD v0.7 - Point Cloud Data file format
+VERSION 0.7
+FIELDS x y z rgb
+SIZE 4 4 4 4
+TYPE F F F F
+COUNT 1 1 1 1
+WIDTH 2
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS 2
+DATA ascii
+1 2 -1.5 2.34180515e-38
+-4 5 -1 0
+"""
+
+
+@pytest.fixture
+def others(tmp_path) -> Path:
+    """A scenario of somebody else's: two vehicles and a unit, five digits, no protocol."""
+    scenario = tmp_path / "test_culvercity" / "2021_08_18"
+    for agent in ("641", "-1", "9"):
+        (scenario / agent).mkdir(parents=True)
+        (scenario / agent / "00068.yaml").write_text(OTHERS)
+        (scenario / agent / "00068.pcd").write_text(POINTS)
+    Pillow.new("RGBA", (8, 6), (1, 2, 3, 4)).save(scenario / "641" / "00068_camera0.png")
+    second = OTHERS.replace("215:", "900:").replace("speed: 36", "speed: 3")
+    (scenario / "9" / "00068.yaml").write_text(second.replace("[100.0, 50.0", "[120.0, 50.0"))
+    return scenario
+
+
+def test_a_set_of_others(others):
+    opened = dataset.open(others)
+    (scenario,) = opened.splits["test_culvercity"]
+    assert scenario.agents == (-1, 9, 641)
+    assert scenario.frames == (68,)
+    assert scenario.protocol == {}
+    read = scenario.frame(68)
+    assert read.time == 68 * 0.05
+    first, second = read.things
+    assert (first.track, first.kind, first.name) == (215, "car", "")
+    np.testing.assert_allclose(first.center, [110, -50.25, 0.7])
+    np.testing.assert_allclose(first.size, [4, 1.8, 1.4])
+    assert first.yaw == pytest.approx(np.pi / 2)
+    np.testing.assert_allclose(first.velocity, [0, 10, 0], atol=1e-12)
+    assert second.track == 900
+    unit, near, far = read.stations
+    assert [s.number for s in read.stations] == [1, -9, -641]
+    assert far.name == "641"
+    np.testing.assert_allclose(near.pose, [120, -50, 0, 0, 0, -np.pi / 2])
+    np.testing.assert_allclose(near.scans[0].pose, [120, -50, 1.9, 0, 0, -np.pi / 2])
+    np.testing.assert_allclose(unit.scans[0].points, [[1, -2, -1.5, 1], [-4, -5, -1, 0]], rtol=1e-6)
+    assert not unit.images
+    (picture,) = far.images
+    assert picture.rgb.shape == (6, 8, 3)
+    assert picture.rgb[0, 0].tolist() == [1, 2, 3]
+    assert picture.depth is picture.instance is picture.semantic is None
+
+
+def test_infra_set_variant(others):
+    """Four dictionaries instead of ``vehicles``, and ``lidar_pose0`` with its own file name."""
+    agent = others / "-1"
+    holds = yaml.safe_load(OTHERS)
+    car = holds.pop("vehicles")[215]
+    holds["lidar_pose0"] = holds.pop("lidar_pose")
+    holds |= {"cars": {}, "trucks": {4: {**car, "name": "vehicle.tesla.cybertruck"}}}
+    holds |= {"cyclists": {5: {**car, "obj_type": "Bicycle"}}, "pedestrians": {6: car}}
+    del holds["true_ego_pos"]
+    (agent / "00068.yaml").write_text(yaml.safe_dump(holds))
+    (agent / "00068.pcd").rename(agent / "00068_lidar0.pcd")
+    read = read_frame(others, 68)
+    assert [t.kind for t in read.things] == ["truck", "cyclist", "pedestrian", "car", "car"]
+    assert read.things[0].name == "vehicle.tesla.cybertruck"
+    assert len(read.stations[0].scans[0].points) == 2
+    np.testing.assert_allclose(read.stations[0].pose[:3], [100, -50, 1.9])
+
+
+def ours(root: Path) -> Path:
+    """Two scenarios to train with and one to test, two frames each."""
+    for place in ("train/a", "train/b", "test/c"):
+        for number in (0, 2):
+            write_frame(root / place, frame(number))
+        write_protocol(root / place, {"world": WORLD}, frame().stations)
+    (root / "notes").mkdir()
+    return root
+
+
+def test_the_three_levels_of_a_set(tmp_path):
+    root = ours(tmp_path / "set")
+    opened = dataset.open(root)
+    assert [*opened.splits] == ["train", "test"]
+    assert [s.name for s in opened.splits["train"]] == ["a", "b"]
+    assert [s.name for s in opened.scenarios] == ["a", "b", "c"]
+    assert {k: len(v) for k, v in dataset.open(root / "train").splits.items()} == {"train": 2}
+    one = dataset.open(str(root / "test" / "c")).splits
+    assert {k: [s.name for s in v] for k, v in one.items()} == {"test": ["c"]}
+
+
+def test_frames_of_a_scenario(tmp_path):
+    scenario = dataset.open(ours(tmp_path)).splits["train"][0]
+    assert scenario.protocol["world"]["town"] == "four_way"
+    assert scenario.agents == (-1, -2)
+    assert scenario.frames == (0, 2)
+    assert_same(scenario.frame(2), frame(2))
+    assert [s.name for s in scenario.frame(2).stations] == ["mast 1", "mast 2"]
+    with pytest.raises(InspeError, match=r"000004.yaml: no such frame; there are 2, 0 to 2"):
+        scenario.frame(4)
+
+
+def test_half_a_frame_is_none(tmp_path):
+    scenario = ours(tmp_path) / "train" / "a"
+    (scenario / "-2" / "000002.yaml").unlink()
+    assert dataset.open(scenario).scenarios[0].frames == (0,)
+
+
+def test_the_tick_comes_from_the_protocol(tmp_path):
+    write_frame(tmp_path, frame(30))
+    write_protocol(tmp_path, {"world": {**WORLD, "fixed_delta_seconds": 0.1}})
+    assert read_frame(tmp_path, 30).time == pytest.approx(3)
+
+
+def test_pictures_and_points_are_read_when_asked_for(tmp_path):
+    """And then kept: what was read is there when the files no longer are."""
+    write_frame(tmp_path, frame())
+    read = read_frame(tmp_path, 68)
+    first, second = read.stations
+    kept = first.images[0].rgb, first.images[0].depth, first.scans[0].points
+    for path in [*tmp_path.rglob("*.png"), *tmp_path.rglob("*.pcd")]:
+        path.unlink()
+    again = first.images[0].rgb, first.images[0].depth, first.scans[0].points
+    assert all(a is b for a, b in zip(kept, again, strict=True))
+    with pytest.raises(InspeError, match=r"-2/000068_camera0.png: no such file"):
+        _ = second.images[0].rgb
+    with pytest.raises(InspeError, match=r"-2/000068_lidar0.pcd|-2/000068.pcd: no such file"):
+        _ = second.scans[0].points
+
+
+def test_deferred_records_are_records(tmp_path):
+    """Copied, pickled, changed and shown as any other."""
+    write_frame(tmp_path, frame())
+    read = read_frame(tmp_path, 68).stations[0].images[0]
+    assert "rgb" not in repr(read)
+    given = frame().stations[0].images[0]
+    for made in (copy.copy(read), pickle.loads(pickle.dumps(read)), replace(read, depth=None)):
+        np.testing.assert_array_equal(made.rgb, given.rgb)
+    assert replace(read, depth=None).depth is None
+    with pytest.raises(AttributeError, match="Image has no 'colour'"):
+        _ = read.colour
+
+
+@pytest.mark.parametrize("cut", [0, 10, 60])
+@pytest.mark.parametrize("name", ["camera0", "depth0", "instance0", "semantic0"])
+def test_broken_pictures(tmp_path, name, cut):
+    write_frame(tmp_path, frame(stations=[station()]))
+    path = tmp_path / "-1" / f"000068_{name}.png"
+    path.write_bytes(path.read_bytes()[:cut])
+    picture = read_frame(tmp_path, 68).stations[0].images[0]
+    with pytest.raises(InspeError, match=f"{path}: not a PNG that can be read"):
+        getattr(picture, {"camera0": "rgb"}.get(name, name[:-1]))
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "message"),
+    [("depth", "RGB", "16-bit"), ("instance", "L", "16-bit"), ("semantic", "RGB", "8-bit")],
+)
+def test_pictures_of_another_kind(tmp_path, name, mode, message):
+    write_frame(tmp_path, frame(stations=[station()]))
+    Pillow.new(mode, (8, 6)).save(tmp_path / "-1" / f"000068_{name}0.png")
+    picture = read_frame(tmp_path, 68).stations[0].images[0]
+    with pytest.raises(InspeError, match=f"{name}0.png: its pixels are {mode}: must be {message}"):
+        getattr(picture, name)
+
+
+def test_broken_points(tmp_path):
+    write_frame(tmp_path, frame(stations=[station()]))
+    path = tmp_path / "-1" / "000068_lidar0.pcd"
+    path.write_bytes(path.read_bytes()[:-1])
+    read = read_frame(tmp_path, 68)
+    with pytest.raises(InspeError, match=f"{path}: cut short"):
+        _ = read.stations[0].scans[0].points
+    path.write_bytes(b"")
+    with pytest.raises(InspeError, match=f"{path}: not a PCD file"):
+        read_frame(tmp_path, 68)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (OTHERS, "", "must hold keys with values, got None"),
+        (OTHERS, "[1, 2]", "must hold keys with values, got"),
+        ("ego_speed", "ego_speed: [", "not YAML: .*line"),
+        ("  215:", "  215: [", "not YAML: .*line 1[0-9]"),
+        ("lidar_pose: [100.0,", "lidar_pose: [", "lidar_pose: must be 6 numbers, got"),
+        ("lidar_pose: [100.0,", "lidar_pose: [.nan,", "lidar_pose: must be 6 numbers, got"),
+        ("true_ego_pos: [100.0", "true_ego_pos: ['100'", "true_ego_pos: must be 6 numbers"),
+        ("    location", "    place", "vehicles.215: location: missing key"),
+        ("    speed: 36", "    speed: fast", "vehicles.215: speed: must be 1 numbers, got 'fast'"),
+        ("    speed: 36", "    obj_type: Tram", "vehicles.215: obj_type 'Tram': one of car, van"),
+        ("  215:", "  abc:", "vehicles.abc: the id must be a whole number"),
+        ("  cords", "  coords", "camera0: cords: missing key"),
+        ("[0, 335.64, 300]", "[0, 335.64]", "camera0: intrinsic: must be 3 x 3 numbers"),
+        ("camera0:\n", "camera2:\ncamera0:\n", "camera2: must hold keys with values, got None"),
+    ],
+)
+def test_broken_frames(others, old, new, message):
+    path = others / "-1" / "00068.yaml"
+    assert old in OTHERS
+    path.write_text(OTHERS.replace(old, new))
+    with pytest.raises(InspeError, match=f"{path}: {message}"):
+        read_frame(others, 68)
+
+
+def test_frames_with_anchors_are_read_whole(others):
+    """An anchor before the things may be meant among them."""
+    text = OTHERS.replace("ego_speed: 20.0", "ego_speed: &fast 20.0")
+    (others / "-1" / "00068.yaml").write_text(text.replace("speed: 36", "speed: *fast"))
+    speed = np.linalg.norm(read_frame(others, 68).things[0].velocity)
+    assert speed == pytest.approx(20 / 3.6)
+
+
+def test_broken_protocol(tmp_path):
+    scenario = ours(tmp_path) / "test" / "c"
+    (scenario / "data_protocol.yaml").write_text("world: {")
+    with pytest.raises(InspeError, match=r"data_protocol.yaml: not YAML"):
+        _ = dataset.open(scenario).scenarios[0].protocol
+
+
+def test_folders_that_are_no_set(tmp_path):
+    with pytest.raises(InspeError, match="missing: no such folder"):
+        dataset.open(tmp_path / "missing")
+    with pytest.raises(InspeError, match="missing: no such folder"):
+        read_frame(tmp_path / "missing", 0)
+    with pytest.raises(InspeError, match="not a scenario: it has no folder of an agent"):
+        read_frame(tmp_path, 0)
+    (tmp_path / "train" / "a" / "-1").mkdir(parents=True)
+    with pytest.raises(InspeError, match=f"{tmp_path}: not a data set: expected SPLIT/SCENARIO"):
+        dataset.open(tmp_path)

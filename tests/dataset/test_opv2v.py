@@ -1,0 +1,420 @@
+"""Frames into files and back; the files judged by the public readers' rules."""
+
+import re
+import shutil
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from frames import FRAMES, UNIT, WORLD, assert_same, car, frame, image, scan, station
+from hypothesis import given, settings
+from opv2v_validator import check_scenario, check_set
+from PIL import Image as Pillow
+
+from inspe_jax.dataset import Frame, opv2v, read_frame, write_frame, write_protocol
+from inspe_jax.dataset.png import read_depth, write_depth
+from inspe_jax.errors import InspeError
+
+
+def written(folder: Path, given: Frame | None = None) -> Path:
+    """A scenario with a protocol and one frame."""
+    given = given or frame()
+    write_protocol(folder, {"world": WORLD}, given.stations)
+    write_frame(folder, given)
+    return folder
+
+
+def content(path: Path) -> dict:
+    return yaml.safe_load(path.read_text())
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@settings(max_examples=25, deadline=None)
+@given(FRAMES)
+def test_written_frames_read_back(given):
+    with tempfile.TemporaryDirectory() as folder:
+        scenario = written(Path(folder) / "a", given)
+        read = read_frame(scenario, given.number)
+        assert_same(read, given)
+        names = {s.number: s.name for s in given.stations}
+        assert {s.number: s.name for s in read.stations} == names
+        # What was read is written again to the same bytes, in place.
+        before = files(scenario)
+        write_frame(scenario, read)
+        assert files(scenario) == before
+
+
+def test_readers_accept_a_set(tmp_path):
+    """Three LiDARs, one of them a station's second, and a station with none."""
+    stations = station(1), station(2, cameras=1, lidars=2), station(3, cameras=4, lidars=0)
+    for split, number in (("train", 0), ("train", 2), ("validate", 4), ("test", 6)):
+        written(tmp_path / split / "2024_01_01", frame(number, stations=stations))
+    reports = check_set(tmp_path, lidar_range=(-200, -200, -8, 200, 200, 0))
+    assert reports.keys() == {f"{split}/2024_01_01" for split in ("train", "validate", "test")}
+    train = reports["train/2024_01_01"]
+    assert train.ego == "-2"
+    assert (train.agents, train.frames) == (3, 2)
+    assert (train.points, train.points_in_range) == (200, 200)
+    assert (train.boxes, train.boxes_in_range) == (8, 8)
+
+
+def test_intensities_and_points_on_boxes_are_judged(tmp_path):
+    """A LiDAR at the origin, 6 m up, and one point on the roof of a car 8 m to its left."""
+    pose = np.array([0, 0, 6.0, 0, 0, 0])
+    thing = car(center=np.array([0, 8.0, 0.75]), yaw=0.0, velocity=np.zeros(3))
+    point = np.array([[0.5, 8.0, -4.6, 0]])
+    point[0, 3] = np.exp(-0.004 * np.linalg.norm(point[0, :3]))
+    here = replace(station(1, cameras=0, lidars=0), pose=pose)
+    lit = replace(scan(), pose=pose, points=point)
+    scenario = written(
+        tmp_path / "a", frame(things=[thing], stations=[replace(here, scans=(lit,))])
+    )
+    report = check_scenario(scenario, attenuation=0.004, every_box_hit=True)
+    assert report.boxes_hit == report.boxes_in_range == 1
+    dim = replace(lit, points=point * [1, 1, 1, 0.9])
+    scenario = written(
+        tmp_path / "b", frame(things=[thing], stations=[replace(here, scans=(dim,))])
+    )
+    with pytest.raises(AssertionError, match="intensity is off"):
+        check_scenario(scenario, attenuation=0.004)
+    right = replace(lit, points=point * [1, -1, 1, 1])
+    scenario = written(
+        tmp_path / "c", frame(things=[thing], stations=[replace(here, scans=(right,))])
+    )
+    with pytest.raises(AssertionError, match=r"no point in \[3\]"):
+        check_scenario(scenario, every_box_hit=True)
+
+
+def damage_yaml(change):
+    def apply(agent: Path) -> None:
+        path = agent / "000068.yaml"
+        holds = content(path)
+        change(holds)
+        path.write_text(yaml.safe_dump(holds))
+
+    return apply
+
+
+def shift_camera(holds: dict) -> None:
+    holds["camera0"]["cords"][0] += 1e-6
+
+
+def invert_extrinsic(holds: dict) -> None:
+    holds["camera0"]["extrinsic"] = np.linalg.inv(holds["camera0"]["extrinsic"]).tolist()
+
+
+def lift_center(holds: dict) -> None:
+    for section in ("vehicles", "cars"):
+        holds[section][3]["center"] = [0, 0, 0]
+
+
+def grey_picture(agent: Path) -> None:
+    Pillow.open(agent / "000068_camera0.png").convert("L").save(agent / "000068_camera0.png")
+
+
+def large_picture(agent: Path) -> None:
+    Pillow.new("RGB", (80, 60)).save(agent / "000068_camera1.png")
+
+
+def blue_intensity(agent: Path) -> None:
+    for name in ("000068.pcd", "000068_lidar0.pcd"):
+        path = agent / name
+        head, body = path.read_bytes().split(b"DATA binary\n")
+        rows = np.frombuffer(body, "<u4").reshape(-1, 4).copy()
+        rows[:, 3] >>= 16
+        path.unlink()
+        path.write_bytes(head + b"DATA binary\n" + rows.tobytes())
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda a: (a / "000068.pcd").unlink(), "No such file"),
+        (lambda a: (a / "000068_lidar0.pcd").unlink(), "1 LiDARs, 0 point clouds"),
+        (lambda a: (a / "000068_camera1.png").unlink(), "2 cameras, 1 pictures"),
+        (lambda a: (a / "000068.yaml").unlink(), "no frame"),
+        (lambda a: (a.parent / "-1" / "000068.yaml").unlink(), "frames are not those"),
+        (lambda a: (a / "000070.pcd").write_bytes(b""), "without its YAML"),
+        (lambda a: (a / ".000068.pcd.1.part").write_bytes(b""), "not a file of the format"),
+        (lambda a: (a.parent / "data_protocol.yaml").unlink(), "data_protocol.yaml: missing"),
+        (lambda a: a.rename(a.parent / "unit"), "not the id of a unit"),
+        (grey_picture, "mode L, not RGB"),
+        (large_picture, "the intrinsic says"),
+        (blue_intensity, "more than the red byte"),
+        (damage_yaml(lambda d: d.pop("lidar_pose0")), "no lidar_pose0"),
+        (damage_yaml(lambda d: d.pop("trucks")), "no trucks"),
+        (damage_yaml(lambda d: d.update(RSU=False)), "RSU is not true"),
+        (damage_yaml(lambda d: d["vehicles"].pop(7)), "cyclists.7 is not vehicles.7"),
+        (damage_yaml(lambda d: d["cyclists"].pop(7)), "vehicles are not all"),
+        (damage_yaml(lambda d: d["vehicles"][7].pop("angle")), "is not vehicles.7"),
+        (damage_yaml(lift_center), "not straight up"),
+        (damage_yaml(shift_camera), "off by"),
+        (damage_yaml(invert_extrinsic), "off by"),
+    ],
+)
+def test_readers_reject_what_is_damaged(tmp_path, damage, message):
+    scenario = written(tmp_path / "a")
+    check_scenario(scenario)
+    damage(scenario / "-2")
+    with pytest.raises((AssertionError, FileNotFoundError), match=message):
+        check_scenario(scenario)
+
+
+def test_points_out_of_the_readers_range_are_rejected(tmp_path):
+    scenario = written(tmp_path / "a")
+    with pytest.raises(AssertionError, match="no point within"):
+        check_scenario(scenario, lidar_range=(-140.8, -38.4, 0, 140.8, 38.4, 4))
+
+
+def test_yaml_of_a_known_frame(tmp_path):
+    """A car at (10, 20) facing north and a station 6 m up, worked out by hand."""
+    seen = image(pose=[12, 8, 5, 0, np.radians(-30), np.radians(-150)], layers=False)
+    here = replace(
+        station(1, 0, 1), images=(seen,), scans=(scan(pose=UNIT + [0, 0, 0.5, 0, 0, 0]),)
+    )
+    scenario = written(tmp_path / "a", frame(things=[car()], stations=[here]))
+    entry = {
+        "angle": [0, -90, 0],
+        "center": [0, 0, 0.75],
+        "extent": [2.1, 0.9, 0.75],
+        "location": [10, -20, 0],
+        "name": "vehicle.audi.tt",
+        "obj_type": "Car",
+        "speed": 36,
+    }
+    read = content(scenario / "-1" / "000068.yaml")
+    extrinsic = np.array(read["camera0"].pop("extrinsic"))
+    assert read == {
+        "RSU": True,
+        "ego_speed": 0,
+        "true_ego_pos": [12, -8, 6, 0, 150, 0],
+        "predicted_ego_pos": [12, -8, 6, 0, 150, 0],
+        "lidar_pose": [12, -8, 6.5, 0, 150, 0],
+        "lidar_pose0": [12, -8, 6.5, 0, 150, 0],
+        "camera0": {
+            "cords": [12, -8, 5, 0, 150, -30],
+            "intrinsic": [[5, 0, 4], [0, 5, 3], [0, 0, 1]],
+        },
+        "vehicles": {3: entry},
+        "cars": {3: entry},
+        "cyclists": {},
+        "pedestrians": {},
+        "trucks": {},
+    }
+    # The LiDAR is 1.5 m above the camera, which looks 30° down: partly behind, partly above.
+    above = [-1.5 * np.sin(np.radians(30)), 0, 1.5 * np.cos(np.radians(30))]
+    np.testing.assert_allclose(extrinsic[:3, 3], above, atol=1e-9)
+
+
+def test_a_thing_lands_where_its_picture_shows_it(tmp_path):
+    """A car ahead and to the left of a camera is left of the middle, by the files alone."""
+    seen = image(800, 600, pose=[0, 0, 6, 0, 0, np.radians(90)], layers=False)
+    here = replace(station(1, 0, 1), images=(seen,))
+    scenario = written(
+        tmp_path / "a", frame(things=[car(center=np.array([-5.0, 20.0, 0.75]))], stations=[here])
+    )
+    read = content(scenario / "-1" / "000068.yaml")
+    x, y, z, roll, yaw, pitch = read["camera0"]["cords"]
+    assert (roll, yaw, pitch) == (0, -90, 0)
+    thing = read["vehicles"][3]
+    dx, dy, dz = np.add(thing["location"], thing["center"]) - [x, y, z]
+    forward, right, up = -dy, dx, dz  # yaw −90° in a left-handed world faces −y
+    k = np.array(read["camera0"]["intrinsic"])
+    u, v, w = k @ [right, -up, forward]
+    assert (u / w, v / w) == pytest.approx((400 - 5 * 5 / 20, 300 + 5 * 5.25 / 20))
+
+
+def test_the_same_frame_gives_the_same_bytes(tmp_path):
+    given = frame()
+    turned = replace(given, things=given.things[::-1])
+    assert files(written(tmp_path / "a", given)) == files(written(tmp_path / "b", turned))
+
+
+def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
+    """With and without libyaml; also what plain YAML would take for a number, a date or nothing."""
+    if not yaml.__with_libyaml__:
+        pytest.skip("there is no libyaml to compare with")
+    names = ["null", "1e-7", "2024-01-01", "", " a: b", "ä\n", "\U0001f697", "x" * 300]
+    things = [car(i, name=name, yaw=1e-9 * i) for i, name in enumerate(names)]
+    fast = files(written(tmp_path / "a", frame(things=things)))
+
+    class Slow(yaml.SafeDumper):
+        def ignore_aliases(self, data):
+            return True
+
+    monkeypatch.setattr(opv2v, "_Dumper", Slow)
+    assert files(written(tmp_path / "b", frame(things=things))) == fast
+    read = yaml.safe_load(fast["-1/000068.yaml"])["vehicles"]
+    assert [read[i]["name"] for i in range(len(names))] == names
+
+
+def test_any_parser_reads_the_same(tmp_path):
+    """The text in halves, as our reader takes it, and the whole by plain safe_load."""
+    scenario = written(tmp_path / "a", frame(things=[car(i, yaw=1e-6 * i) for i in range(9)]))
+    text = (scenario / "-1" / "000068.yaml").read_text()
+    assert re.search(r"\d[eE][-+]?\d", text)
+    for entry in yaml.safe_load(text)["vehicles"].values():
+        assert all(type(number) is float for number in entry["angle"])
+    assert_same(read_frame(scenario, 68), frame(things=[car(i, yaw=1e-6 * i) for i in range(9)]))
+
+
+def test_a_frame_that_fails_midway_is_not_there(tmp_path, monkeypatch):
+    """The disk is full at the last picture: of the frame before, too, nothing is left to read."""
+    scenario = written(tmp_path / "a")
+    count = [0]
+
+    def full(path, *_, **__):
+        count[0] += 1
+        if count[0] == 4:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(opv2v, "write_rgb", full)
+    with pytest.raises(OSError, match="No space"):
+        write_frame(scenario, frame())
+    assert not list(scenario.rglob("*.yaml.*"))
+    assert not list(scenario.glob("-*/*.yaml"))
+    assert not list(scenario.rglob("*.part"))
+
+
+def test_yaml_is_the_last_file_of_each_agent(tmp_path, monkeypatch):
+    order = []
+    for name in ("write_pcd", "write_rgb", "write_depth", "write_instance", "write_semantic"):
+        monkeypatch.setattr(opv2v, name, lambda path, *_, **__: order.append(path.suffix))
+    monkeypatch.setattr(opv2v, "write_text", lambda path, *_: order.append(path.suffix))
+    monkeypatch.setattr(opv2v.os, "link", lambda *_: order.append("link"))
+    write_frame(tmp_path, frame())
+    assert order[-2:] == [".yaml"] * 2
+    assert ".yaml" not in order[:-2]
+    assert len(order) == 2 * (1 + 1 + 2 * 4 + 1)
+
+
+def test_a_frame_written_again_leaves_nothing_behind(tmp_path):
+    """Fewer cameras, no layers: pictures of the first time would be read with the second's."""
+    scenario = written(tmp_path / "a", frame(stations=[station(1, cameras=3)]))
+    (scenario / "-1" / ".000068.pcd.killed.part").touch()
+    bare = frame(stations=[station(1, cameras=1, layers=False)])
+    written(scenario, bare)
+    check_scenario(scenario)
+    assert_same(read_frame(scenario, 68), bare)
+
+
+def test_a_frame_is_cleared_so_that_it_can_be_resumed(tmp_path, monkeypatch):
+    """Without its YAML it is not there; as long as its first file is, it is known to be begun."""
+    scenario = written(tmp_path / "a", frame(stations=[station()]))
+    gone, unlink = [], Path.unlink
+
+    def watch(path, **how):
+        gone.append(path.name)
+        unlink(path, **how)
+
+    monkeypatch.setattr(Path, "unlink", watch)
+    write_frame(scenario, frame(stations=[station()]))
+    assert (gone[0], gone[-1]) == ("000068.yaml", "000068_lidar0.pcd")
+    assert len(gone) == len(set(gone)) == 11
+
+
+def test_one_file_of_points_has_two_names_or_two_copies(tmp_path, monkeypatch):
+    linked = files(written(tmp_path / "a"))
+
+    def refuse(*_):
+        raise OSError("no links here")
+
+    monkeypatch.setattr(opv2v.os, "link", refuse)
+    assert files(written(tmp_path / "b")) == linked
+
+
+def test_depth_is_capped_and_reads_as_no_end(tmp_path):
+    path = tmp_path / "depth.png"
+    write_depth(path, np.array([[0.0, 1.234, 655.34], [655.35, 1e6, np.inf]]))
+    expected = [[0, 1.23, 655.34], [np.inf] * 3]
+    np.testing.assert_allclose(read_depth(path), np.array(expected, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"number": -1}, "frame -1 is out of range"),
+        ({"number": 10**6}, "frame 1000000 is out of range: a whole number, 0 to 999999"),
+        ({"things": (car(), car())}, "track 3 is given twice"),
+        ({"things": (car(-1),)}, "track -1 is out of range"),
+        ({"things": (car(65535),)}, "0 to 65534"),
+        ({"things": (car(1.5),)}, "track 1.5 is out of range"),
+        ({"things": (car(kind="bus"),)}, "kind 'bus': one of car, truck"),
+        ({"things": (car(center=np.array([0, np.nan, 0])),)}, "track 3: center must be finite"),
+        ({"things": (car(size=np.array([1, 1, 0])),)}, "size .* is not above 0"),
+        ({"things": (car(yaw=np.inf),)}, "yaw must be finite"),
+        ({"stations": (station(0),)}, "station 0 is out of range"),
+        ({"stations": (station(1), station(1))}, "station 1 is given twice"),
+        ({"stations": (replace(station(), pose=np.zeros(5)),)}, "station 1: pose must be"),
+    ],
+)
+def test_frames_that_cannot_be_written_leave_no_file(tmp_path, changes, message):
+    with pytest.raises(InspeError, match=message):
+        write_frame(tmp_path / "a", replace(frame(), **changes))
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rgb": np.zeros((6, 8), np.uint8)}, r"image 0: rgb must be uint8 \(height, width, 3\)"),
+        ({"rgb": np.zeros((6, 8, 3))}, "rgb must be uint8"),
+        ({"depth": np.zeros((6, 9))}, "depth must be .6, 8. as rgb, of floats"),
+        ({"depth": np.full((6, 8), np.nan)}, "depth runs from nan"),
+        ({"depth": np.full((6, 8), -1.0)}, "depth runs from -1.0"),
+        ({"instance": np.full((6, 8), 2**16)}, "instance runs from 65536"),
+        ({"instance": np.zeros((6, 8))}, "instance must be .* of integers"),
+        ({"semantic": np.full((6, 8), 300, np.uint16)}, "semantic runs from 300"),
+        ({"intrinsic": np.eye(4)}, "intrinsic must be"),
+    ],
+)
+def test_images_that_cannot_be_written(tmp_path, changes, message):
+    here = replace(station(), images=(replace(image(), **changes),))
+    with pytest.raises(InspeError, match=f"frame 68: station 1: .*{message}"):
+        write_frame(tmp_path / "a", frame(stations=[here]))
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((5, 3)), "must be .*float64 .5, 3."),
+        (np.full((1, 4), np.nan), "must be finite"),
+        (np.array([[0, 0, 0, 1.01]]), "intensity runs from 1.01 to 1.01: allowed 0 to 1"),
+    ],
+)
+def test_scans_that_cannot_be_written(tmp_path, points, message):
+    here = replace(station(), scans=(replace(scan(), points=points),))
+    with pytest.raises(InspeError, match=f"scan 0: points:? {message}"):
+        write_frame(tmp_path / "a", frame(stations=[here]))
+
+
+@pytest.mark.parametrize("key", WORLD)
+def test_protocols_must_tell_the_world(tmp_path, key):
+    world = {k: v for k, v in WORLD.items() if k != key}
+    with pytest.raises(InspeError, match=rf"data_protocol.yaml: world.{key}: missing key"):
+        write_protocol(tmp_path, {"world": world})
+
+
+def test_protocols_must_be_plain(tmp_path):
+    with pytest.raises(InspeError, match=r"data_protocol.yaml: .*cannot represent"):
+        write_protocol(tmp_path, {"world": WORLD, "noise": np.float32(0.02)})
+
+
+def test_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InspeError, match="file/-1: cannot be made a folder"):
+        write_frame(tmp_path / "file", frame())
+
+
+def test_stations_missing_a_frame_are_named(tmp_path):
+    scenario = written(tmp_path / "a")
+    shutil.rmtree(scenario / "-2")
+    (scenario / "-2").mkdir()
+    with pytest.raises(InspeError, match=r"-2/000068.yaml: no such frame; there are none"):
+        read_frame(scenario, 68)

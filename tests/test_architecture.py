@@ -27,7 +27,10 @@ LADDER = [
 ]
 ROOMS = {
     "shapely": ("scene/", "placement/constraints.py", "placement/site.py", "report/"),
-    "carla": ("scene/opendrive",),
+    "carla": ("scene/opendrive", "dataset/carla"),
+    "embreex": ("dataset/embree.py",),
+    "sumolib": ("scene/sumo",),
+    "sumo": ("scene/sumo",),
     "jaxopt": ("placement/rounds.py",),
     "optax": ("placement/adam.py",),
     "PIL": ("dataset/",),

@@ -1,0 +1,107 @@
+"""Light: where the sun stands, how bright it and the sky are, and what a camera makes of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from inspe_jax.sensing.conditions import Conditions
+
+
+@dataclass(frozen=True)
+class Light:
+    """One time of day. Colours are linear; brightness is in units of a white wall at midday.
+
+    ``elevation`` and ``azimuth`` of the sun [rad], the latter counter-clockwise from east;
+    ``exposure`` [s]; ``gain`` is what the camera multiplies by; ``read`` and ``shot`` are its noise
+    at no light and at full scale, before the gain; ``moments`` are averaged over an exposure.
+    """
+
+    elevation: float
+    azimuth: float
+    sun: tuple[float, float, float]
+    ambient: tuple[float, float, float]
+    sky: tuple[float, float, float]
+    lamps: float
+    exposure: float
+    gain: float
+    read: float
+    shot: float
+    moments: int
+
+    @property
+    def to_sun(self) -> Float[np.ndarray, "3"]:
+        """The direction to the sun."""
+        plan = np.cos(self.elevation)
+        x, y = plan * np.cos(self.azimuth), plan * np.sin(self.azimuth)
+        return np.array([x, y, np.sin(self.elevation)])
+
+    @property
+    def has_sun(self) -> bool:
+        """Whether the sun is up."""
+        return max(self.sun) > 0
+
+
+LIGHTS: dict[str, Light] = {
+    "midday": Light(
+        elevation=np.radians(52), azimuth=np.radians(-65),
+        sun=(0.95, 0.92, 0.86), ambient=(0.27, 0.30, 0.36), sky=(0.42, 0.60, 0.86),
+        lamps=0.0, exposure=0.001, gain=1.35, read=0.002, shot=0.008, moments=1,
+    ),
+    "dusk": Light(
+        elevation=np.radians(7), azimuth=np.radians(165),
+        sun=(0.42, 0.24, 0.11), ambient=(0.10, 0.105, 0.15), sky=(0.46, 0.33, 0.34),
+        lamps=0.25, exposure=0.008, gain=3.0, read=0.003, shot=0.015, moments=2,
+    ),
+    "night": Light(
+        elevation=np.radians(-20), azimuth=0.0,
+        sun=(0.0, 0.0, 0.0), ambient=(0.006, 0.007, 0.011), sky=(0.008, 0.010, 0.018),
+        lamps=1.0, exposure=0.033, gain=7.0, read=0.004, shot=0.02, moments=3,
+    ),
+}  # fmt: skip
+"""Plausible figures, brightness by orders of magnitude as on a street."""
+
+LAMP = (6.0, 5.0, 3.6)
+"""What a street lamp gives at 1 m: a warm white."""
+KOSCHMIEDER = 3.0
+"""Contrast falls to 5 % at the meteorological optical range: exp(−3)."""
+RAIN = 0.00025
+"""What rain of 1 mm/h takes from a sight line of 1 m."""
+
+
+def light_of(conditions: Conditions) -> Light:
+    """The light of a time of day."""
+    return LIGHTS[conditions.light]
+
+
+def haze(conditions: Conditions) -> float:
+    """What the air takes from an image a metre: its extinction [1/m]."""
+    if conditions.intensity is None:
+        return 0.0
+    if conditions.weather == "fog":
+        return KOSCHMIEDER / conditions.intensity
+    return RAIN * conditions.intensity
+
+
+def developed(
+    linear: Float[np.ndarray, "H W 3"], light: Light, rng: np.random.Generator
+) -> UInt8[np.ndarray, "H W 3"]:
+    """What a camera makes of light: noise, gain, highlights that roll off, and sRGB's curve."""
+    value = np.maximum(np.asarray(linear, np.float32), 0.0)
+    deviation = np.sqrt(light.read**2 + light.shot**2 / light.gain * value)
+    value = (value + deviation * rng.standard_normal(value.shape, np.float32)) * light.gain
+    return _CURVE[np.clip(value * (_FINE / WHITE), 0, _FINE).astype(np.int32)]
+
+
+def _curve() -> UInt8[np.ndarray, " N"]:
+    """8 bits for even steps of brightness, up to :data:`WHITE`."""
+    value = (np.arange(_FINE + 1) + 0.5) / _FINE * WHITE
+    value = value * (1 + value / WHITE**2) / (1 + value)  # Reinhard's, which ends at white
+    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.round(255 * np.clip(curve, 0, 1)).astype(np.uint8)
+
+
+WHITE = 2.5
+"""Brightness that is white in an image, after the gain."""
+_FINE = 2**14
+_CURVE = _curve()

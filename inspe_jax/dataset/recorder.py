@@ -1,0 +1,146 @@
+"""What the sensors of a layout record of a scene's traffic, frame by frame."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from inspe_jax.dataset.camera import Camera
+from inspe_jax.dataset.embree import Caster
+from inspe_jax.dataset.lidar import Lidar, LidarNoise
+from inspe_jax.dataset.movers import Company, things_of
+from inspe_jax.dataset.record import Frame, Image, Scan, Station
+from inspe_jax.dataset.statics import build_statics
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec
+
+BELOW = 2.5
+"""A mast ends so far beneath its unit's lowest sensor [m], out of the sensors' sight."""
+LAYERS = ("depth", "instance", "semantic")
+"""What a camera can record beside its pictures."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What to record: ``rate`` in frames a second [Hz]; ``layers`` of :data:`LAYERS`;
+    ``image_scale`` times the cameras' own resolution."""
+
+    rate: float = 10.0
+    layers: tuple[str, ...] = ()
+    image_scale: float = 1.0
+    noise: LidarNoise = field(default_factory=LidarNoise)
+
+    def check(self) -> None:
+        """Raise InspeError where a value is out of range."""
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
+        if not (np.isfinite(self.image_scale) and 0 < self.image_scale <= 4):
+            raise InspeError(f"image_scale {self.image_scale} is out of range: above 0, up to 4")
+        for name in self.layers:
+            if name not in LAYERS:
+                raise InspeError(
+                    f"layer '{name}': one of {', '.join(LAYERS)}{nearest(name, LAYERS)}"
+                )
+
+
+class Recorder(Protocol):
+    """What records a scene, whichever way; the same frame is the same however often it is asked."""
+
+    def frame(self, t: int) -> Frame:
+        """Frame t of the scene's traffic, as every station recorded it."""
+        ...
+
+
+class EmbeddedRecorder:
+    """The sensors in a world of triangles, by Embree: no simulator needed."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        conditions: Conditions = FAIR,
+        recording: Recording | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.recording = recording or Recording()
+        self.recording.check()
+        self.scene, self.seed = scene, seed
+        layout = conditions.layout(layout)
+        poses = np.asarray(layout.poses, float)
+        self.layout = layout
+        self.statics = build_statics(
+            scene.intersection, scene.voxels.radius, _masts(layout, poses), seed
+        )
+        self.still = Caster(self.statics.triangles)
+        self.sensors: list[Camera | Lidar] = [
+            Camera(
+                sensor.spec, pose, self.statics, self.still, conditions, self.recording.image_scale
+            )
+            if isinstance(sensor.spec, CameraSpec)
+            else Lidar(sensor.spec, pose, self.statics, self.still)
+            for sensor, pose in zip(layout.sensors, poses, strict=True)
+        ]
+
+    def frame(self, t: int) -> Frame:
+        """Frame t, as every station recorded it."""
+        things = things_of(self.scene.traffic, t, self.seed)
+        company = Company(things, self.statics.center)
+        seen: list[Image | Scan] = []
+        for s, sensor in enumerate(self.sensors):
+            rng = np.random.default_rng([self.seed, t, s, 3])
+            if isinstance(sensor, Camera):
+                seen.append(sensor.image(company, self.seed, rng, self.recording.layers))
+            else:
+                returns = sensor.cast(company, 1.0 / self.recording.rate)
+                seen.append(sensor.scan(returns, self.recording.noise, rng))
+        stations = tuple(
+            Station(
+                number=u + 1,
+                name=unit.name,
+                pose=np.array([*unit.base, 0.0, 0.0, 0.0]),
+                images=tuple(x for x in (seen[s] for s in members) if isinstance(x, Image)),
+                scans=tuple(x for x in (seen[s] for s in members) if isinstance(x, Scan)),
+            )
+            for u, (unit, members) in enumerate(
+                zip(self.layout.units, self.layout.members(), strict=True)
+            )
+        )
+        return Frame(t, float(self.scene.traffic.time[t]), things, stations)
+
+
+def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:
+    """Foot and height of each unit's mast (U, 4): it ends beneath what its own sensors see."""
+    heights = [min(poses[s, 2] for s in members) - BELOW for members in layout.members()]
+    return np.array(
+        [
+            (*unit.base, max(height - unit.base[2], 0.5))
+            for unit, height in zip(layout.units, heights, strict=True)
+        ]
+    )
+
+
+def recorder_of(
+    backend: str,
+    scene: Scene,
+    layout: Layout,
+    conditions: Conditions = FAIR,
+    recording: Recording | None = None,
+    seed: int = 0,
+) -> AbstractContextManager[Recorder]:
+    """A recorder by the name of its backend, in :data:`BACKENDS`. Raises InspeError for another."""
+    if backend not in BACKENDS:
+        raise InspeError(
+            f"backend '{backend}': one of {', '.join(BACKENDS)}{nearest(backend, [*BACKENDS])}"
+        )
+    return BACKENDS[backend](scene, layout, conditions, recording, seed)
+
+
+BACKENDS: dict[str, Callable[..., AbstractContextManager[Recorder]]] = {
+    "embedded": lambda *given: nullcontext(EmbeddedRecorder(*given)),
+}
+"""What can record."""

@@ -1,0 +1,152 @@
+"""The ground as it looks: which region each point of it is of, what is painted on it, its colour.
+
+A raster of labels, drawn once for a scene; colours come from it and from noise that is fixed to the
+ground, so that every camera sees the same asphalt.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from PIL import Image, ImageDraw
+from shapely.geometry import LineString
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.regions import PRECEDENCE, Region
+
+CELL = 0.1
+"""Edge of a cell of the raster [m]."""
+STRIPE = 0.5
+"""Width of a zebra crossing's stripes, and of the gaps between them [m]."""
+LINE = 0.12
+"""Width of a line between lanes [m]."""
+
+GRASS, PAINT = len(Region), len(Region) + 1
+"""Labels beside the regions': what is none of them, and white paint."""
+
+ALBEDO = np.array(
+    [
+        [0.105, 0.105, 0.11],  # driveway: asphalt
+        [0.09, 0.09, 0.095],  # junction
+        [0.11, 0.11, 0.112],  # crosswalk, between its stripes
+        [0.30, 0.29, 0.27],  # sidewalk: slabs
+        [0.16, 0.155, 0.15],  # shoulder
+        [0.07, 0.11, 0.04],  # grass
+        [0.62, 0.62, 0.60],  # paint
+    ]
+)
+"""Linear albedo of each label: plausible figures, asphalt as it is after some years."""
+ROUGH = np.array([0.25, 0.25, 0.25, 0.12, 0.25, 0.6, 0.12])
+"""How much the noise varies each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Labels (N, N) of cells of :data:`CELL` metres from a corner (x, y), rows northward."""
+
+    labels: Int[np.ndarray, "N N"]
+    corner: Float[np.ndarray, "2"]
+
+    def label(self, xy: Float[np.ndarray, "R 2"]) -> Int[np.ndarray, " R"]:
+        """The label at points: a region, :data:`PAINT`, or :data:`GRASS` beyond the raster too."""
+        at = np.floor((xy - self.corner) / CELL).astype(int)
+        inside = ((at >= 0) & (at < len(self.labels))).all(1)
+        at = np.where(inside[:, None], at, 0)
+        return np.where(inside, self.labels[at[:, 1], at[:, 0]], GRASS)
+
+    def albedo(self, xy: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, "R 3"]:
+        """Linear colour at points."""
+        label = self.label(xy)
+        grain = 0.5 * noise(xy / 0.07) + 0.3 * noise(xy / 0.6) + 0.2 * noise(xy / 5.0)
+        colour = ALBEDO[label] * (1 + ROUGH[label] * 2 * (grain - 0.5))[:, None]
+        slabs = (np.abs(xy % 1.2 - 0.6) > 0.575).any(1) & (label == Region.SIDEWALK)
+        return np.where(slabs[:, None], 0.6 * colour, colour)
+
+
+def lay_surface(intersection: Intersection, reach: float) -> Surface:
+    """The ground of an intersection out to ``reach`` metres from its centre."""
+    corner = intersection.center[:2] - reach
+    size = int(np.ceil(2 * reach / CELL))
+    image = Image.new("L", (size, size), GRASS)
+    pen = ImageDraw.Draw(image)
+    for region in reversed(PRECEDENCE):
+        if region in intersection.regions:
+            _fill(pen, intersection.regions[region], corner, int(region), GRASS)
+    for shape in (*_zebras(intersection), *_lines(intersection)):
+        _fill(pen, shape, corner, PAINT, None)
+    return Surface(np.asarray(image), corner)
+
+
+def _fill(
+    pen: ImageDraw.ImageDraw,
+    shape: BaseGeometry,
+    corner: np.ndarray,
+    label: int,
+    hole: int | None,
+) -> None:
+    """Draw a shape; its holes too, for what lies in them is drawn after."""
+    for part in shapely.get_parts(shape):
+        if part.geom_type != "Polygon":
+            continue
+        for ring, value in [(part.exterior, label), *((r, hole) for r in part.interiors)]:
+            if value is not None:
+                points = (np.asarray(ring.coords)[:, :2] - corner) / CELL
+                pen.polygon([(float(x), float(y)) for x, y in points], fill=value)
+
+
+def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
+    """Stripes across the crossings, in the direction of the traffic that they cross."""
+    for walk in shapely.get_parts(intersection.regions.get(Region.CROSSWALK, LineString())):
+        corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
+        sides = np.diff(corners[:3], axis=0)
+        long, short = sides[np.argsort(-np.hypot(*sides.T))]
+        start = corners.mean(0) - long / 2
+        count = int(np.hypot(*long) / (2 * STRIPE))
+        for k in range(count):
+            at = start + long * (k + 0.5) / count
+            stripe = LineString([at - short / 2, at + short / 2])
+            yield stripe.buffer(STRIPE / 2, cap_style="flat").intersection(walk.buffer(-0.15))
+
+
+def _lines(intersection: Intersection) -> list[BaseGeometry]:
+    """Lines beside the lanes, outside junctions and clear of kerbs."""
+    driveway = intersection.regions.get(Region.DRIVEWAY)
+    if driveway is None or driveway.is_empty:
+        return []
+    others = [
+        s for r, s in intersection.regions.items() if r in (Region.JUNCTION, Region.CROSSWALK)
+    ]
+    free = driveway.buffer(-0.7).difference(unary_union(others).buffer(0.8))
+    sides = [
+        LineString(route.waypoints[:, :2]).offset_curve(side * route.width / 2)
+        for route in intersection.routes
+        if route.user == "vehicle" and len(route.waypoints) > 1
+        for side in (-1, 1)
+    ]
+    return [unary_union(sides).intersection(free).buffer(LINE / 2, cap_style="flat")]
+
+
+def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
+    """Smooth noise of 0 … 1 that is always the same at the same point: random values on a lattice
+    of edge 1, blended between."""
+    cell = np.floor(at).astype(np.int64)
+    part = at - cell
+    part = part * part * (3 - 2 * part)
+    value = np.zeros(len(at))
+    for i in (0, 1):
+        for j in (0, 1):
+            weight = np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1])
+            value += weight * _hashed(cell[:, 0] + i, cell[:, 1] + j)
+    return value
+
+
+def _hashed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A number of 0 … 1 for each pair of whole ones (multiply and shift; overflow is meant)."""
+    mixed = x.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= y.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
+    mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+    return ((mixed ^ (mixed >> np.uint64(32))) >> np.uint64(40)).astype(float) / 2.0**24

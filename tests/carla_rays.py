@@ -1,0 +1,172 @@
+"""What a sensor of the wire-level CARLA server sees: rays against the ground z = 0 and boxes.
+
+CARLA's frame: x forward, y right, z up, left-handed; poses are (x, y, z, pitch, yaw, roll) in
+metres and degrees, rotated roll first and yaw last. Everything is exact and without noise, so that
+a test can work out what it should get. Left out on purpose: drop-off and noise of the LiDAR, lens
+effects, weather.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+SKY, GROUND = 11, 1
+"""CARLA's semantic tags of what is no box: sky, roads."""
+
+FAR = 1000.0
+"""Where CARLA's depth camera ends [m]."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A solid: its centre's pose in the world as a matrix, half sizes [m], and how it is drawn."""
+
+    matrix: np.ndarray  # (4, 4)
+    extent: tuple[float, float, float]
+    tag: int
+    instance: int
+    colour: tuple[int, int, int]
+
+
+def matrix(pose: Sequence[float]) -> np.ndarray:
+    """The (4, 4) matrix from an actor's frame to the world, as `carla.Transform.get_matrix`."""
+    cp, cy, cr = np.cos(np.radians(pose[3:]))
+    sp, sy, sr = np.sin(np.radians(pose[3:]))
+    return np.array(
+        [
+            [cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr, pose[0]],
+            [cp * sy, sy * sp * sr + cy * cr, -sy * sp * cr + cy * sr, pose[1]],
+            [sp, -cp * sr, cp * cr, pose[2]],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+def pose(matrix: np.ndarray) -> tuple[float, ...]:
+    """The pose that has this matrix; what hangs on another actor is told where it is by it."""
+    pitch = np.arcsin(np.clip(matrix[2, 0], -1, 1))
+    yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
+    roll = np.arctan2(-matrix[2, 1], matrix[2, 2])
+    return (*matrix[:3, 3].tolist(), *np.degrees([pitch, yaw, roll]).tolist())
+
+
+def instance_of(actor: int) -> int:
+    """Sixteen bits that stand for an actor in instance segmentation.
+
+    CARLA writes Unreal's number of the object there, not the actor's id; nor is it the id here.
+    """
+    return (40503 * actor + 977) % 65536
+
+
+def colour_of(actor: int) -> tuple[int, int, int]:
+    """An actor's colour in RGB images: red differs for 191 in a row, blue is below all else's."""
+    return 64 + 37 * actor % 191, 64 + 53 * actor % 191, actor % 40
+
+
+def cast(
+    origin: np.ndarray, directions: np.ndarray, boxes: Sequence[Box]
+) -> tuple[np.ndarray, np.ndarray]:
+    """First hits of rays in the world: multiples of `directions` (R, 3), and which box was hit.
+
+    -1 is the ground and -2 nothing, at infinity. A box around the origin is seen through.
+    """
+    nearest = np.full(len(directions), np.inf)
+    which = np.full(len(directions), -2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = -origin[2] / directions[:, 2]
+        hit = down > 0  # false where it is no number
+        nearest[hit], which[hit] = down[hit], -1
+        for k, box in enumerate(boxes):
+            turn = box.matrix[:3, :3]
+            start, along = (origin - box.matrix[:3, 3]) @ turn, directions @ turn
+            sides = np.stack(
+                [(-e - start) / along for e in (np.array(box.extent), -np.array(box.extent))]
+            )
+            enter, leave = np.nanmax(sides.min(0), -1), np.nanmin(sides.max(0), -1)
+            hit = (enter > 0) & (enter <= leave) & (enter < nearest)
+            nearest[hit], which[hit] = enter[hit], k
+    return nearest, which
+
+
+def overlap(a: Box, b: Box) -> bool:
+    """Whether two boxes meet: no axis of theirs or across both separates them."""
+    turns = a.matrix[:3, :3], b.matrix[:3, :3]
+    across = np.cross(turns[0].T[:, None], turns[1].T[None]).reshape(-1, 3)
+    axes = np.concatenate([turns[0].T, turns[1].T, across])  # (15, 3)
+    gap = np.abs(axes @ (a.matrix[:3, 3] - b.matrix[:3, 3]))
+    reach = np.abs(axes @ turns[0]) @ a.extent + np.abs(axes @ turns[1]) @ b.extent
+    return bool(np.all(gap <= reach + 1e-9))
+
+
+def swept(spec: Mapping[str, str], seconds: float) -> float:
+    """What a LiDAR turns in a time [deg]."""
+    return float(spec["rotation_frequency"]) * float(spec["horizontal_fov"]) * seconds
+
+
+def scan(
+    spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], start: float, seconds: float
+) -> tuple[list[int], np.ndarray]:
+    """A LiDAR's turn from an angle on [deg]: points a channel and all of them, (P, 4) float32.
+
+    Points are in the sensor's own frame with intensity exp(-a d), channel after channel from the
+    upper one down. As in CARLA there are `points_per_second` × `seconds` rays.
+    """
+    channels, span = int(spec["channels"]), float(spec["horizontal_fov"])
+    upper, lower = float(spec["upper_fov"]), float(spec["lower_fov"])
+    rays = int(np.floor(float(spec["points_per_second"]) * seconds / channels + 0.5))
+    pitch = np.radians(np.linspace(upper, lower, channels))[:, None]  # (C, 1)
+    turned = start + swept(spec, seconds) * np.arange(rays) / max(rays, 1)
+    yaw = np.radians(turned % span - span / 2)  # (H,)
+    own = np.stack(
+        [
+            np.cos(pitch) * np.cos(yaw),
+            np.cos(pitch) * np.sin(yaw),
+            np.broadcast_to(np.sin(pitch), (channels, rays)),
+        ],
+        -1,
+    ).reshape(-1, 3)
+    reach, _ = cast(where[:3, 3], own @ where[:3, :3].T, boxes)
+    hit = reach <= float(spec["range"])
+    intensity = np.exp(-float(spec["atmosphere_attenuation_rate"]) * reach[hit])
+    points = np.column_stack([own[hit] * reach[hit, None], intensity]).astype("<f4")
+    return hit.reshape(channels, rays).sum(1).tolist(), points
+
+
+def picture(
+    kind: str, spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], frame: int
+) -> np.ndarray:
+    """A pinhole camera's (H, W, 4) BGRA bytes; the blue of the ground tells the frame.
+
+    Rays go through the middles of pixels; the focal length is W / (2 tan(fov / 2)). Depth is along
+    the axis, not along the ray.
+    """
+    width, height = int(spec["image_size_x"]), int(spec["image_size_y"])
+    focal = width / (2 * np.tan(np.radians(float(spec["fov"])) / 2))
+    right, below = np.meshgrid(
+        (np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal
+    )
+    own = np.stack([np.ones_like(right), right, -below], -1).reshape(-1, 3)
+    depth, which = cast(where[:3, 3], own @ where[:3, :3].T, boxes)
+    if kind == "depth":
+        code = np.round(np.minimum(depth / FAR, 1) * (256**3 - 1)).astype(int)
+        rgb = np.stack([code & 255, code >> 8 & 255, code >> 16], -1)
+    else:
+        # One row a box, then sky and ground, which -2 and -1 pick.
+        rows = {
+            "rgb": [*(box.colour for box in boxes), (150, 190, 230), (96, 96, 64 + frame % 128)],
+            "semantic_segmentation": [
+                *((box.tag, 0, 0) for box in boxes),
+                (SKY, 0, 0),
+                (GROUND, 0, 0),
+            ],
+            "instance_segmentation": [
+                *((box.tag, box.instance & 255, box.instance >> 8) for box in boxes),
+                (SKY, 0, 0),
+                (GROUND, 0, 0),
+            ],
+        }
+        rgb = np.array(rows[kind])[which]
+    bgra = np.full((len(own), 4), 255, np.uint8)
+    bgra[:, :3] = rgb[:, ::-1]
+    return bgra.reshape(height, width, 4)

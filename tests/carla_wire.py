@@ -1,0 +1,277 @@
+"""A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
+
+    python tests/carla_wire.py MAP.xodr [MAP.xodr ...] [--rpc PORT] [--scenery FILE.json] [--log]
+
+prints the port it listens on, on the loopback only. It ends on SIGTERM and with its parent. What
+it tells is in `carla_world`, what its sensors see in `carla_rays`, what can be spawned in
+`carla_blueprints`; `carla_client` shows a client. A layout that the client does not expect ends
+the client's process: clients of tests run in processes of their own.
+
+**Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a
+reply [1, id, nil, response]. A response is [[1, value]], or [[False]] where nothing is returned.
+An error is [[0, [text]]] for both, as what may be missing is told by its length; a client raises
+it as RuntimeError. Of an error in the third place of a reply, where msgpack-RPC has it, it tells
+only the name of the call. All that a client asks for comes over one connection, in order.
+
+- `get_world` asks for version, get_episode_info, get_sensor_token of stream 1,
+  get_episode_settings, get_required_files, query_lights_state; without synchronous mode it then
+  waits for a snapshot, and the server has to bring some by itself.
+- `apply_settings` sends set_episode_settings and, where `fixed_delta_seconds` is set, tick_cues
+  until snapshots tell that time: it costs a frame or two, and returns the frame before. On the
+  wire that time is [False] or [True, seconds]; `str(settings)` shows rubbish for the former.
+- `tick` waits for a snapshot of the frame that tick_cue answered. Measurements come before or
+  after: here after, as a recorder must not count on finding them.
+- `set_transform`, `set_target_velocity`, `set_weather` and the like wait for no reply;
+  `set_simulate_physics`, `spawn_actor` and `destroy` do. `actor.get_transform` reads the last
+  snapshot; `actor.bounding_box` asks get_actor_bounding_box each time; `get_actors` asks
+  get_actors_by_id for those that the client has not met.
+- `apply_batch_sync` sends apply_batch of commands [[number, fields]] and False, and for
+  `do_tick` a tick_cue of its own; its response is a bare list of responses with actors' ids. In
+  SpawnActor the parent is [False] or [True, id], the kind of attachment is memory that nobody
+  wrote, and what is to be done then has 0 for the actor, which is the one spawned.
+- `get_map` asks for get_map_info, get_required_files, get_map_data, the first time or two after a
+  map was loaded. Where no files are required, none are kept on the disk.
+- `load_world` sends load_new_episode (name, whether to reset settings, layers; no name reloads),
+  then begins anew with get_episode_info, which must have another id by then. What listened to
+  snapshots is thrown away meanwhile, so none should come just then.
+- An attribute of a blueprint is [name, type, default, recommended, modifiable, restricted], one of
+  an actor [name, type, value]; numbers are text too.
+
+**Streams.** A client connects once for each thing it listens to and sends the u32 number of the
+stream; the server sends u32 lengths and payloads. `listen` returns before that connection is made,
+so that a tick right after it misses its measurement more often than not, where the server does not
+mind; here a tick waits for who asked for a stream. `stop` closes the connection and makes no call.
+Several clients may listen to one sensor.
+
+A payload has 48 bytes: kind and frame u64, time f64, the sensor's x, y, z, pitch, yaw, roll f32.
+Then for a LiDAR the angle [rad] f32, the number of channels u32, the points of each u32, and points
+of four f32; for a picture width and height u32, field of view [deg] f32, and BGRA. For a snapshot
+the episode u64, wall clock f64, seconds since the last f32, an origin of three i32, and flags u32,
+where 1 is a change of map; then 119 bytes an actor: id u32, state u8 (1 is active), pose, velocity,
+turning [deg/s] and acceleration in 15 f32, and 54 bytes that are of vehicles and traffic lights.
+"""
+
+import argparse
+import json
+import math
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from socketserver import StreamRequestHandler, ThreadingTCPServer
+from typing import Any
+
+import msgpack
+from carla_rays import picture, scan
+from carla_world import CALLS, SNAPSHOTS, STEP, Actor, Refused, World
+
+KINDS = {
+    "sensor.camera.depth": 1,
+    "sensor.lidar.ray_cast": 11,
+    "sensor.camera.rgb": 13,
+    "sensor.camera.semantic_segmentation": 14,
+    "sensor.camera.instance_segmentation": 15,
+    "snapshot": 17,
+}
+"""What a payload is: the sensor's place in CARLA's registry."""
+
+
+class Wire:
+    """A world, and who listens to it; whatever touches either holds `changed`."""
+
+    def __init__(
+        self, maps: Sequence[Path], port: int = 0, scenery: Sequence[dict] = (), log: bool = False
+    ):
+        self.servers = [Server(self, Calls, port), Server(self, Streams, 0)]
+        self.port, self.stream_port = (server.server_address[1] for server in self.servers)
+        self.world, self.log = World(maps, self.token, scenery), log
+        self.changed = threading.Condition()
+        self.listeners: dict[int, list[socket.socket]] = defaultdict(list)
+
+    def run(self) -> None:
+        """Serves from threads that end with the process."""
+        for work in (*(server.serve_forever for server in self.servers), self.flow):
+            threading.Thread(target=work, daemon=True).start()
+
+    def flow(self) -> None:
+        """Time passes by itself unless a client asked to be waited for."""
+        while True:
+            time.sleep(STEP)
+            with self.changed:
+                if not self.world.settings[0] and time.monotonic() > self.world.loaded:
+                    self.gather()
+                    self.world.tick_cue()
+                    self.publish()
+
+    # -- Calls ---------------------------------------------------------------------------------
+
+    def answer(self, message: list, connection: socket.socket) -> None:
+        """Replies first and publishes the frame after, as CARLA does."""
+        _, number, name, (_, *arguments) = message
+        with self.changed:
+            if self.log:
+                print(name, str(arguments)[:200], file=sys.stderr, flush=True)
+            if name in ("tick_cue", "apply_batch"):
+                self.gather()
+            if name == "apply_batch":
+                reply = [attempt(self.world.command, *command) for [command] in arguments[0]]
+                if arguments[1]:
+                    self.world.tick_cue()
+            elif name in CALLS:
+                reply = attempt(CALLS[name], self.world, *arguments)
+            else:
+                reply = [[0, [f"this server has no {name}"]]]
+            connection.sendall(msgpack.packb([1, number, None, reply]))
+            if self.world.ticked:
+                self.publish()
+
+    # -- Frames --------------------------------------------------------------------------------
+
+    def gather(self) -> None:
+        """Waits until all who asked for a stream have come for it."""
+        if not self.changed.wait_for(lambda: not +self.world.awaited, timeout=2):
+            self.world.awaited.clear()
+
+    def publish(self) -> None:
+        self.send(self.snapshot(), self.listeners[SNAPSHOTS])
+        self.world.ticked = self.world.fresh = False
+        for actor, seconds, start in self.world.due():
+            if listeners := self.listeners[actor.stream]:
+                self.send(self.measurement(actor, seconds, start), listeners)
+
+    def header(self, kind: str, where: Sequence[float]) -> bytes:
+        return struct.pack("<QQd6f", KINDS[kind], self.world.frame, self.world.time, *where)
+
+    def measurement(self, actor: Actor, seconds: float, start: float) -> bytes:
+        name, spec, where = actor.blueprint.name, actor.attributes, self.world.where(actor)
+        boxes, head = self.world.boxes(), self.header(name, self.world.placed(actor))
+        if name == "sensor.lidar.ray_cast":
+            counts, points = scan(spec, where, boxes, start, seconds)
+            head += struct.pack("<fI", math.radians(actor.angle), len(counts))
+            return head + struct.pack(f"<{len(counts)}I", *counts) + points.tobytes()
+        image = picture(name.rpartition(".")[2], spec, where, boxes, self.world.frame)
+        height, width, _ = image.shape
+        return head + struct.pack("<IIf", width, height, float(spec["fov"])) + image.tobytes()
+
+    def snapshot(self) -> bytes:
+        world = self.world
+        body = struct.pack("<Qdf", world.episode, time.time(), world.step)
+        body += struct.pack("<3iI", 0, 0, 0, world.fresh)
+        for actor in world.actors.values():
+            moving = actor.velocity if actor.physics else (0.0, 0.0, 0.0)
+            body += struct.pack("<IB6f3f", actor.number, 1, *world.placed(actor), *moving)
+            body += bytes(24 + 54)
+        return self.header("snapshot", (0.0,) * 6) + body
+
+    # -- Streams -------------------------------------------------------------------------------
+
+    def token(self, stream: int) -> bytes:
+        return struct.pack("<IHBB4B12x", stream, self.stream_port, 1, 1, 127, 0, 0, 1)
+
+    def subscribe(self, stream: int, connection: socket.socket) -> None:
+        """Who comes for snapshots gets the last one, so that nobody waits for a frame gone by."""
+        with self.changed:
+            self.listeners[stream].append(connection)
+            self.world.awaited[stream] -= 1
+            if stream == SNAPSHOTS:
+                self.send(self.snapshot(), [connection])
+            self.changed.notify_all()
+
+    def unsubscribe(self, stream: int, connection: socket.socket) -> None:
+        with self.changed:
+            self.listeners[stream].remove(connection)
+
+    def send(self, payload: bytes, to: Sequence[socket.socket]) -> None:
+        """Waits for slow readers, as CARLA does in synchronous mode."""
+        for connection in to:
+            with suppress(OSError):  # one that has just gone
+                connection.sendall(struct.pack("<I", len(payload)) + payload)
+
+
+def attempt(work: Callable, *arguments: Any) -> list:
+    """The response of a call."""
+    try:
+        value = work(*arguments)
+    except Refused as error:
+        return [[0, [str(error)]]]
+    except Exception as error:  # a mistake here is to be read there, not waited for
+        traceback.print_exc()
+        return [[0, [f"the server failed: {error!r}"]]]
+    return [[False]] if value is None else [[1, value]]
+
+
+class Server(ThreadingTCPServer):
+    allow_reuse_address = True
+    daemon_threads = True
+
+    def __init__(self, wire: Wire, handler: type, port: int):
+        self.wire = wire
+        super().__init__(("127.0.0.1", port), handler)
+
+
+class Calls(StreamRequestHandler):
+    disable_nagle_algorithm = True
+
+    def handle(self) -> None:
+        unpacker = msgpack.Unpacker()
+        with suppress(OSError):
+            while chunk := self.request.recv(1 << 16):
+                unpacker.feed(chunk)
+                for message in unpacker:
+                    self.server.wire.answer(message, self.request)
+
+
+class Streams(StreamRequestHandler):
+    disable_nagle_algorithm = True
+
+    def handle(self) -> None:
+        asked = self.rfile.read(4)
+        if len(asked) < 4:
+            return
+        (stream,) = struct.unpack("<I", asked)
+        self.server.wire.subscribe(stream, self.request)
+        with suppress(OSError):
+            while self.request.recv(1 << 12):
+                pass
+        self.server.wire.unsubscribe(stream, self.request)
+
+
+@contextmanager
+def serving(*arguments: str | Path) -> Iterator[int]:
+    """The port of a server in a process of its own, which ends with the block."""
+    command = [sys.executable, __file__, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield int(process.stdout.readline())
+        finally:
+            process.terminate()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="A CARLA server without a simulator.")
+    parser.add_argument("maps", type=Path, nargs="+", help="OpenDRIVE files; the first is loaded")
+    parser.add_argument("--rpc", type=int, default=0, help="port; 0 takes a free one")
+    parser.add_argument("--scenery", type=Path, help="JSON: a list of {tag, pose, extent}")
+    parser.add_argument("--log", action="store_true", help="tell every call on stderr")
+    given = parser.parse_args()
+    parent = os.getppid()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    scenery = json.loads(given.scenery.read_text()) if given.scenery else ()
+    wire = Wire(given.maps, given.rpc, scenery, given.log)
+    wire.run()
+    print(wire.port, flush=True)
+    while os.getppid() == parent:
+        time.sleep(0.2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,396 @@
+"""The world behind the wire-level CARLA server: one episode, and what clients may do to it.
+
+No simulation: actors stay where they are put. One that has physics goes on with the velocity it was
+given, one without stands still, as the simulator's snapshots then say. There is no gravity, and
+nothing collides but what is spawned where something is.
+
+What is answered and has no effect: `NOTED`. What is not answered, so that the client raises a
+RuntimeError: the traffic manager (also of `set_autopilot`), physics and lights of vehicles when
+asked for, bones of walkers, traffic lights, `cast_ray`, the simulator's recorder.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from carla_blueprints import BLUEPRINTS, SPECTATOR, Blueprint, definitions
+from carla_rays import (
+    GROUND,
+    Box,
+    cast,
+    colour_of,
+    instance_of,
+    matrix,
+    overlap,
+    pose,
+    swept,
+)
+
+VERSION = "0.9.16"
+SNAPSHOTS = 1
+"""The stream of snapshots; those of sensors count on from there, actors from elsewhere."""
+SETTINGS = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
+NOON = [5.0, 0.0, 0.0, 10.0, -1.0, 45.0, 2.0, 0.75, 0.1, 0.0, 1.0, 0.03, 0.0331, 0.0]
+STEP = 0.05
+"""Seconds a frame where no fixed time is set."""
+LOADING = 0.3
+"""Seconds without frames while a map is loaded."""
+
+CALLS: dict[str, Callable] = {}
+"""What a client may ask for: methods of the world."""
+
+NOTED = [
+    "add_actor_angular_impulse",
+    "add_actor_force",
+    "add_actor_impulse",
+    "add_actor_torque",
+    "apply_ackermann_control_to_vehicle",
+    "apply_control_to_vehicle",
+    "apply_control_to_walker",
+    "apply_physics_control",
+    "disable_actor_constant_velocity",
+    "draw_debug_shape",
+    "enable_actor_constant_velocity",
+    "enable_environment_objects",
+    "freeze_all_traffic_lights",
+    "reset_all_traffic_lights",
+    "set_actor_autopilot",
+    "set_actor_collisions",
+    "set_actor_enable_gravity",
+    "set_actor_target_angular_velocity",
+    "set_vehicle_light_state",
+    "show_vehicle_debug_telemetry",
+    "update_lights_state",
+]
+CALLS |= {name: lambda *_: None for name in NOTED}
+
+COMMANDS = [
+    "spawn_actor",
+    "destroy_actor",
+    "apply_control_to_vehicle",
+    "apply_ackermann_control_to_vehicle",
+    "apply_control_to_walker",
+    "apply_physics_control",
+    "set_actor_transform",
+    "set_walker_state",
+    "set_actor_target_velocity",
+    "set_actor_target_angular_velocity",
+    "add_actor_impulse",
+    "add_actor_force",
+    "add_actor_angular_impulse",
+    "add_actor_torque",
+    "set_actor_simulate_physics",
+    "set_actor_enable_gravity",
+    "set_actor_autopilot",
+    "show_vehicle_debug_telemetry",
+    "set_vehicle_light_state",
+]
+"""The calls that the commands of a batch stand for, by number."""
+
+
+class Refused(Exception):
+    """What the client raises as a RuntimeError."""
+
+
+def call(method: Callable) -> Callable:
+    CALLS[method.__name__] = method
+    return method
+
+
+@dataclass
+class Actor:
+    """Its pose is in the world, or in the parent's frame where there is one.
+
+    A sensor has a stream, the time since it last measured and the angle a LiDAR has come to [deg].
+    """
+
+    number: int
+    blueprint: Blueprint
+    description: list
+    pose: tuple[float, ...]
+    parent: int = 0
+    physics: bool = True
+    velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
+    stream: int = 0
+    since: float = 0.0
+    angle: float = 0.0
+    attributes: dict[str, str] = field(init=False)
+
+    def __post_init__(self):
+        given = {name: value for name, _, value in self.description[2]}
+        self.attributes = self.blueprint.defaults | given
+
+    @property
+    def solid(self) -> bool:
+        return self.blueprint.extent != (0.0, 0.0, 0.0)
+
+
+class World:
+    """State of the episode; `token` tells where a stream is to be had."""
+
+    def __init__(
+        self, maps: Sequence[Path], token: Callable[[int], bytes], scenery: Sequence[dict] = ()
+    ):
+        self.maps = {path.stem: path.read_text() for path in maps}
+        self.map, self.token, self.scenery = maps[0].stem, token, scenery
+        self.solids = [
+            Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], 60000 + k, (120, 110, 100))
+            for k, s in enumerate(scenery)
+        ]
+        self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
+        self.awaited: Counter[int] = Counter()  # streams asked for that nobody came for yet
+        self.episode, self.frame, self.time = 7, 100, 5.0
+        self.ticked, self.fresh, self.loaded = False, False, 0.0
+        self.settings, self.weather = list(SETTINGS), list(NOON)
+        self.begin()
+
+    def begin(self) -> None:
+        self.actors: dict[int, Actor] = {}
+        self.spectator = self.add(SPECTATOR, [0, "spectator", []], (0.0, 0.0, 10.0, 0.0, 0.0, 0.0))
+
+    # -- Episode -------------------------------------------------------------------------------
+
+    @call
+    def version(self) -> str:
+        return VERSION
+
+    @call
+    def get_episode_info(self) -> list:
+        return [self.episode, [self.token(SNAPSHOTS)]]
+
+    @call
+    def get_sensor_token(self, stream: int) -> list:
+        self.awaited[stream] += 1
+        return [self.token(stream)]
+
+    @call
+    def get_episode_settings(self) -> list:
+        return self.settings
+
+    @call
+    def set_episode_settings(self, settings: list) -> int:
+        self.settings = settings
+        return self.frame
+
+    @call
+    def get_weather_parameters(self) -> list:
+        return self.weather
+
+    @call
+    def set_weather_parameters(self, weather: list) -> None:
+        self.weather = weather
+
+    @call
+    def query_lights_state(self, client: str) -> list:
+        return []
+
+    # -- Map -----------------------------------------------------------------------------------
+
+    @call
+    def get_available_maps(self) -> list[str]:
+        return [f"/Game/Carla/Maps/{name}" for name in self.maps]
+
+    @call
+    def get_map_info(self) -> list:
+        """The name; there are no spawn points."""
+        return [f"Carla/Maps/{self.map}", []]
+
+    @call
+    def get_map_data(self) -> str:
+        return self.maps[self.map]
+
+    @call
+    def get_required_files(self, folder: str) -> list[str]:
+        return []
+
+    @call
+    def copy_opendrive_to_file(self, opendrive: str, parameters: list) -> None:
+        self.maps["OpenDriveMap"] = opendrive
+
+    @call
+    def load_new_episode(self, name: str, reset_settings: bool, layers: int) -> None:
+        name = name.rpartition("/")[2] or self.map
+        if name not in self.maps:
+            raise Refused(f"Map '{name}' not found")
+        self.map, self.episode, self.frame, self.fresh = (
+            name,
+            self.episode + 1,
+            self.frame + 1,
+            True,
+        )
+        if reset_settings:
+            self.settings = list(SETTINGS)
+        # The client now throws away what listened to snapshots, and is not told any meanwhile: a
+        # simulator is busy loading.
+        self.loaded = time.monotonic() + LOADING
+        self.begin()
+
+    @call
+    def get_environment_objects(self, tag: int) -> list:
+        """Scenery with a tag, 255 for any; boxes are in the world."""
+        found = []
+        for number, (solid, box) in enumerate(zip(self.scenery, self.solids, strict=True)):
+            if tag in (box.tag, 255):
+                place, turn = solid["pose"][:3], solid["pose"][3:]
+                around = [place, solid["extent"], turn]
+                found.append([[place, turn], around, box.instance, f"scenery_{number}", box.tag])
+        return found
+
+    @call
+    def get_all_level_BBs(self, tag: int) -> list:
+        return [around for _, around, *_ in self.get_environment_objects(tag)]
+
+    @call
+    def project_point(self, start: list, direction: list, reach: float) -> list:
+        """What a ray meets first: whether anything, and where and with which tag."""
+        boxes, along = self.boxes(), np.array(direction)
+        far, which = cast(np.array(start), along[None], boxes)
+        found = bool(far[0] * np.linalg.norm(along) <= reach)
+        where = (start + far[0] * along).tolist() if found else start
+        return [found, [where, boxes[which[0]].tag if which[0] >= 0 else GROUND]]
+
+    # -- Actors --------------------------------------------------------------------------------
+
+    @call
+    def get_actor_definitions(self) -> list:
+        return definitions()
+
+    def add(self, blueprint: Blueprint, description: list, where: tuple, parent: int = 0) -> Actor:
+        actor = Actor(next(self.numbers), blueprint, description, where, parent)
+        if actor.solid:
+            box = self.box(actor)
+            if any(overlap(box, other) for other in self.boxes()):
+                raise Refused("Spawn failed because of collision at spawn position")
+        if blueprint.name.startswith("sensor."):
+            actor.stream = next(self.streams)
+        self.actors[actor.number] = actor
+        return actor
+
+    def find(self, actor: int) -> Actor:
+        if actor not in self.actors:
+            raise Refused(f"unable to find actor: not found. Actor Id: {actor}")
+        return self.actors[actor]
+
+    def where(self, actor: Actor) -> np.ndarray:
+        own = matrix(actor.pose)
+        return self.where(self.actors[actor.parent]) @ own if actor.parent else own
+
+    def placed(self, actor: Actor) -> tuple[float, ...]:
+        return pose(self.where(actor)) if actor.parent else actor.pose
+
+    def box(self, actor: Actor) -> Box:
+        kind, number = actor.blueprint, actor.number
+        middle = self.where(actor) @ matrix((*kind.centre, 0.0, 0.0, 0.0))
+        return Box(middle, kind.extent, kind.tag, instance_of(number), colour_of(number))
+
+    def boxes(self) -> list[Box]:
+        return [*self.solids, *(self.box(a) for a in self.actors.values() if a.solid)]
+
+    def told(self, actor: Actor) -> list:
+        kind = actor.blueprint
+        box = [kind.centre, kind.extent, (0.0, 0.0, 0.0)]
+        token = self.token(actor.stream) if actor.stream else b""
+        return [actor.number, actor.parent, actor.description, box, bytes([kind.tag]), token]
+
+    @call
+    def spawn_actor(self, description: list, transform: list) -> list:
+        return self.spawn_actor_with_parent(description, transform, 0, 0, "")
+
+    @call
+    def spawn_actor_with_parent(
+        self, description: list, transform: list, parent: int, attachment: int, bone: str
+    ) -> list:
+        if description[1] not in BLUEPRINTS:
+            raise Refused("Spawn failed because of invalid actor description")
+        if parent:
+            self.find(parent)
+        where = (*transform[0], *transform[1])
+        return self.told(self.add(BLUEPRINTS[description[1]], description, where, parent))
+
+    @call
+    def destroy_actor(self, actor: int) -> bool:
+        """What it carried stays where it is."""
+        self.find(actor)
+        for other in self.actors.values():
+            if other.parent == actor:
+                other.pose, other.parent = self.placed(other), 0
+        del self.actors[actor]
+        return True
+
+    @call
+    def get_actors_by_id(self, actors: list[int]) -> list:
+        return [self.told(self.actors[actor]) for actor in actors if actor in self.actors]
+
+    @call
+    def get_spectator(self) -> list:
+        return self.told(self.spectator)
+
+    @call
+    def get_actor_bounding_box(self, actor: int) -> list:
+        return self.told(self.find(actor))[3]
+
+    @call
+    def set_actor_transform(self, actor: int, transform: list) -> None:
+        self.find(actor).pose = (*transform[0], *transform[1])
+
+    @call
+    def set_actor_location(self, actor: int, location: list) -> None:
+        found = self.find(actor)
+        found.pose = (*location, *found.pose[3:])
+
+    @call
+    def set_actor_simulate_physics(self, actor: int, enabled: bool) -> None:
+        self.find(actor).physics = enabled
+
+    @call
+    def set_actor_target_velocity(self, actor: int, velocity: list) -> None:
+        self.find(actor).velocity = tuple(velocity)
+
+    @call
+    def set_walker_state(self, actor: int, transform: list, speed: float) -> None:
+        self.set_actor_transform(actor, transform)
+
+    def command(self, kind: int, arguments: list, spawned: int = 0) -> int:
+        """One of a batch, or of what is to be done with what was spawned: the actor's number."""
+        if COMMANDS[kind] != "spawn_actor":
+            actor = spawned or arguments[0]
+            CALLS[COMMANDS[kind]](self, actor, *arguments[1:])
+            return actor
+        description, transform, parent, attachment, bone, after = arguments
+        on = parent[1] if parent[0] else 0
+        actor = self.spawn_actor_with_parent(description, transform, on, attachment, bone)[0]
+        for [[then, fields]] in after:
+            self.command(then, fields, actor)
+        return actor
+
+    # -- Time ----------------------------------------------------------------------------------
+
+    @property
+    def step(self) -> float:
+        return self.settings[2][1] if self.settings[2][0] else STEP
+
+    @call
+    def tick_cue(self) -> int:
+        self.frame, self.time, self.ticked = self.frame + 1, self.time + self.step, True
+        for actor in self.actors.values():
+            actor.since += self.step
+            if actor.physics and actor.solid:
+                moved = np.array(actor.pose[:3]) + self.step * np.array(actor.velocity)
+                actor.pose = (*moved.tolist(), *actor.pose[3:])
+        return self.frame
+
+    def due(self) -> Iterator[tuple[Actor, float, float]]:
+        """Sensors that measure in this frame, since when, and from which angle on a LiDAR turned.
+
+        One with a `sensor_tick` waits for that time from its last measurement, whole frames.
+        """
+        for actor in list(self.actors.values()):
+            if actor.stream and actor.since > float(actor.attributes["sensor_tick"]) - 1e-6:
+                seconds, start, actor.since = actor.since, actor.angle, 0.0
+                if "lidar" in actor.blueprint.name:
+                    span = float(actor.attributes["horizontal_fov"])
+                    actor.angle = (start + swept(actor.attributes, seconds)) % span
+                yield actor, seconds, start

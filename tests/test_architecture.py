@@ -26,7 +26,7 @@ LADDER = [
     ("cli",),
 ]
 ROOMS = {
-    "shapely": ("scene/", "placement/constraints.py", "placement/site.py", "report/"),
+    "shapely": ("scene/", "placement/constraints.py", "placement/site.py", "dataset/", "report/"),
     "carla": ("scene/opendrive", "dataset/carla"),
     "embreex": ("dataset/embree.py",),
     "sumolib": ("scene/sumo",),

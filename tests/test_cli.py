@@ -16,11 +16,12 @@ import jax
 import numpy as np
 import pytest
 from processes import inspe_process
+from worlds import rilsa
 
 from inspe_jax.cli import main
 from inspe_jax.cli.common import keep_compiled
 from inspe_jax.scene.procedural import built_in
-from inspe_jax.scene.scene import build_scene, save_scene
+from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 
 LAYOUT = """
 units:
@@ -366,7 +367,7 @@ BAD = [
     (("score", "array.npz"), "not a scene saved by this package"),
     (("scene", "nosuch", "--list"), "no scene 'nosuch': a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
-    (("scene", "four_way", "--junction", 3), "--junction and --center are for .xodr maps"),
+    (("scene", "four_way", "--junction", 3), "--junction and --center are for maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
     (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
@@ -374,6 +375,13 @@ BAD = [
     (("scene", "page.xodr"), "say which place: --junction ID, or --center X Y"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
     (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, units"),
+    (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
+    (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
+    (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),
+    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has its own traffic"),
+    (("scene", "four_way", "--step", 0), "traffic step 0.0 is out of range: above 0"),
+    (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
+    (("scene", "none.osm"), "say which place: --junction ID, or --center X Y"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
     (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
@@ -452,6 +460,24 @@ def test_unknown_junction_lists_those_there_are(inspe, maps):
     status, _, error = inspe("scene", maps / "Town10HD.xodr", "--junction", 7)
     assert status == 2
     assert "189" in error
+
+
+def test_a_network_and_its_traffic(inspe, files):
+    net = rilsa()
+    status, table, _ = inspe("scene", net, "--list")
+    assert status == 0
+    assert "rilsa1.net.xml" in table
+    where = ("--junction", 0, "--radius", 25, "--voxel", 1, "--density", 8, "--frames", 5)
+    status, table, _ = inspe(
+        "scene", net, *where, "--traffic", "sumo", "--step", 0.5, "--out", "sumo.npz"
+    )
+    assert status == 0
+    assert dict(load_scene(files / "sumo.npz").settings)["traffic"] == "sumo"
+    assert inspe("score", "sumo.npz", "L-d1")[0] == 0
+    status, _, error = inspe("scene", net, "--junction", 9)
+    assert status == 2
+    assert "no junction '9'; there are: 0" in error
+    (files / "sumo.npz").unlink()
 
 
 def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):

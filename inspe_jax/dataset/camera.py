@@ -47,6 +47,9 @@ _OF_LABEL = {
     GRASS: 10,
     PAINT: 24,
 }
+_GLOSS = np.zeros(len(PARTS))
+for _part, _share in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
+    _GLOSS[PARTS.index(_part)] = _share
 _GLOW = {"lamp": np.array([1.0, 0.95, 0.85]), "lamp rear": np.array([0.5, 0.02, 0.02])}
 
 
@@ -244,14 +247,18 @@ class Camera:
             dark = self._dark(caster, point, normal) | self._dark(self.still_caster, point, normal)
             direct[dark] = 0.0
         colour = direct + other
-        glass = part == PARTS.index("window")
-        mirrored = self.directions[at] - 2 * (self.directions[at] * normal).sum(1)[:, None] * normal
-        sheen = np.array(self.light.sky) * np.clip(mirrored[:, 2:], 0, 1) * 0.35
-        colour = colour + np.where(glass[:, None], sheen, 0.08 * sheen)
+        colour = colour + self._gloss(part, self.directions[at], normal)
         if self.light.lamps > 0:
             for name, glow in _GLOW.items():
                 colour = colour + (part == PARTS.index(name))[:, None] * glow * self.light.lamps
         return colour
+
+    def _gloss(self, part: np.ndarray, to: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """What lacquer and glass mirror of the sky, more at a grazing angle (Schlick 1994)."""
+        along = np.einsum("rk,rk->r", to, normal)
+        share = _GLOSS[part] * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
+        up = to[:, 2] - 2 * along * normal[:, 2]
+        return (share * np.clip(0.25 + 1.5 * up, 0.1, 1))[:, None] * np.array(self.light.sky)
 
     def _cast_shadows(
         self, caster: Caster, things: tuple[Thing, ...], after: float, colour: np.ndarray

@@ -51,7 +51,7 @@ LIGHTS: dict[str, Light] = {
     "dusk": Light(
         elevation=np.radians(7), azimuth=np.radians(165),
         sun=(0.42, 0.24, 0.11), ambient=(0.10, 0.105, 0.15), sky=(0.46, 0.33, 0.34),
-        lamps=0.25, exposure=0.008, gain=3.0, read=0.003, shot=0.015, moments=2,
+        lamps=0.25, exposure=0.008, gain=3.0, read=0.002, shot=0.012, moments=2,
     ),
     "night": Light(
         elevation=np.radians(-20), azimuth=0.0,

@@ -11,14 +11,14 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 from PIL import Image, ImageDraw
-from shapely.geometry import LineString
+from shapely.geometry import LineString, MultiPolygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, Region
 
-CELL = 0.1
+CELL = 0.05
 """Edge of a cell of the raster [m]."""
 STRIPE = 0.5
 """Width of a zebra crossing's stripes, and of the gaps between them [m]."""
@@ -90,7 +90,7 @@ def _fill(
 ) -> None:
     """Draw a shape; its holes too, for what lies in them is drawn after."""
     for part in shapely.get_parts(shape):
-        if part.geom_type != "Polygon":
+        if part.geom_type != "Polygon" or part.is_empty:
             continue
         for ring, value in [(part.exterior, label), *((r, hole) for r in part.interiors)]:
             if value is not None:
@@ -100,7 +100,8 @@ def _fill(
 
 def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
     """Stripes across the crossings, in the direction of the traffic that they cross."""
-    for walk in shapely.get_parts(intersection.regions.get(Region.CROSSWALK, LineString())):
+    walks = intersection.regions.get(Region.CROSSWALK, MultiPolygon())
+    for walk in shapely.get_parts(walks):
         corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
         sides = np.diff(corners[:3], axis=0)
         long, short = sides[np.argsort(-np.hypot(*sides.T))]

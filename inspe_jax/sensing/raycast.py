@@ -41,10 +41,12 @@ def exact(
     grid: VoxelGrid,
     origin: Float[np.ndarray, "3"],
     directions: Float[np.ndarray, "R 3"],
-    reach: float,
+    reach: float | Float[np.ndarray, " R"],
     seen: Bool[np.ndarray, " V"],
 ) -> None:
     """Mark in ``seen`` every voxel that a ray passes through; voxels are closed.
+
+    ``reach`` [m] is one for all rays, or one for each.
 
     The walk is in plan, from column to column; the ray's heights at entry and
     exit give the levels, as every column has its own ground. From a sensor on a
@@ -62,7 +64,7 @@ def _walk(
     grid: VoxelGrid,
     origin: Float[np.ndarray, "3"],
     directions: Float[np.ndarray, "R 3"],
-    reach: float,
+    reach: float | Float[np.ndarray, " R"],
     seen: Bool[np.ndarray, " V"],
 ) -> None:
     h = grid.size
@@ -75,10 +77,10 @@ def _walk(
         border = (cell + (slope > 0) - start) / slope
     border = np.where(slope == 0, np.inf, border)
     entry = np.zeros(len(directions))
-    alive = np.arange(len(directions))
+    alive, far = np.arange(len(directions)), np.broadcast_to(reach, (len(directions),))
     column_at, half = _lookup(grid)
     while len(alive):
-        leaving = np.minimum(border.min(1), reach)
+        leaving = np.minimum(border.min(1), far)
         z_in, z_out = (origin[2] + t * directions[alive, 2] for t in (entry, leaving))
         low, high = np.minimum(z_in, z_out) - TIE, np.maximum(z_in, z_out) + TIE
         _mark(grid, column_at, half, cell, low, high, seen)
@@ -89,9 +91,9 @@ def _walk(
         border[rows, axis] += per_cell[rows, axis]
         # Gone once past the reach, or outside the square and heading away from it.
         away = ((cell >= half) & (forward > 0)) | ((cell < -half) & (forward < 0))
-        on = (entry < reach) & ~away.any(1)
+        on = (entry < far) & ~away.any(1)
         alive, cell, forward = alive[on], cell[on], forward[on]
-        border, per_cell, entry = border[on], per_cell[on], entry[on]
+        border, per_cell, entry, far = border[on], per_cell[on], entry[on], far[on]
 
 
 def bresenham(

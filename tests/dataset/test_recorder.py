@@ -1,0 +1,429 @@
+"""The recorder: against rays and triangles worked out another way, and against the scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import opv2v_validator
+import pytest
+import shapely
+from shapely.geometry import MultiPoint
+from worlds import CAMERA, crossing, place_sensors, with_boxes, world
+
+import inspe_jax
+from inspe_jax.dataset import open as open_dataset
+from inspe_jax.dataset import write_frame, write_protocol
+from inspe_jax.dataset.embree import Caster
+from inspe_jax.dataset.lidar import LidarNoise
+from inspe_jax.dataset.movers import Company, pose_things, things_of
+from inspe_jax.dataset.recorder import EmbeddedRecorder, Recording, recorder_of
+from inspe_jax.dataset.statics import BUILDING, CROWN, ROOF, TRUNK
+from inspe_jax.errors import InspeError
+from inspe_jax.geometry import rotation
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.scene.traffic import CLASSES
+from inspe_jax.sensing import raycast
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.sensors import LidarSpec
+
+pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+
+COARSE = LidarSpec(
+    "coarse", tuple(np.radians(np.linspace(-25, 2, 24)).tolist()), 600, 2 * np.pi, 60.0
+)
+SMALL = replace(CAMERA, width=320, height=240, focal=140.0, principal=(160.0, 120.0))
+
+
+def four_way(**options):
+    settings = dict(radius=30, voxel=0.5, frames=3, step=0.1, density="medium") | options
+    return build_scene(inspe_jax.built_in("four_way"), **settings)
+
+
+def lidars(*at):
+    return place_sensors(*((COARSE, [*p, 0.0, 0.0, 0.0]) for p in at))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return four_way()
+
+
+@pytest.fixture(scope="module")
+def corners(scene):
+    """A LiDAR at each of four corners, 6 m up."""
+    return lidars((9, 9, 6), (-9, 9, 6), (-9, -9, 6), (9, -9, 6))
+
+
+# ---- LiDAR ----------------------------------------------------------------------------------
+
+
+def nearest_triangle(origin, directions, triangles):
+    """Möller–Trumbore in double precision, every ray with every triangle: distance and index."""
+    a, b, c = (triangles[:, k].astype(float) for k in range(3))
+    one, two = b - a, c - a
+    best, index = np.full(len(directions), np.inf), np.full(len(directions), -1)
+    for r, d in enumerate(directions.astype(float)):
+        p = np.cross(d, two)
+        det = (one * p).sum(1)
+        inv = 1 / np.where(np.abs(det) > 1e-12, det, 1.0)
+        s = origin - a
+        u = (s * p).sum(1) * inv
+        q = np.cross(s, one)
+        v = (q @ d) * inv
+        t = (two * q).sum(1) * inv
+        hit = (np.abs(det) > 1e-12) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+        if hit.any():
+            t = np.where(hit, t, np.inf)
+            index[r] = t.argmin()
+            best[r] = t.min()
+    return best, index
+
+
+def test_returns_are_what_rays_and_triangles_say(scene, corners):
+    """300 rays of one LiDAR: distances to a millimetre, and the very road user."""
+    recorder = EmbeddedRecorder(scene, corners)
+    things = things_of(scene.traffic, 0, 0)
+    company = Company(things, recorder.statics.center)
+    lidar = recorder.sensors[0]
+    returns = lidar.cast(company, 0.0)
+    rng = np.random.default_rng(0)
+    some = np.concatenate(
+        [rng.choice(len(lidar.body), 200, replace=False), np.flatnonzero(returns.thing >= 0)[::20]]
+    )
+    movers = pose_things(things, recorder.statics.center)
+    everything = np.concatenate([recorder.statics.triangles, movers.triangles])
+    distance, index = nearest_triangle(lidar.origin, lidar.directions[some], everything)
+    distance = np.where(distance <= COARSE.reach, distance, np.inf)
+    met = np.isfinite(distance)
+    assert met.sum() > 100
+    assert np.array_equal(met, np.isfinite(returns.distance[some]))
+    assert np.abs(returns.distance[some][met] - distance[met]).max() < 1e-3
+    own = index[met] - len(recorder.statics.triangles)
+    thing = np.where(own >= 0, movers.thing[np.maximum(own, 0)], -1)
+    assert (thing == returns.thing[some][met]).mean() > 0.99  # edges may go either way
+    assert (thing >= 0).sum() > 20
+
+
+def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
+    recorder = EmbeddedRecorder(scene, corners)
+    lidar = recorder.sensors[0]
+    returns = lidar.cast(Company((), recorder.statics.center), 0.1)
+    noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
+    scan = lidar.scan(returns, noise, np.random.default_rng(1))
+    back = np.isfinite(returns.distance)
+    off = np.linalg.norm(scan.points[:, :3], axis=1) - returns.distance[back]
+    assert off.std() == pytest.approx(0.03, rel=0.05)
+    assert abs(off.mean()) < 0.002
+    # On level ground what meets the ground lies on it: nose-up is up.
+    down = returns.direction[back][:, 2] < -0.2
+    assert np.abs(scan.points[down][:, 2] + 6.0).mean() < 0.3
+    assert scan.points[:, 3] == pytest.approx(
+        np.exp(-0.004 * np.linalg.norm(scan.points[:, :3], axis=1)), abs=1e-6
+    )
+
+
+def test_as_many_are_lost_as_said(scene, corners):
+    recorder = EmbeddedRecorder(scene, corners)
+    lidar = recorder.sensors[0]
+    returns = lidar.cast(Company((), recorder.statics.center), 0.1)
+    total = np.isfinite(returns.distance).sum()
+
+    def left(**noise):
+        return len(lidar.scan(returns, LidarNoise(**noise), np.random.default_rng(0)).points)
+
+    assert left(lost=0.0, weakest_lost=0.0) == total
+    assert left(lost=0.3, weakest_lost=0.0) == pytest.approx(0.7 * total, rel=0.02)
+    # At 60 m intensity is 0.79: with a limit of 1 up to a fifth of 0.4 is lost beside.
+    both = left(lost=0.3, weak=1.0, weakest_lost=0.4)
+    assert 0.9 * 0.7 * total < both < 0.995 * 0.7 * total
+
+
+def test_points_on_a_car_fall_with_range_as_the_beams_spread():
+    """A car broadside at 10, 20 and 40 m from a LiDAR at its own height: rows and columns both
+    thin out, so points go with the inverse square, within the grain of 32 rows."""
+    spec = replace(COARSE, elevations=tuple(np.radians(np.linspace(-12, 4, 64)).tolist()))
+    counts = []
+    for x in (10.0, 20.0, 40.0):
+        scene = with_boxes(
+            world(count=0, radius=60.0, voxel=2.0), (x, 0, np.pi / 2, 4.6, 1.85, 1.5)
+        )
+        recorder = EmbeddedRecorder(scene, place_sensors((spec, [0, 0, 1.2, 0, 0, 0])))
+        company = Company(things_of(scene.traffic, 0, 0), recorder.statics.center)
+        counts.append(int((recorder.sensors[0].cast(company, 0.0).thing == 0).sum()))
+    assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
+    assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
+    # A car is 4.6 m by some 1.3 m of body: so many steps of azimuth by so many of elevation.
+    width, height = 2 * np.arctan(2.3 / 19.1), 1.3 / 19.1
+    expected = width / (2 * np.pi / 600) * height / np.radians(16 / 63)
+    assert counts[1] == pytest.approx(expected, rel=0.2)
+
+
+def test_the_turn_takes_time(scene):
+    """What moves is met where it is when it is fired at: half a turn before and after the frame."""
+    moving = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, -12, 0, 4.6, 1.85, 1.5))
+    traffic = replace(moving.traffic, velocity=np.array([[[10.0, 0, 0]]]))
+    moving = replace(moving, traffic=traffic)
+    recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
+    company = Company(things_of(moving.traffic, 0, 0), recorder.statics.center)
+    lidar = recorder.sensors[0]
+    still, turned = lidar.cast(company, 0.0), lidar.cast(company, 0.1)
+    # The car is to the right, at −90°: a quarter of a turn before the middle, 25 ms early.
+    hit = turned.thing == 0
+    assert turned.after[hit] == pytest.approx(-0.025, abs=0.008)
+
+    def middle(returns):
+        on = returns.thing == 0
+        return (returns.direction[on, 0] * returns.distance[on]).mean()
+
+    assert middle(turned) - middle(still) == pytest.approx(-0.25, abs=0.1)
+
+
+# ---- one world with the scores ---------------------------------------------------------------
+
+
+def test_as_much_is_met_by_rays_as_coverage_says(scene, corners):
+    """Rays end on the ground, on kerbs and poles; the scores know none of these."""
+    recorder = EmbeddedRecorder(scene, corners)
+    seen = np.zeros(scene.voxels.count, bool)
+    for s, sensor in enumerate(recorder.sensors):
+        origin, directions, reach = corners.rays(s)
+        distance = np.minimum(sensor.still, reach)
+        raycast.exact(scene.voxels, origin, directions, distance, seen)
+    share = seen @ scene.voxels.weight / scene.voxels.weight.sum()
+    coverage = inspe_jax.evaluate(scene, corners).coverage
+    assert coverage > 0.5
+    assert share == pytest.approx(coverage, abs=0.02)
+
+
+def test_as_much_is_seen_as_occlusion_says(scene, corners):
+    """Lines of sight to the voxels' centres past meshes, where the scores have boxes."""
+    recorder = EmbeddedRecorder(scene, corners)
+    in_view = inspe_jax.in_view(scene, corners)
+    centers = scene.voxels.centers
+    shares = []
+    for t in range(scene.traffic.frame_count):
+        things = things_of(scene.traffic, t, 0)
+        movers = pose_things(things, recorder.statics.center)
+        caster = Caster(np.concatenate([recorder.statics.triangles, movers.triangles]))
+        solid = np.zeros(len(centers), bool)
+        for thing in things:
+            turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
+            solid |= (np.abs((centers - thing.center) @ turn) <= thing.size / 2).all(1)
+        seen = np.zeros(len(centers), bool)
+        for s, sensor in enumerate(recorder.sensors):
+            to = centers - corners.poses[s, :3]
+            far = np.linalg.norm(to, axis=1)
+            blocked = caster.meets(sensor.origin, to / far[:, None], far - 0.01)
+            seen |= in_view[s] & ~blocked
+        shares.append(seen[~solid].mean())
+    occlusion = inspe_jax.evaluate(scene, corners).occlusion
+    assert np.mean(shares) == pytest.approx(occlusion, abs=0.02)
+
+
+def test_only_kerbs_and_poles_stand_in_the_region():
+    for name in ("four_way", "roundabout", "t_junction"):
+        place = inspe_jax.built_in(name)
+        scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
+        statics = EmbeddedRecorder(scene, lidars((9, 9, 6))).statics
+        open_ = shapely.union_all(list(place.regions.values()))
+        tall = np.isin(statics.material, [BUILDING, ROOF, TRUNK, CROWN])
+        at = (statics.triangles[tall] + statics.center).reshape(-1, 3)
+        assert len(at) > 300
+        assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
+        assert set(np.unique(statics.material)) == set(range(7))
+
+
+# ---- cameras --------------------------------------------------------------------------------
+
+
+def camera_scene():
+    """A car alone, broadside, and a camera above looking at it."""
+    return with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, np.pi / 2, 4.6, 1.85, 1.5))
+
+
+@pytest.fixture(scope="module")
+def looked_at():
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
+    recording = Recording(layers=("depth", "instance", "semantic"))
+    return EmbeddedRecorder(camera_scene(), layout, recording=recording).frame(0)
+
+
+def test_a_pixel_shows_what_the_pinhole_says(looked_at):
+    """The car's box through the intrinsic by hand covers the car's pixels, and its depth is the
+    way along the axis to its near side."""
+    (image,) = looked_at.stations[0].images
+    seen = image.instance > 0
+    assert set(np.unique(image.instance)) == {0, looked_at.things[0].track + 1}
+    v, u = np.nonzero(seen)
+    thing = looked_at.things[0]
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+    turn = rotation(np.array([0, 0, thing.yaw]), np)
+    body = (corners * thing.size @ turn.T + thing.center - image.pose[:3]) @ rotation(
+        image.pose[3:], np
+    )
+    at = 160 - 140 * body[:, 1] / body[:, 0], 120 - 140 * body[:, 2] / body[:, 0]
+    assert u.min() + 0.5 >= at[0].min() - 1
+    assert u.max() + 0.5 <= at[0].max() + 1
+    hull = MultiPoint(np.column_stack(at)).convex_hull
+    inside = shapely.contains_xy(hull.buffer(0.8), u + 0.5, v + 0.5)
+    assert inside.all()
+    assert seen.sum() / hull.area > 0.7
+    assert body[:, 0].min() - 0.1 < image.depth[seen].min() < body[:, 0].max()
+    assert (image.semantic[seen] == 14).all()
+    assert (image.semantic[~seen] != 14).all()
+
+
+def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
+    """IoU of the box's hull with the instance's pixels, cars that nothing stands before, from
+    files: at least 0.7 each, cut off at the picture's edge or not."""
+    scene = four_way(frames=2, density="low")
+    layout = place_sensors(
+        (replace(SMALL, width=640, height=480, focal=280.0, principal=(320.0, 240.0)),
+         [9.0, 9.0, 6.0, 0.0, np.radians(-15), np.radians(-135)]),
+        (COARSE, [9.0, 9.0, 6.0, 0.0, 0.0, 0.0]),
+    )  # fmt: skip
+    recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance", "depth")))
+    folder = tmp_path / "train" / "one"
+    write_protocol(
+        folder,
+        {
+            "world": dict(
+                fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a"
+            )
+        },
+    )
+    for t in range(2):
+        write_frame(folder, recorder.frame(t))
+    reports = opv2v_validator.check_set(tmp_path, attenuation=0.004)
+    assert reports["train/one"].points > 10_000
+    overlaps = []
+    for frame in (open_dataset(folder).scenarios[0].frame(t) for t in range(2)):
+        image = frame.stations[0].images[0]
+        alone = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
+        for thing in frame.things:
+            if thing.kind != "car":
+                continue
+            corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+            turn = rotation(np.array([0, 0, thing.yaw]), np)
+            body = (corner * thing.size @ turn.T + thing.center - image.pose[:3]) @ rotation(
+                image.pose[3:], np
+            )
+            if (body[:, 0] < 1).any() or body[:, 0].min() > 45:
+                continue
+            f, (cx, cy) = image.intrinsic[0, 0], image.intrinsic[:2, 2]
+            at = np.column_stack(
+                [cx - f * body[:, 1] / body[:, 0], cy - f * body[:, 2] / body[:, 0]]
+            )
+            frame_box = shapely.box(0, 0, 640, 480)
+            hull = MultiPoint(at).convex_hull.intersection(frame_box)
+            if hull.area < 400:
+                continue
+            # Unoccluded: alone in the world it has as many pixels.
+            company = Company((thing,), alone.statics.center)
+            free = alone.sensors[0].image(company, 0, np.random.default_rng(0), ("instance",))
+            own = free.instance > 0
+            seen = image.instance == thing.track + 1
+            if not own.any() or seen.sum() < 0.98 * own.sum():
+                continue
+            v, u = np.nonzero(seen)
+            pixels = shapely.union_all(shapely.box(u, v, u + 1, v + 1))
+            overlaps.append(pixels.intersection(hull).area / pixels.union(hull).area)
+    assert len(overlaps) >= 5
+    assert min(overlaps) >= 0.7
+
+
+def test_light_falls_and_noise_rises_from_midday_to_night():
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
+    pictures = {
+        light: EmbeddedRecorder(camera_scene(), layout, Conditions.of(light)).frame(0)
+        .stations[0].images[0].rgb.astype(float)
+        for light in ("midday", "dusk", "night")
+    }  # fmt: skip
+    bright = [pictures[k][150:].mean() for k in ("midday", "dusk", "night")]
+    assert bright[0] > bright[1] > bright[2] > 5
+    grain = [np.abs(np.diff(pictures[k][:10], axis=1)).mean() for k in ("midday", "dusk", "night")]
+    assert grain[0] < grain[1] < grain[2]
+
+
+def test_the_sun_throws_shadows_away_from_itself():
+    """At midday the sun stands in the south-south-east: beside the car its north is darker."""
+    scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, 0, 6.0, 2.5, 3.4))
+    layout = place_sensors((SMALL, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0]))
+    (image,) = (
+        EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
+        .frame(0)
+        .stations[0]
+        .images
+    )
+    # Straight down, nose to the east: columns run from north (left) to south (right).
+    v, u = np.nonzero(image.instance > 0)
+    brightness = image.rgb.astype(float).mean(2)
+    row = int(v.mean())
+    north = brightness[row - 5 : row + 5, u.min() - 12 : u.min() - 2].mean()
+    south = brightness[row - 5 : row + 5, u.max() + 3 : u.max() + 13].mean()
+    assert north < 0.7 * south
+
+
+def test_fog_hides_what_is_far():
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-10), 0.0]))
+    scene = world(count=0, radius=40.0, voxel=2.0)
+
+    def contrast(weather):
+        image = EmbeddedRecorder(scene, layout, Conditions.of("midday", weather)).frame(0)
+        return image.stations[0].images[0].rgb[60:120].astype(float).std()
+
+    assert contrast("fog:40") < 0.6 * contrast("clear")
+
+
+# ---- all of it ------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_frames_in_any_order(scene):
+    layout = place_sensors(
+        (SMALL, [9.0, 9.0, 6.0, 0.0, -0.3, -2.3]), (COARSE, [9.0, 9.0, 6.0, 0.0, 0.0, 0.0])
+    )
+    one, two = EmbeddedRecorder(scene, layout), EmbeddedRecorder(scene, layout)
+    first = [one.frame(t) for t in (0, 1)]
+    again = [two.frame(t) for t in (1, 0)][::-1]
+    other = EmbeddedRecorder(scene, layout, seed=1).frame(0)
+    for a, b in zip(first, again, strict=True):
+        for s, t in zip(a.stations, b.stations, strict=True):
+            for i, j in zip(s.images, t.images, strict=True):
+                assert np.array_equal(i.rgb, j.rgb)
+            for i, j in zip(s.scans, t.scans, strict=True):
+                assert np.array_equal(i.points, j.points)
+    assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
+
+
+def test_things_keep_their_looks(scene):
+    names = {}
+    for t in range(scene.traffic.frame_count):
+        for thing in things_of(scene.traffic, t, 0):
+            assert names.setdefault(thing.track, thing.name) == thing.name
+            assert thing.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
+    assert len(set(names.values())) > 4
+    assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
+
+
+def test_slopes_and_empty_roads_are_recorded():
+    scene = world(count=0, slope=0.08, radius=20.0, voxel=1.0, center=(1000.0, -400.0, 30.0))
+    sensors = [
+        (COARSE, [1000.0, -400.0, 36.0, 0, 0, 0]),
+        (SMALL, [1000.0, -400.0, 36.0, 0, -0.3, 0]),
+    ]
+    frame = EmbeddedRecorder(scene, place_sensors(*sensors)).frame(0)
+    points = frame.stations[0].scans[0].points
+    at = points[:, :3] + [1000.0, -400.0, 36.0]
+    near = np.hypot(points[:, 0], points[:, 1]) < 18
+    height = crossing(0.08, (1000.0, -400.0, 30.0)).ground(at[near, :2])
+    assert np.abs(at[near, 2] - height).mean() < 0.1
+
+
+def test_bad_input(scene, corners):
+    with pytest.raises(InspeError, match=r"backend 'embeded': one of .*did you mean embedded"):
+        recorder_of("embeded", scene, corners)
+    with pytest.raises(InspeError, match=r"rate 0 Hz"):
+        EmbeddedRecorder(scene, corners, recording=Recording(rate=0))
+    with pytest.raises(InspeError, match="image_scale 9"):
+        EmbeddedRecorder(scene, corners, recording=Recording(image_scale=9))
+    with pytest.raises(InspeError, match=r"layer 'dept': one of .*did you mean depth"):
+        EmbeddedRecorder(scene, corners, recording=Recording(layers=("dept",)))

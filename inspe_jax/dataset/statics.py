@@ -31,6 +31,8 @@ POLE_RADIUS = 0.08
 POLE_HEIGHT = 6.0
 CLEAR = 2.0
 """Least distance of trees and buildings from any region [m]."""
+CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
+"""Nothing stands here."""
 BUILDINGS, TREES = 26, 30
 """As many are tried for."""
 
@@ -58,12 +60,14 @@ def build_statics(
 ) -> Statics:
     """The still world of an intersection, out to the horizon.
 
-    ``masts`` are the infrastructure units' feet and how high they rise above them [m]. Where
-    buildings and trees stand is drawn with ``seed``.
+    ``masts`` are the infrastructure units' feet and how high they rise above them [m]; units over
+    the carriageway have none. Where buildings and trees stand is drawn with ``seed``.
     """
     rng = np.random.default_rng([seed, 7])
     center = np.asarray(intersection.center, float)
     open_ = unary_union(list(intersection.regions.values()))
+    road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
+    masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]  # those hang on wires
     feet = [(*p, POLE_HEIGHT) for p in intersection.poles]
     feet = [p for p in feet if np.hypot(*(p[:2] - center[:2])) <= radius + MAPPED]
     feet = [p for p in feet if all(np.hypot(*(np.array(p[:2]) - m[:2])) > 0.5 for m in masts)]

@@ -16,7 +16,7 @@ from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.lidar import LidarNoise
 from inspe_jax.dataset.movers import Company, pose_things, things_of
 from inspe_jax.dataset.recorder import EmbeddedRecorder, Recording, recorder_of
-from inspe_jax.dataset.statics import BUILDING, CROWN, ROOF, TRUNK
+from inspe_jax.dataset.statics import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import rotation
 from inspe_jax.scene.scene import build_scene
@@ -230,6 +230,14 @@ def test_only_kerbs_and_poles_stand_in_the_region():
         assert len(at) > 300
         assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
         assert set(np.unique(statics.material)) == set(range(7))
+
+
+def test_units_over_the_road_have_no_mast(scene):
+    over, beside = (
+        EmbeddedRecorder(scene, lidars((x, x, 6))).statics.material == POLE for x in (0, 14)
+    )
+    # A tube of eight sides, each of three triangles.
+    assert beside.sum() == over.sum() + 24
 
 
 # ---- cameras --------------------------------------------------------------------------------

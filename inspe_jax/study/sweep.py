@@ -9,8 +9,9 @@ from typing import Any
 from uuid import uuid4
 
 from inspe_jax.errors import InspeError
-from inspe_jax.study.plan import Job, SceneSource, Study
+from inspe_jax.study.plan import Job, Study
 from inspe_jax.study.results import Results
+from inspe_jax.study.sources import SceneSource
 from inspe_jax.study.work import Row, build, failed, head, versions, work
 
 AHEAD = 3

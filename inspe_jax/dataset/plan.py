@@ -218,15 +218,14 @@ def make_generation(
     check_names(names, f"{where}: scenes")
     done = _named(list(plans.values()))
     done = [replace(plan, seed=_seed(key)) for key, plan in zip(plans, done, strict=True)]
-    apart = {
-        plan.scene if entry.split_by == "scene" else key: (plan.source.name, plan.conditions.light)
-        for key, plan in zip(plans, done, strict=True)
+    by_scene = entry.split_by == "scene"
+    groups = [plan.scene if by_scene else key for key, plan in zip(plans, done, strict=True)]
+    kinds = {
+        group: (plan.source.name, *([] if by_scene else [plan.conditions.light]))
+        for group, plan in zip(groups, done, strict=True)
     }
-    splits = _split(apart, shares)
-    done = [
-        replace(plan, split=splits[plan.scene if entry.split_by == "scene" else key])
-        for key, plan in zip(plans, done, strict=True)
-    ]
+    splits = _split(kinds, shares)
+    done = [replace(plan, split=splits[group]) for group, plan in zip(groups, done, strict=True)]
     return Generation(entry.name or name, tuple(done))
 
 

@@ -6,7 +6,7 @@ Made-up pictures and points for the time being: what moves is the scene's.
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class _MadeUp:
             )
 
     def _image(self, pose: np.ndarray, rng: np.random.Generator) -> Image:
-        layers = {
+        layers: dict[str, Any] = {
             "depth": np.full((6, 8), 10, np.float32),
             "instance": np.zeros((6, 8), np.int32),
             "semantic": np.zeros((6, 8), np.uint8),

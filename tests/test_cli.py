@@ -334,7 +334,23 @@ def test_a_study_is_checked_and_counted_before_it_is_run(inspe, files):
     assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
 
 
-COMMANDS = ["scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep"]
+def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
+    text = "scenes: [{built_in: four_way}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
+    (files / "set.yaml").write_text(text % "midday, night")
+    status, words, _ = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
+    assert status == 0
+    assert "set: 4 scenarios (3 train, 0 validate, 1 test), 400 frames" in words
+    assert not (files / "set").exists()
+    (files / "dark.yaml").write_text(text % "dark")
+    status, _, words = inspe("generate", "dark.yaml", "--out", "set")
+    assert status == 2
+    assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
+
+
+COMMANDS = [
+    *("scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep"),
+    "generate",
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -392,6 +408,10 @@ BAD = [
     (("optimise", "s.npz", "--light", "midday,noon"), "light 'noon': one of"),
     (("tolerance", "s.npz", "--weather", "hail"), "weather 'hail': one of clear, rain, fog"),
     (("sweep", "missing.yaml"), "missing.yaml: no such file"),
+    (("generate", "missing.yaml", "--out", "set"), "missing.yaml: no such file"),
+    (("generate", "missing.yaml", "--out", "no/such"), "no/such: no such folder: no"),
+    (("generate", "none.yaml", "--out", "set", "--backend", "carl"), "did you mean carla"),
+    (("generate", "none.yaml", "--out", "set"), "none.yaml: the study is empty"),
     (("optimise", "s.npz", "--method", "adm"), "no method 'adm': adam"),
     (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),

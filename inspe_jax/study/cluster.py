@@ -39,7 +39,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             memory_limit=None,
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
-            # Jobs are given up for dying workers twice over, the second time alone (sweep.py).
+            # Jobs are given up for dying workers twice over, the second time alone (engine.py).
             scheduler_kwargs={"allowed_failures": 1},
         ) as cluster,
         Client(cluster) as here,

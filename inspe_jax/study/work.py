@@ -17,7 +17,8 @@ from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import Scene, build_scene, load_scene
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
-from inspe_jax.study.plan import AS_IT_IS, BUILD, SETTINGS, Job, LayoutSource, Study, digest_of
+from inspe_jax.study.plan import AS_IT_IS, BUILD, SETTINGS, Job, Study
+from inspe_jax.study.sources import LayoutSource, SceneSource, digest_of
 
 Row = dict[str, str]
 
@@ -46,25 +47,33 @@ def versions() -> dict[str, str]:
 
 def build(job: Job) -> Scene | str:
     """The scene of a job; or what is wrong with it, for every job that is on it."""
-    source, settings = job.source, {key: job.settings[key] for key in BUILD}
     try:
-        if source.built_in is not None:
-            return build_scene(built_in(source.built_in), **settings)
-        path = Path(str(source.map or source.file))
-        check_input(path)
-        if digest_of(path) != source.content:
-            return f"{path}: is no longer what it was when the study began"
-        if source.file is not None:
-            return load_scene(path)
-        from inspe_jax.scene.maps import read_map
-
-        at: dict[str, Any] = dict(junction=source.junction, center=source.center)
-        return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
+        return scene_of(job.source, {key: job.settings[key] for key in BUILD})
     except Exception as e:
-        return _told(e)
+        return told(e)
 
 
-def _make_room(scene: str) -> None:
+def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
+    """The scene of a source, built with ``settings`` where it was not before.
+
+    Raises InspeError where its file is missing or has changed since the study began, or as
+    building does.
+    """
+    if source.built_in is not None:
+        return build_scene(built_in(source.built_in), **settings)
+    path = Path(str(source.map or source.file))
+    check_input(path)
+    if digest_of(path) != source.content:
+        raise InspeError(f"{path}: is no longer what it was when the study began")
+    if source.file is not None:
+        return load_scene(path)
+    from inspe_jax.scene.maps import read_map
+
+    at: dict[str, Any] = dict(junction=source.junction, center=source.center)
+    return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
+
+
+def make_room(scene: str) -> None:
     """Forget what was compiled for earlier scenes, once there are many."""
     if scene not in _compiled_for and len(_compiled_for) >= MEMORY:
         jax.clear_caches()
@@ -84,12 +93,12 @@ def work(scene: Scene | str, job: Job, wanted: Row) -> tuple[Row, str | None]:
         return row | failed(f"the worker has other versions: {versions()}"), None
     if isinstance(scene, str):
         return row | failed(scene), None
-    _make_room(job.scene)
+    make_room(job.scene)
     try:
         layout = placed(job.layout, scene)
         scores, before, found = _scored(scene, layout, job)
     except Exception as e:
-        return row | failed(_told(e)), None
+        return row | failed(told(e)), None
     facts = (len(layout), scene.voxels.count, round(scene.traffic.mean_count, 2))
     row |= dict(zip(FACTS, map(str, facts), strict=True))
     row |= {name: f"{getattr(scores, name):.7f}" for name in SCORES}
@@ -151,5 +160,6 @@ def _word(value: Any) -> str:
     return str(value).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-def _told(e: Exception) -> str:
+def told(e: Exception) -> str:
+    """What went wrong, in words."""
     return str(e) if isinstance(e, InspeError) else f"{type(e).__name__}: {e}"

@@ -18,9 +18,11 @@ from processes import inspe_process
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing.layout import load_layout
+from inspe_jax.study.engine import _by_scene, _sent
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.sweep import _by_scene, _sent, sweep
+from inspe_jax.study.sweep import sweep
+from inspe_jax.study.work import build, work
 
 STUDY = dict(
     scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
@@ -232,7 +234,7 @@ def test_what_is_lost_on_the_way(error, tmp_path, monkeypatch):
         submit=lambda *given, key, **more: SimpleNamespace(key=key, result=result),
     )
     monkeypatch.setattr(distributed, "as_completed", Completed)
-    found = _sent(client, study.jobs[:1], 1)
+    found = _sent(client, study.jobs[:1], 1, build, work)
     if isinstance(error, ValueError):
         assert [(job.key, str(e)) for job, e in found] == [(study.jobs[0].key, "what")]
     else:

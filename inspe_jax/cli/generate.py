@@ -1,0 +1,115 @@
+"""Data sets: every layout on every scene in every setting, recorded: `inspe generate`.
+
+Imports stay inside the command, as of Dask.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inspe_jax.cli.common import app, busy, err, note, out, progress
+
+SHOWN = 3
+"""Scenarios that could not be made whose error is printed."""
+
+
+@app.command()
+def generate(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="STUDY.yaml", help="What to record, see below; or a data_protocol.yaml."
+        ),
+    ],
+    folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
+    backend: Annotated[
+        str | None,
+        typer.Option(help="What records: embedded or carla; embedded, or as the protocol says."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes; one a core if not given, and one with carla.")
+    ] = None,
+    files: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the map that a data_protocol.yaml names."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Check the study and say what it would make.")
+    ] = False,
+) -> None:
+    """Make a data set in the format of OPV2V: what sensors record at every layout, scene, setting.
+
+    A study says what to combine; every setting is one value or a list of them:
+
+        scenes:
+          - built_in: four_way
+          - {map: Town05.xodr, junction: 53, radius: 60}
+        layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
+        settings:
+          density: [low, medium, high]
+          light: [midday, night]
+          seed: [0, 1, 2]
+          seconds: 20
+        rate_hz: 10
+        layers: [depth, instance]
+        splits: {train: 7, validate: 1, test: 2}
+
+    Into --out go train, validate and test with a folder for each scenario, which appears when it
+    is whole. A run that was stopped or killed goes on when the same command is given again, to
+    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more. Where
+    scenarios cannot be made, the others are, and the exit status is 1.
+
+    Examples:
+
+    - `inspe generate study.yaml --out set --dry-run`
+    - `inspe generate study.yaml --out set --workers 8`
+    - `inspe generate set/train/SCENARIO/data_protocol.yaml --out again`
+    """
+    from inspe_jax.dataset import generate as run
+    from inspe_jax.dataset import load_generation
+    from inspe_jax.dataset.plan import check_backend
+    from inspe_jax.placement.result import check_folder
+
+    check_folder(folder)
+    if backend is not None:
+        check_backend(backend)
+    with busy(f"reading {source}"):
+        generation = load_generation(source, files)
+    note(generation.notes)
+    if dry_run:
+        each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
+        out.print(
+            f"{generation.name}: {_counted(len(generation.scenarios), 'scenario')} ({each}), "
+            f"{_counted(generation.frames, 'frame')}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        return
+    try:
+        with progress("frames") as report:
+            made = run(generation, folder, backend, workers=workers, progress=report)
+    except KeyboardInterrupt:
+        err.print("stopped; the same command goes on from here", soft_wrap=True)
+        raise typer.Exit(130) from None
+    speed = f", {made.seconds / made.recorded:.2g} s a frame" if made.recorded else ""
+    out.print(
+        f"{_counted(made.scenarios, 'scenario')}, {_counted(made.frames, 'frame')}, "
+        f"{made.size / 1e6:.1f} MB{speed}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    out.print(f"wrote {made.folder}", highlight=False, soft_wrap=True)
+    failures = list(made.failures.items())
+    note(f"{name}: {error}" for name, error in failures[:SHOWN])
+    if failures:
+        err.print(
+            f"{_counted(len(failures), 'scenario')} could not be made; "
+            "the same command tries again",
+            soft_wrap=True,
+        )
+        raise typer.Exit(1)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}{'s' * (count != 1)}"

@@ -1,0 +1,338 @@
+"""A data set to be made: every layout on every scene in every setting. Read from YAML.
+
+The file is that of a study (:mod:`inspe_jax.study.plan`) but for what it sets::
+
+    scenes:
+      - built_in: four_way
+      - {map: Town05.xodr, junction: 53, radius: 60}
+    layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
+    settings:                        # one value or a list; every combination is a scenario
+      density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed
+      light: [midday, night]         # of the sensors: light, weather
+      seed: [0, 1, 2]
+      seconds: 20                    # how long a scenario is
+    rate_hz: 10                      # frames a second
+    layers: [depth, instance]        # beside the pictures; or semantic
+    image_scale: 0.5                 # of the cameras' own resolution, up to 1
+    splits: {train: 7, validate: 1, test: 2}
+    split_by: scenario               # or scene: see below
+
+A saved scene must have frames 1 / ``rate_hz`` apart, and all that are wanted; without ``seconds``
+it is all of them.
+
+Scenarios that differ only in their layout, light or weather are of one scene, and have the same
+traffic. So that no traffic is in two splits, split by scene, of which there should then be many:
+by ``seed``.
+"""
+
+import hashlib
+import math
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.recorder import Recording
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.files import check_model
+from inspe_jax.placement.checkpoint import digest
+from inspe_jax.scene.traffic import MOST_FRAMES
+from inspe_jax.sensing.conditions import CLEAR, Conditions
+from inspe_jax.study.settings import (
+    CONDITIONS,
+    WORLD,
+    Length,
+    Several,
+    Strict,
+    WorldSettings,
+    check_names,
+    check_settings,
+    combinations,
+    conditioned,
+    defaults_of,
+)
+from inspe_jax.study.sources import (
+    LayoutSource,
+    SceneEntry,
+    SceneSource,
+    Sources,
+    layout_sources,
+    scene_settings,
+    scene_source,
+    with_named_layouts,
+)
+
+BACKENDS: dict[str, int | None] = {"embedded": None, "carla": 1}
+"""What can record, and by how many workers at most: a CARLA server has one world."""
+SECONDS = 10.0
+"""How long a scenario is if nobody says [s]."""
+SETTINGS = (*WORLD, *CONDITIONS, "seconds")
+SHARES: dict[Any, float] = {"train": 7, "validate": 1, "test": 2}
+"""Scenarios of each split, in proportion."""
+LONGEST_NAME = 120
+
+
+@dataclass(frozen=True)
+class ScenarioPlan:
+    """A scenario to be made; ``settings`` has every key of :data:`SETTINGS`.
+
+    ``seed`` is that of the sensors' noise: another one in every scenario, while scenarios of one
+    scene have the same traffic.
+    """
+
+    name: str
+    split: str
+    source: SceneSource
+    layout: LayoutSource
+    settings: Mapping[str, Any]
+    recording: Recording
+    seed: int
+    tags: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """How many it has."""
+        return round(self.settings["seconds"] * self.recording.rate)
+
+    @property
+    def conditions(self) -> Conditions:
+        """Light and weather."""
+        return Conditions.of(self.settings["light"], self.settings["weather"])
+
+    @property
+    def build(self) -> dict[str, Any]:
+        """Settings that its scene is built with."""
+        world = {key: self.settings[key] for key in WORLD}
+        return world | dict(frames=self.frames, step=1 / self.recording.rate)
+
+    @cached_property
+    def scene(self) -> str:
+        """A short text that its scene is known by."""
+        return digest([self.source.anywhere, self.build])[:16]
+
+    @cached_property
+    def key(self) -> str:
+        """A short text that is its own: of what it shows and how, not of what it is called."""
+        return digest([self.source.anywhere, self.layout, self.settings, self.recording])[:16]
+
+
+@dataclass(frozen=True)
+class Generation:
+    """A data set to be made: its scenarios in order. ``notes`` say what a person should know."""
+
+    name: str
+    scenarios: tuple[ScenarioPlan, ...]
+    backend: str = "embedded"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """Of all scenarios together."""
+        return sum(plan.frames for plan in self.scenarios)
+
+    @property
+    def splits(self) -> dict[str, tuple[ScenarioPlan, ...]]:
+        """Scenarios by split: of each, or none."""
+        return {
+            split: tuple(plan for plan in self.scenarios if plan.split == split) for split in SPLITS
+        }
+
+
+# ── The file ────────────────────────────────────────────────────────────────
+
+
+class Settings(WorldSettings):
+    """What a file may set."""
+
+    light: Several[str] = Field(default=[])
+    weather: Several[str] = Field(default=[])
+    seconds: Several[Length] = Field(default=[])
+
+
+class _SceneEntry(SceneEntry, WorldSettings):
+    pass
+
+
+_Share = Annotated[float, Field(ge=0)]
+
+
+class RecordingEntry(Strict):
+    """What a file says of the recording."""
+
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
+    image_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+
+    def recording(self, where: str) -> Recording:
+        """The same. Raises InspeError where a layer is given twice."""
+        check_names([str(layer) for layer in self.layers], f"{where}: layers")
+        return Recording(self.rate_hz, tuple(self.layers), self.image_scale)
+
+
+class _File(Sources, RecordingEntry):
+    scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
+    settings: Settings = Settings()
+    splits: dict[Literal["train", "validate", "test"], _Share] = Field(default=SHARES)
+    split_by: Literal["scenario", "scene"] = "scenario"
+
+
+def make_generation(
+    content: Mapping[str, Any], folder: Path, where: str = "study", name: str = "study"
+) -> Generation:
+    """A data set from what a file holds; paths in it are relative to ``folder``."""
+    entry = check_model(_File, with_named_layouts(content), where)
+    recording = entry.recording(where)
+    whole = {key: getattr(entry.settings, key) for key in SETTINGS}
+    check_settings(whole, f"{where}: settings")
+    for seconds in whole["seconds"]:
+        check_seconds(seconds, recording.rate, f"{where}: settings.seconds")
+    each: Mapping[Any, float] = entry.splits
+    shares = [each.get(split, 0) for split in SPLITS]
+    if not sum(shares):
+        raise InspeError(f"{where}: splits: one of {', '.join(SPLITS)} must be above 0")
+    layouts = layout_sources(entry, folder, where)
+    defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
+    plans: dict[str, ScenarioPlan] = {}
+    names = []
+    for k, item in enumerate(entry.scenes):
+        at = f"{where}: scenes[{k}]"
+        own = {key: getattr(item, key) for key in WORLD}
+        check_settings(own, at)
+        source = scene_source(item, folder, at)
+        names.append(source.name)
+        given = scene_settings(source, own, whole, at)
+        if source.file is not None:
+            given["seconds"] = saved_seconds(source, given["seconds"], recording.rate, at)
+        for build in combinations(given, (*WORLD, "seconds"), defaults):
+            for layout in layouts:
+                for around in combinations(given, CONDITIONS, defaults):
+                    settings = build | conditioned(around)
+                    plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
+                    plans.setdefault(plan.key, replace(plan, tags=dict(item.tags)))
+    check_names(names, f"{where}: scenes")
+    done = _named(list(plans.values()))
+    done = [replace(plan, seed=_seed(key)) for key, plan in zip(plans, done, strict=True)]
+    by_scene = entry.split_by == "scene"
+    groups = [plan.scene if by_scene else key for key, plan in zip(plans, done, strict=True)]
+    kinds = {
+        group: (plan.source.name, *([] if by_scene else [plan.conditions.light]))
+        for group, plan in zip(groups, done, strict=True)
+    }
+    splits = _split(kinds, shares)
+    done = [replace(plan, split=splits[group]) for group, plan in zip(groups, done, strict=True)]
+    return Generation(entry.name or name, tuple(done))
+
+
+def check_backend(backend: str) -> None:
+    """Raise InspeError for a backend that is not known."""
+    if backend not in BACKENDS:
+        known = tuple(BACKENDS)
+        raise InspeError(f"backend '{backend}': one of {', '.join(known)}{nearest(backend, known)}")
+
+
+def check_seconds(seconds: float, rate: float, where: str) -> None:
+    """Raise InspeError where so long a scenario has no whole number of frames, or too many."""
+    frames = seconds * rate
+    if abs(frames - round(frames)) > 1e-6 * frames or not 1 <= round(frames) <= MOST_FRAMES:
+        raise InspeError(
+            f"{where}: {seconds:g} s are {frames:g} frames at {rate:g} Hz: a whole number, 1 to "
+            f"{MOST_FRAMES}"
+        )
+
+
+def saved_seconds(
+    source: SceneSource, wanted: Sequence[float], rate: float, where: str
+) -> list[float]:
+    """How long scenarios of a saved scene are [s]: as wanted, or as long as it is.
+
+    Raises InspeError where it is shorter, or its frames are not 1 / rate apart.
+    """
+    from inspe_jax.scene.scene import load_scene
+
+    traffic = load_scene(str(source.file)).traffic
+    step = float(traffic.time[1] - traffic.time[0]) if traffic.frame_count > 1 else 1 / rate
+    if not math.isclose(step, 1 / rate, rel_tol=1e-5):
+        raise InspeError(
+            f"{where}: {source.file} has frames {step:g} s apart, and rate_hz {rate:g} needs "
+            f"{1 / rate:g} s: build it with this step, or set rate_hz: {1 / step:g}"
+        )
+    for seconds in wanted:
+        if round(seconds * rate) > traffic.frame_count:
+            raise InspeError(
+                f"{where}: {source.file} has {traffic.frame_count} frames, and {seconds:g} s at "
+                f"{rate:g} Hz are {round(seconds * rate)}"
+            )
+    return list(wanted) or [traffic.frame_count / rate]
+
+
+def _seed(key: str) -> int:
+    return int(key[:8], 16) >> 1  # a seed is below 2³¹
+
+
+# ── Names and splits ────────────────────────────────────────────────────────
+
+
+def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
+    """The same by names that tell what they are, fit for folders."""
+    varied: dict[tuple[str, str], set[Any]] = defaultdict(set)
+    for plan in plans:
+        for key in ("radius", "voxel", "mix", "traffic", "seconds"):
+            varied[plan.source.name, key].add(plan.settings[key])
+    names = []
+    for plan in plans:
+        given = plan.settings
+        parts = [plan.source.name, plan.layout.name, given["density"], given["light"]]
+        parts += [given["weather"]] * (given["weather"] != CLEAR)
+        more = [
+            key for (name, key), values in varied.items() if name == parts[0] and len(values) > 1
+        ]
+        parts += [f"{key}-{_word(given[key])}" for key in more]
+        names.append("__".join(map(_fit, (*parts, given["seed"])))[:LONGEST_NAME])
+    counts = Counter(name.lower() for name in names)  # some disks know no capitals
+    return [
+        replace(plan, name=name if counts[name.lower()] == 1 else f"{name}__{plan.key}")
+        for plan, name in zip(plans, names, strict=True)
+    ]
+
+
+def _word(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _fit(part: Any) -> str:
+    """A part of a name: letters, digits and a few signs."""
+    return re.sub(r"[^A-Za-z0-9.+-]+", "_", str(part)).strip("._") or "_"
+
+
+def _split(kinds: Mapping[str, tuple[str, ...]], shares: Sequence[float]) -> dict[str, str]:
+    """The split of each key; ``kinds`` are those of the keys.
+
+    As many of each split as whole numbers allow. Keys are put in order by the hash of their kind
+    and then by their own, and dealt out so that every stretch of that order has its shares: each
+    kind is in all splits where there are enough of it, and which keys of it go where depends on
+    nothing but hashes.
+    """
+    total, count = sum(shares), len(kinds)
+    exact = [share * count / total for share in shares]
+    quota = [math.floor(value + 1e-9) for value in exact]
+    rest = sorted(range(len(quota)), key=lambda s: (round(quota[s] - exact[s], 9), quota[s]))
+    for s in rest[: count - sum(quota)]:
+        quota[s] += 1
+    found, dealt = {}, [0] * len(quota)
+    order = sorted(kinds, key=lambda key: (_hash(*kinds[key]), _hash(key)))
+    for n, key in enumerate(order, 1):
+        left = [s for s in range(len(quota)) if dealt[s] < quota[s]]
+        s = max(left, key=lambda s: quota[s] * n / count - dealt[s])
+        dealt[s] += 1
+        found[key] = SPLITS[s]
+    return found
+
+
+def _hash(*words: str) -> str:
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()

@@ -1,0 +1,223 @@
+"""A scenario's ``data_protocol.yaml``: all that it takes to make the scenario again.
+
+The layout is in it whole. A map or a saved scene is by its name and the digest of its content.
+"""
+
+import os
+from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import Field
+
+from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.plan import (
+    BACKENDS,
+    SETTINGS,
+    Generation,
+    RecordingEntry,
+    ScenarioPlan,
+    Settings,
+    check_seconds,
+    make_generation,
+    saved_seconds,
+)
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.files import check_model, read_yaml
+from inspe_jax.placement import optimise
+from inspe_jax.scene.scene import load_scene
+from inspe_jax.sensing.layout import parse_layout
+from inspe_jax.study.settings import (
+    CONDITIONS,
+    WORLD,
+    Count,
+    Line,
+    Strict,
+    Text,
+    check_settings,
+    conditioned,
+)
+from inspe_jax.study.sources import LayoutSource, SceneEntry, SceneSource, digest_of, scene_source
+
+FORMAT = "inspe_jax scenario 1"
+PORT = 2000
+"""CARLA's own; it is only told."""
+
+
+_RECORDS_WITH = {"embedded": ("embreex",), "carla": ("carla",)}
+
+
+class _Scene(SceneEntry):
+    name: Line
+    content: str = ""
+
+
+class _Recording(RecordingEntry):
+    backend: str
+    seed: Count
+
+
+class _World(Strict):
+    fixed_delta_seconds: Any
+    client_port: Any
+    seed: Any
+    weather: Any
+    town: Any
+
+
+class _Protocol(Strict):
+    format: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_+-][A-Za-z0-9._+-]*$")]
+    split: Text
+    world: _World
+    scene: _Scene
+    settings: dict[str, Any]
+    recording: _Recording
+    tags: dict[Line, Line] = Field(default={})
+    layout: dict[str, Any]
+    versions: dict[str, str]
+    stations: dict[int, str] = Field(default={})
+
+
+def versions(backend: str) -> dict[str, str]:
+    """Versions of what the bytes of a set depend on beside its plan."""
+    own = {name for name in _RECORDS_WITH[backend] if find_spec(name)}
+    return optimise.versions(("jax", "numpy", "pillow", "scipy", "shapely", *own))
+
+
+def protocol_of(plan: ScenarioPlan, layout: Mapping[str, Any], backend: str) -> dict[str, Any]:
+    """What a protocol holds; ``layout`` is what a layout file would."""
+    source = plan.source.anywhere
+    scene = {
+        "name": source.name,
+        "built_in": source.built_in,
+        "map": source.map,
+        "junction": source.junction,
+        "center": None if source.center is None else list(source.center),
+        "file": source.file,
+        "content": source.content or None,
+    }
+    return {
+        "format": FORMAT,
+        "name": plan.name,
+        "split": plan.split,
+        "world": {
+            "fixed_delta_seconds": 1 / plan.recording.rate,
+            "client_port": PORT,
+            "seed": plan.settings["seed"],
+            "weather": plan.conditions.record,
+            "town": source.built_in or str(source.map or source.file).partition(".")[0],
+        },
+        "scene": {key: value for key, value in scene.items() if value is not None},
+        "settings": {key: plan.settings[key] for key in SETTINGS},
+        "recording": {
+            "backend": backend,
+            "rate_hz": plan.recording.rate,
+            "layers": list(plan.recording.layers),
+            "image_scale": plan.recording.image_scale,
+            "seed": plan.seed,
+        },
+        **({"tags": dict(plan.tags)} if plan.tags else {}),
+        "layout": dict(layout),
+        "versions": versions(backend),
+    }
+
+
+def load_generation(
+    path: str | os.PathLike[str], files: str | os.PathLike[str] | None = None
+) -> Generation:
+    """Read a generation study, its form as in :mod:`inspe_jax.dataset.plan`, or a scenario's
+    ``data_protocol.yaml``, which is a data set of this one.
+
+    The map or the saved scene that a protocol names is looked for in ``files``, beside the
+    protocol, in the folders of its set and in the current one. Raises InspeError that names the
+    file, the key and what is allowed.
+    """
+    path = Path(path)
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not content:
+        raise InspeError(f"{path}: the study is empty: it needs 'scenes' and 'layouts'")
+    if "world" not in content:
+        return make_generation(content, path.parent, str(path), path.stem)
+    if "format" not in content:
+        raise InspeError(f"{path}: the protocol of a set that this package has not made")
+    beside = path.resolve().parents
+    return _remade(content, str(path), [*([Path(files)] if files else beside[:3]), Path.cwd()])
+
+
+def _remade(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
+    entry = check_model(_Protocol, content, where)
+    for key, value, known in (
+        ("format", entry.format, (FORMAT,)),
+        ("split", entry.split, SPLITS),
+        ("recording.backend", entry.recording.backend, tuple(BACKENDS)),
+    ):
+        if value not in known:
+            raise InspeError(
+                f"{where}: {key}: '{value}': one of {', '.join(known)}{nearest(value, known)}"
+            )
+    source = _source(entry.scene, folders, f"{where}: scene")
+    recording = entry.recording.recording(f"{where}: recording")
+    parse_layout(entry.layout, f"{where}: layout", "layout")  # it is what it should be
+    text = yaml.safe_dump(entry.layout, sort_keys=False)
+    plan = ScenarioPlan(
+        name=entry.name,
+        split=entry.split,
+        source=source,
+        layout=LayoutSource(str(entry.layout.get("name", entry.name)), text=text),
+        settings=_settings(entry.settings, source, recording.rate, f"{where}: settings"),
+        recording=recording,
+        seed=entry.recording.seed,
+        tags=entry.tags,
+    )
+    now = versions(entry.recording.backend)
+    other = [
+        f"{name} {entry.versions.get(name)} (here {now.get(name)})"
+        for name in entry.versions.keys() | now.keys()
+        if entry.versions.get(name) != now.get(name)
+    ]
+    notes = [f"made with {', '.join(sorted(other))}: files may differ"] if other else []
+    return Generation(entry.name, (plan,), entry.recording.backend, tuple(notes))
+
+
+def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
+    """Where the scene comes from, its file found by name in one of the folders."""
+    given = entry.map or entry.file
+    plain = SceneEntry(**entry.model_dump(exclude={"content"}))
+    if given is None:
+        return scene_source(plain, Path(), where)
+    folders = list(dict.fromkeys(folders))
+    there = [folder for folder in folders if (folder / Path(given).name).is_file()]
+    same = [folder for folder in there if digest_of(folder / Path(given).name) == entry.content]
+    if not same:
+        looked = ", ".join(map(str, there or folders))
+        what = "has another content there than it had" if there else "is not there"
+        raise InspeError(f"{where}: {given} {what}; looked in {looked}; name its folder: --files")
+    return scene_source(plain, same[0], where)
+
+
+def _settings(
+    given: dict[str, Any], source: SceneSource, rate: float, where: str
+) -> dict[str, Any]:
+    """The settings of a protocol, of which a saved scene has most itself."""
+    for key in SETTINGS:
+        if key not in given:
+            raise InspeError(f"{where}: {key}: missing key")
+    kept: dict[str, Any] = {}
+    if source.file is not None:
+        saved = dict(load_scene(source.file).settings)
+        kept = {key: saved.get(key, "") for key in WORLD}
+    entry = check_model(Settings, {k: v for k, v in given.items() if k not in kept}, where)
+    several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
+    twice = next((key for key, values in several.items() if len(values) != 1), None)
+    if twice is not None:
+        raise InspeError(f"{where}: {twice}: must be one value, got {given[twice]!r}")
+    check_settings(several, where)
+    check_seconds(several["seconds"][0], rate, f"{where}: seconds")
+    if source.file is not None:
+        saved_seconds(source, several["seconds"], rate, where)
+    one = {key: values[0] for key, values in several.items()} | kept
+    one |= conditioned({key: one[key] for key in CONDITIONS})
+    return {key: one[key] for key in SETTINGS}

@@ -1,0 +1,110 @@
+"""What studies of any kind set: one value or a list of each key, and what each can be."""
+
+import inspect
+from collections.abc import Callable, Collection, Iterable, Mapping
+from itertools import product
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, Field
+
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.files import STRICT
+from inspe_jax.scene.scene import TRAFFIC, build_scene, density_count
+from inspe_jax.scene.traffic import MIXES
+from inspe_jax.sensing.conditions import FAIR, Conditions
+
+T = TypeVar("T")
+
+WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed")
+"""Settings of a scene beside how many frames it has, and how far apart."""
+CONDITIONS = ("light", "weather")
+
+
+def _listed(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
+class Strict(BaseModel):
+    """A part of a study file, without any other keys."""
+
+    model_config = STRICT
+
+
+Count = Annotated[int, Field(ge=0)]
+Length = Annotated[float, Field(gt=0)]
+Text = Annotated[str, Field(min_length=1)]
+Line = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$")]
+Several = Annotated[list[T], BeforeValidator(_listed), Field(min_length=1)]
+"""One value or a list of them."""
+
+
+class WorldSettings(Strict):
+    """:data:`WORLD`; an empty list is one that is not given."""
+
+    radius: Several[Length] = []
+    voxel: Several[Length] = []
+    density: Several[str | int] = []
+    mix: Several[str] = []
+    traffic: Several[str] = []
+    seed: Several[Count] = []
+
+
+def defaults_of(keys: Iterable[str]) -> dict[str, list[Any]]:
+    """Lists of the one value that settings of scenes and conditions have when not given."""
+    own = {key: row.default for key, row in inspect.signature(build_scene).parameters.items()}
+    return {key: [(own | FAIR.record)[key]] for key in keys}
+
+
+def combinations(
+    given: Mapping[str, Any], keys: Iterable[str], defaults: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Every combination of values, with the defaults for what is not given."""
+    keys = tuple(keys)
+    values = [given[key] or defaults[key] for key in keys]
+    return [dict(zip(keys, row, strict=True)) for row in product(*values)]
+
+
+def conditioned(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings, with light and weather spelt in one way."""
+    around = Conditions.of(settings["light"], settings["weather"])
+    return settings | around.record
+
+
+def one_of(known: Collection[str]) -> Callable[[str], None]:
+    """A check that raises InspeError for a word that is not known."""
+
+    def check(value: str) -> None:
+        if value not in known:
+            allowed = ", ".join(known)
+            raise InspeError(f"'{value}': one of {allowed}{nearest(value, tuple(known))}")
+
+    return check
+
+
+CHECKS: dict[str, Callable[[Any], Any]] = {
+    "density": density_count,
+    "mix": one_of(MIXES),
+    "traffic": one_of(TRAFFIC),
+    "light": Conditions.of,
+    "weather": lambda value: Conditions.of("midday", value),
+}
+"""What raises InspeError for a value that a setting cannot have."""
+
+
+def check_settings(
+    given: Mapping[str, Any], where: str, checks: Mapping[str, Callable[[Any], Any]] = CHECKS
+) -> None:
+    """Raise InspeError where a setting's value is none that it can have."""
+    for key, check in checks.items():
+        for value in given.get(key, ()):
+            try:
+                check(value)
+            except InspeError as e:
+                raise InspeError(f"{where}.{key}: {e}") from None
+
+
+def check_names(names: list[str], where: str) -> None:
+    """Raise InspeError where two have one name."""
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InspeError(f"{where}: two are named '{twice}'; give one another name")

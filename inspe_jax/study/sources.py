@@ -1,0 +1,195 @@
+"""Where the scenes and the layouts of a study come from, whatever it is for."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from inspe_jax.errors import InspeError, nearest
+from inspe_jax.files import check_input
+from inspe_jax.placement.strategies import choose
+from inspe_jax.scene.procedural import BUILT_INS
+from inspe_jax.scene.scene import load_scene
+from inspe_jax.sensing.devices import spec_of
+from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.sensors import Spec
+from inspe_jax.study.settings import Length, Line, Strict, Text, check_names
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Where a scene comes from: a built-in, a map's ``junction`` or ``center``, or a saved scene.
+
+    ``content`` is the digest of the file, so that a job is known to be of what was in it.
+    """
+
+    name: str
+    built_in: str | None = None
+    map: str | None = None
+    junction: str | int | None = None
+    center: tuple[float, float] | None = None
+    file: str | None = None
+    content: str = ""
+
+    @property
+    def anywhere(self) -> "SceneSource":
+        """The same, wherever its file lies."""
+        map_, file = (path and Path(path).name for path in (self.map, self.file))
+        return replace(self, map=map_, file=file)
+
+
+@dataclass(frozen=True)
+class LayoutSource:
+    """Where a layout comes from: a strategy with its ``options``, or the ``text`` of a file.
+
+    Among the options, devices of the study's own are specs, and others names.
+    """
+
+    name: str
+    strategy: str | None = None
+    options: tuple[tuple[str, Any], ...] = ()
+    text: str | None = None
+
+
+def digest_of(path: Path) -> str:
+    """A text that is the same for the same content of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# ── The file ────────────────────────────────────────────────────────────────
+
+
+class SceneEntry(Strict):
+    """A scene of a study file, without settings of its own."""
+
+    name: Line | None = None
+    built_in: str | None = None
+    map: Text | None = None
+    junction: str | int | None = None
+    center: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    file: Text | None = None
+    tags: dict[Line, Line] = Field(default={})
+    note: str = ""
+
+
+class LayoutEntry(Strict):
+    """A layout of a study file."""
+
+    name: Line | None = None
+    strategy: str | None = None
+    file: Text | None = None
+    camera: str | None = None
+    lidar: str | None = None
+    camera_height: Length | None = None
+    camera_pitch_deg: float | None = None
+    lidar_height: Length | None = None
+
+
+class Sources(Strict):
+    """What every study file has beside its scenes and its settings."""
+
+    name: Line | None = None
+    devices: dict[Line, Any] = Field(default={})
+    layouts: Annotated[list[LayoutEntry], Field(min_length=1)]
+
+
+def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
+    """Where an entry's scene comes from. Raises InspeError where it names none, or several."""
+    sources = [key for key in ("built_in", "map", "file") if getattr(entry, key) is not None]
+    if len(sources) != 1:
+        raise InspeError(f"{where}: give one of built_in, map and file")
+    if entry.map is None and (entry.junction is not None or entry.center is not None):
+        raise InspeError(f"{where}: junction and center are for maps")
+    if entry.built_in is not None:
+        if entry.built_in not in BUILT_INS:
+            raise InspeError(
+                f"{where}.built_in: '{entry.built_in}': one of {', '.join(BUILT_INS)}"
+                + nearest(entry.built_in, tuple(BUILT_INS))
+            )
+        return SceneSource(entry.name or entry.built_in, built_in=entry.built_in)
+    path = (folder / str(entry.map or entry.file)).resolve()
+    check_input(path)
+    content = digest_of(path)
+    if entry.file is not None:
+        return SceneSource(entry.name or path.stem, file=str(path), content=content)
+    if (entry.junction is None) == (entry.center is None):
+        raise InspeError(f"{where}: say which place of the map: junction or center")
+    at = str(entry.junction) if entry.center is None else "{:g}, {:g}".format(*entry.center)
+    return SceneSource(
+        entry.name or f"{path.stem} {at}",
+        map=str(path),
+        junction=entry.junction,
+        center=None if entry.center is None else (entry.center[0], entry.center[1]),
+        content=content,
+    )
+
+
+def scene_settings(
+    source: SceneSource, own: Mapping[str, Any], whole: Mapping[str, Any], where: str
+) -> dict[str, Any]:
+    """Values of a scene's settings, given as lists: its ``own`` stand before the ``whole`` study's.
+
+    A saved scene keeps those that it was built with. Raises InspeError where it is given others.
+    """
+    if source.file is None:
+        return {**whole} | {key: value for key, value in own.items() if value}
+    if any(own.values()):
+        given = ", ".join(key for key, value in own.items() if value)
+        raise InspeError(f"{where}: a saved scene keeps its settings; leave out {given}")
+    kept = dict(load_scene(source.file).settings)
+    return {**whole} | {key: [kept.get(key, "")] for key in own}
+
+
+def with_named_layouts(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What a study file holds, with the layouts that it has by name alone as entries."""
+    layouts = content.get("layouts")
+    if not isinstance(layouts, list):
+        return dict(content)
+    return {**content, "layouts": [_named(entry) for entry in layouts]}
+
+
+def _named(entry: Any) -> Any:
+    """A layout given by its name alone: a file's, or a strategy's."""
+    if not isinstance(entry, str):
+        return entry
+    return {"file" if Path(entry).suffix in (".yaml", ".yml") else "strategy": entry}
+
+
+def layout_sources(entry: Sources, folder: Path, where: str) -> list[LayoutSource]:
+    """Where a study's layouts come from. Raises InspeError where one names nothing known."""
+    own = {
+        key: spec_of(table, key, f"{where}: devices.{key}") for key, table in entry.devices.items()
+    }
+    layouts = [
+        _layout_source(item, own, folder, f"{where}: layouts[{k}]")
+        for k, item in enumerate(entry.layouts)
+    ]
+    check_names([item.name for item in layouts], f"{where}: layouts")
+    return layouts
+
+
+def _layout_source(
+    entry: LayoutEntry, devices: Mapping[str, Spec], folder: Path, where: str
+) -> LayoutSource:
+    if (entry.strategy is None) == (entry.file is None):
+        raise InspeError(f"{where}: give either a strategy or a file")
+    options: dict[str, Any] = {
+        key: value
+        for key in ("camera", "lidar", "camera_height", "lidar_height", "camera_pitch_deg")
+        if (value := getattr(entry, key)) is not None
+    }
+    if entry.file is not None:
+        if options:
+            raise InspeError(f"{where}: a file has its own devices; leave out {', '.join(options)}")
+        path = folder / entry.file
+        name = load_layout(path).name
+        return LayoutSource(entry.name or name, text=path.read_text(encoding="utf-8"))
+    options = {key: devices.get(value, value) for key, value in options.items()}
+    try:
+        chosen = choose(str(entry.strategy), **options)
+    except InspeError as e:
+        raise InspeError(f"{where}: {e}") from None
+    return LayoutSource(entry.name or chosen.name, chosen.name, tuple(options.items()))

@@ -1,0 +1,433 @@
+"""Data sets made by processes: killed, out of room, taken up again; the bytes stay the same."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import made_up
+import pytest
+import yaml
+from opv2v_validator import check_scenario, check_set
+
+import inspe_jax.dataset as dataset
+from inspe_jax.dataset import chunk, generate, load_generation
+from inspe_jax.dataset.making import Making
+from inspe_jax.errors import InspeError
+
+LAYOUT = """
+name: two masts
+units:
+  - name: north-east
+    base: [9.0, 9.0]
+    sensors:
+      - {device: paper-camera, height: 6, yaw_deg: -135, pitch_deg: -20}
+      - {device: paper-lidar-32, height: 5, yaw_deg: 0}
+  - base: [-9.0, -9.0]
+    sensors: [{device: paper-lidar-32, height: 5, yaw_deg: 0}]
+"""
+
+STUDY = dict(
+    scenes=[{"built_in": "four_way", "tags": {"kind": "four-way"}}],
+    layouts=["two.yaml", "L-c"],
+    settings=dict(radius=15, voxel=2, density=5, seed=[0, 1], light=["midday", "night"],
+                  seconds=2.4),
+    layers=["depth"],
+)  # fmt: skip
+FRAMES = 24
+
+COMMAND = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import made_up
+made_up.use()
+from inspe_jax.cli import main
+main()
+"""
+
+
+@pytest.fixture(autouse=True, name="the_real_one")
+def _made_up():
+    back = made_up.use()
+    yield back
+    back()
+
+
+def write(folder: Path, **changes) -> Path:
+    (folder / "two.yaml").write_text(LAYOUT)
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump(STUDY | changes))
+    return path
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Every file of a set and what is in it, but for what tells runs apart."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def begin(
+    path: Path, out: Path, *options: str, slow: float = 0.02, around: Sequence[str] = (), **more
+) -> subprocess.Popen:
+    """`inspe generate` of made-up frames, in a process and a group of its own."""
+    here = str(Path(__file__).parents[1])
+    paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+    return subprocess.Popen(
+        [
+            *around,
+            sys.executable,
+            "-c",
+            COMMAND,
+            "generate",
+            str(path),
+            "--out",
+            str(out),
+            *options,
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": paths, made_up.SLOW: str(slow), **more},
+    )
+
+
+def wait_for_frames(process: subprocess.Popen, out: Path, count: int) -> None:
+    """Until there are so many; whatever has its final name is whole on the way."""
+    end = time.monotonic() + 120
+    while sum(1 for _ in (out / ".unfinished").rglob("*/-1/[0-9]*.yaml")) < count:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        assert_whole(out)
+        time.sleep(0.01)
+
+
+def assert_whole(out: Path) -> None:
+    for split in ("train", "validate", "test"):
+        for scenario in (out / split).glob("*"):
+            (found,) = dataset.open(scenario).scenarios
+            assert found.frames == tuple(range(FRAMES)), scenario
+            assert not list(scenario.rglob(".*"))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
+    folder = tmp_path_factory.mktemp("whole")
+    path = write(folder)
+    told = []
+    back = made_up.use()
+    made = generate(
+        load_generation(path), folder / "out", workers=2, progress=lambda *at: told.append(at)
+    )
+    back()
+    assert told[0] == (0, 8 * FRAMES)
+    assert told[-1] == (8 * FRAMES, 8 * FRAMES)
+    assert told == sorted(told)
+    assert (made.scenarios, made.frames, made.recorded) == (8, 8 * FRAMES, 8 * FRAMES)
+    assert not made.failures
+    assert made.size == sum(
+        path.stat().st_size / path.stat().st_nlink
+        for path in (folder / "out").rglob("*/*/*")
+        if path.is_file()
+    )
+    return path, content(folder / "out")
+
+
+def test_every_scenario_is_valid_and_in_its_split(undisturbed):
+    path, _ = undisturbed
+    reports = check_set(path.parent / "out")
+    plans = load_generation(path).scenarios
+    assert {*reports} == {f"{plan.split}/{plan.name}" for plan in plans}
+    assert {report.frames for report in reports.values()} == {FRAMES}
+    assert {p.name for p in (path.parent / "out").iterdir() if p.name[0] != "."} <= {
+        "generation.yaml", "train", "validate", "test"
+    }  # fmt: skip
+    opened = dataset.open(path.parent / "out")
+    assert [len(opened.splits[split]) for split in opened.splits] == [5, 1, 2]
+    for scenario in opened.scenarios:
+        (plan,) = (plan for plan in plans if plan.name == scenario.name)
+        assert scenario.frame(FRAMES - 1).time == pytest.approx((FRAMES - 1) / 10)
+        told = scenario.protocol
+        assert told["world"]["weather"] == plan.conditions.record
+        assert told["world"]["seed"] == plan.settings["seed"]
+        assert told["tags"] == {"kind": "four-way"}
+        assert told["stations"][-1] == ("north-east" if len(scenario.agents) == 2 else "centre")
+
+
+def test_noise_differs_and_traffic_does_not(undisturbed):
+    """From light to light; and both from seed to seed."""
+    path, files = undisturbed
+    each = {}
+    for plan in load_generation(path).scenarios:
+        if plan.layout.name == "two masts":
+            stem = f"{plan.split}/{plan.name}/-1/000007"
+            things = yaml.safe_load(files[f"{stem}.yaml"])["vehicles"]
+            each[plan.settings["seed"], plan.settings["light"]] = things, files[f"{stem}.pcd"]
+    assert each[0, "midday"][0] == each[0, "night"][0] != each[1, "night"][0]
+    assert len({points for _, points in each.values()}) == 4
+
+
+def test_what_is_there_is_not_made_again(undisturbed, tmp_path):
+    """Nor is a worker started; what was taken away is made again."""
+    path, files = undisturbed
+    out = tmp_path / "out"
+    shutil.copytree(path.parent / "out", out)
+    made = generate(load_generation(path), out)
+    assert (made.recorded, made.frames) == (0, 8 * FRAMES)
+    (first, *_) = sorted((out / "train").iterdir())
+    (first / "-1" / "000003.yaml").unlink()
+    (out / "test").rename(tmp_path / "test")
+    made = generate(load_generation(path), out, workers=1)
+    assert made.recorded == 1 + 2 * FRAMES
+    assert content(out) == files
+
+
+@pytest.mark.slow
+def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
+    path, files = undisturbed
+    out, pids = tmp_path / "out", tmp_path / "pids"
+    pids.mkdir()
+    process = begin(path, out, "--workers", "2", **{made_up.PIDS: str(pids)})
+    wait_for_frames(process, out, 5)
+    (worker, *_) = pids.iterdir()
+    os.kill(int(worker.name), signal.SIGKILL)
+    words, err = process.communicate(timeout=100)
+    assert process.returncode == 0, err
+    assert f"8 scenarios, {8 * FRAMES} frames, " in words
+    assert "s a frame" in words
+    assert len([*pids.iterdir()]) == 3  # another took its place
+    assert content(out) == files
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
+    """Taken up at once: the workers of the first may still be at their frames."""
+    path, files = undisturbed
+    out = tmp_path / "out"
+    killed = begin(path, out, "--workers", "2")
+    wait_for_frames(killed, out, 15)
+    os.kill(killed.pid, signal.SIGKILL)
+    assert killed.wait(60) == -signal.SIGKILL
+    assert_whole(out)
+    process = begin(path, out, "--workers", "2", slow=0)
+    _, err = process.communicate(timeout=100)
+    killed.communicate(timeout=100)  # until its workers are gone
+    assert process.returncode == 0, err
+    assert content(out) == files
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
+    path, files = undisturbed
+    out = tmp_path / "out"
+    process = begin(path, out, "--workers", "1")
+    wait_for_frames(process, out, 3)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers as well
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command goes on from here" in err
+    assert "Traceback" not in err
+    there = {name: data for name, data in content(out).items() if ".unfinished" not in name}
+    assert there.items() <= files.items()
+
+
+def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
+    """What is there is whole; and with room again, the set is what it would have been."""
+    path, files = undisturbed
+    out = tmp_path / "out"
+    monkeypatch.setenv(made_up.ROOM, "600")
+    with pytest.raises(InspeError) as told:
+        generate(load_generation(path), out, workers=2)
+    words = str(told.value)
+    assert f"{out}: the disk is full: " in words
+    assert f"of {8 * FRAMES} frames are there, about " in words
+    assert "MB more are needed" in words
+    assert "the same command goes on from here" in words
+    assert check_set(out)
+    assert_whole(out)
+    monkeypatch.delenv(made_up.ROOM)
+    generate(load_generation(path), out, workers=2)
+    assert content(out) == files
+
+
+IN_A_SMALL_DISK = """
+mount -t tmpfs -o size=2m none "$1" || exit 77
+kept="$2"; folder="$1"; shift 2
+"$@"; status=$?
+cp -r "$folder/out" "$kept"
+exit $status
+"""
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_really_full(undisturbed, tmp_path):
+    path, files = undisturbed
+    small, kept = tmp_path / "small", tmp_path / "kept"
+    small.mkdir()
+    if shutil.which("unshare") is None:
+        pytest.skip("no file systems can be mounted here")
+    process = begin(
+        path,
+        small / "out",
+        around=["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", IN_A_SMALL_DISK,
+                "sh", str(small), str(kept)],
+    )  # fmt: skip
+    _, err = process.communicate(timeout=100)
+    if process.returncode in (1, 77) and "Error" not in err:
+        pytest.skip("no file systems can be mounted here")
+    assert process.returncode == 2, err
+    assert f"Error: {small / 'out'}: the disk is full: " in err
+    assert " MB more are needed, and 0.0 MB are free; make room, and the same command" in err
+    assert check_set(kept)
+    assert_whole(kept)
+    there = {name: data for name, data in content(kept).items() if ".unfinished" not in name}
+    assert there.items() <= files.items()
+
+
+def test_scenarios_that_cannot_be_made(undisturbed, tmp_path):
+    """They say why, and the others are made; as whole as they were, they are tried again."""
+    (tmp_path / "broken.yaml").write_text(LAYOUT.replace("two masts", "broken"))
+    (tmp_path / "unheard.yaml").write_text(LAYOUT.replace("two masts", "unheard of"))
+    (tmp_path / "broken.xodr").write_text("<OpenDRIVE/>")
+    path = write(
+        tmp_path,
+        scenes=[{"built_in": "four_way"}, {"map": "broken.xodr", "junction": 1}],
+        layouts=["two.yaml", "broken.yaml", "unheard.yaml"],
+        settings=STUDY["settings"] | dict(seed=0, light="midday", seconds=1.5),
+    )
+    generation = load_generation(path)
+    for _ in range(2):
+        made = generate(generation, tmp_path / "out", workers=1)
+        assert made.scenarios == 1
+        assert len(made.failures) == 5
+        for name, words in {
+            "four_way__broken": "frame 13: the sun is too low",
+            "four_way__unheard_of": "recording needs embreex, which is not installed",
+            "broken_1__two_masts": "broken.xodr",
+            "broken_1__unheard_of": "broken.xodr",
+        }.items():
+            assert words in made.failures[f"{name}__5__midday__0"]
+        (only,) = check_set(tmp_path / "out")
+        assert only.endswith("/four_way__two_masts__5__midday__0")
+
+
+@pytest.mark.slow
+def test_a_frame_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypatch):
+    path = write(tmp_path, settings=STUDY["settings"] | dict(seconds=0.5, light="midday", seed=0))
+    generation = load_generation(path)
+    deadly, other = generation.scenarios
+    monkeypatch.setenv(made_up.DEADLY, str(deadly.seed))
+    made = generate(generation, tmp_path / "out", workers=1)
+    assert [*made.failures] == [deadly.name]
+    assert "KilledWorker" in made.failures[deadly.name]
+    assert made.scenarios == 1
+    assert [*check_set(tmp_path / "out")] == [f"{other.split}/{other.name}"]
+
+
+def test_a_scenario_is_made_again_from_its_protocol(undisturbed, tmp_path):
+    """To the same bytes: from this file alone, and at another place."""
+    path, files = undisturbed
+    plan = load_generation(path).scenarios[2]
+    assert plan.layout.strategy == "L-c"
+    place = f"{plan.split}/{plan.name}"
+    (tmp_path / "data_protocol.yaml").write_bytes(files[f"{place}/data_protocol.yaml"])
+    out = tmp_path / "out"
+    made = generate(load_generation(tmp_path / "data_protocol.yaml"), out, workers=1)
+    assert (made.scenarios, made.frames) == (1, FRAMES)
+    check_scenario(out / place)
+    again = content(out)
+    del again["generation.yaml"]
+    assert again == {name: data for name, data in files.items() if name.startswith(place)}
+
+
+def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
+    path, files = undisturbed
+    out = tmp_path / "out"
+    shutil.copytree(path.parent / "out", out)
+    for other in (
+        STUDY | dict(image_scale=0.5),
+        STUDY | dict(splits=dict(train=1, test=1)),
+        STUDY | dict(settings=STUDY["settings"] | dict(seed=[0, 2])),
+    ):
+        with pytest.raises(InspeError, match=r"out: holds another data set, 'study': not the same"):
+            generate(load_generation(write(tmp_path, **other)), out)
+    with pytest.raises(InspeError, match="out: holds another data set, backend embedded"):
+        generate(load_generation(path), out, "carla")
+    record = out / "generation.yaml"
+    record.write_text(record.read_text().replace("numpy: ", "numpy: 0."))
+    with pytest.raises(InspeError, match=r"was begun with numpy 0.\d.*, and this is \d"):
+        generate(load_generation(path), out)
+    for text in ("a: [", "- 1", "format: 3"):
+        record.write_text(text)
+        with pytest.raises(InspeError, match=r"generation.yaml: not"):
+            generate(load_generation(path), out)
+    record.unlink()
+    with pytest.raises(InspeError, match=r"out: has no generation.yaml, so this is no data set"):
+        generate(load_generation(path), out)
+    record.write_bytes(files["generation.yaml"])
+    assert content(out) == files
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(workers=0), "workers 0: 1 or more"),
+        (dict(backend="carla", workers=2), "workers 2: 1 with backend carla"),
+        (dict(backend="carl"), "backend 'carl': one of embedded, carla; did you mean carla"),
+        (dict(folder="no/such"), "no/such: no such folder: no"),
+        (dict(folder="study.yaml"), "study.yaml: is a file; name a folder"),
+    ],
+)
+def test_bad_options(tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    generation = load_generation(write(tmp_path))
+    with pytest.raises(InspeError, match=message):
+        generate(generation, **{"folder": "out", **options})
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_run_at_a_time(tmp_path):
+    generation = load_generation(write(tmp_path))
+    with (
+        Making(generation, tmp_path / "out", "embedded"),
+        pytest.raises(InspeError, match="another run is at work in it"),
+    ):
+        generate(generation, tmp_path / "out")
+
+
+def test_workers_need_dask(tmp_path, monkeypatch):
+    for name in ("distributed", "inspe_jax.study.cluster"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delattr(sys.modules["inspe_jax.study"], "cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "inspe_jax.study.cluster")
+    with pytest.raises(InspeError, match=r"not installed: pip install 'inspe_jax\[sweep\]'"):
+        generate(load_generation(write(tmp_path)), tmp_path / "out")
+
+
+def test_the_embedded_backend(tmp_path, the_real_one):
+    """The recorder that the package has, and the validator."""
+    the_real_one()
+    path = write(
+        tmp_path,
+        layouts=["two.yaml"],
+        settings=STUDY["settings"] | dict(seconds=0.2, light="midday", seed=0),
+        layers=["depth", "instance", "semantic"],
+        image_scale=0.05,
+    )
+    made = generate(load_generation(path), tmp_path / "out", workers=1)
+    assert not made.failures
+    (report,) = check_set(tmp_path / "out").values()
+    assert (report.agents, report.frames) == (2, 2)
+
+
+def test_a_fault_of_the_disk_is_not_the_scenario_s(tmp_path):
+    (plan, *_) = load_generation(write(tmp_path)).scenarios
+    (tmp_path / "file").touch()
+    given = tmp_path / "file" / "scenario", tmp_path / "lock", 0, 9, 10
+    todo = chunk.Chunk(plan, "embedded", *given)
+    found = made_up.work(chunk.build(todo), todo)
+    assert found == chunk.Outcome(fault=f"{given[0]}: cannot be made a folder: Not a directory")

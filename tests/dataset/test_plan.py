@@ -1,0 +1,358 @@
+"""Generation studies and protocols: which scenarios they mean, and the message of every bad one."""
+
+import shutil
+from itertools import product
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inspe_jax.dataset import load_generation
+from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.opv2v import write_protocol
+from inspe_jax.dataset.plan import SETTINGS, _split
+from inspe_jax.dataset.protocol import protocol_of
+from inspe_jax.errors import InspeError
+from inspe_jax.files import parse_yaml
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.scene import build_scene, save_scene
+from inspe_jax.sensing.layout import layout_text
+
+STUDY = """
+scenes:
+  - built_in: four_way
+  - {built_in: roundabout, radius: 30, name: the circle, tags: {kind: roundabout}}
+layouts: [Cam-d1, Cam-d1/L-d1]
+settings:
+  voxel: 1
+  density: [low, 33]
+  light: [midday, night]
+  weather: [clear, "rain:10"]
+  seed: [0, 7]
+  seconds: 2
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text=STUDY, **changes):
+        path = tmp_path / "study.yaml"
+        path.write_text(yaml.safe_dump(yaml.safe_load(text) | changes, sort_keys=False))
+        return load_generation(path)
+
+    return read
+
+
+def test_every_combination_is_a_scenario(read):
+    generation = read()
+    assert generation.name == "study"
+    assert len(generation.scenarios) == 64
+    assert generation.frames == 64 * 20
+    names = [plan.name for plan in generation.scenarios]
+    assert {*names} == {
+        "__".join(filter(None, parts))
+        for parts in product(
+            ("four_way", "the_circle"), ("Cam-d1", "Cam-d1_L-d1"), ("low", "33"),
+            ("midday", "night"), ("", "rain_10"), "07",
+        )
+    }  # fmt: skip
+    assert names[0] == "four_way__Cam-d1__low__midday__0"
+    assert len({plan.seed for plan in generation.scenarios}) == 64
+    assert len({plan.scene for plan in generation.scenarios}) == 8
+    for plan in generation.scenarios:
+        assert set(plan.settings) == set(SETTINGS)
+        assert plan.settings["radius"] == (30 if plan.source.name == "the circle" else 50)
+        assert (plan.frames, plan.build["frames"], plan.build["step"]) == (20, 20, 0.1)
+        assert plan.tags == ({"kind": "roundabout"} if plan.source.name == "the circle" else {})
+
+
+def test_defaults(read):
+    (plan, *_) = read(settings={}).scenarios
+    assert (plan.frames, plan.settings["seconds"]) == (100, 10)
+    assert (plan.recording.rate, plan.recording.layers, plan.recording.image_scale) == (10, (), 1)
+    (plan, *_) = read(rate_hz=4, layers=["depth"], image_scale=0.25).scenarios
+    assert (plan.recording.rate, plan.recording.layers, plan.recording.image_scale) == (
+        4, ("depth",), 0.25
+    )  # fmt: skip
+    assert (plan.frames, plan.build["step"]) == (8, 0.25)
+
+
+def test_names_tell_what_varies_and_are_fit_for_folders(read):
+    varied = dict(voxel=[1, 0.5], traffic="waypoints", mix=["mixed", "largest"], seconds=[1, 2])
+    names = [plan.name for plan in read(settings=varied).scenarios]
+    assert "four_way__Cam-d1__medium__midday__voxel-0.5__mix-largest__seconds-2__0" in names
+    scenes = [{"built_in": "four_way", "name": name} for name in ("A/b", "a b", ".. ÄÖ", "é" * 300)]
+    layouts = [{"strategy": "L-c", "name": "x" * 300}, "Cam-c"]
+    names = [plan.name for plan in read(scenes=scenes, layouts=layouts).scenarios]
+    assert len({name.lower() for name in names}) == len(names) == 4 * 2 * 16
+    for name in names:
+        assert len(name) < 200
+        assert name.isascii()
+        assert name[0] not in ".-"
+        assert not {*"/\\: *"} & {*name}
+
+
+def test_seeds_and_splits_are_those_of_what_a_scenario_shows(read, tmp_path):
+    """Whatever it is called, whoever else is there, and wherever the study lies."""
+
+    def facts(generation):
+        return {(p.source.name, p.name.partition("__")[2]): p.seed for p in generation.scenarios}
+
+    whole = read()
+    again = read(name="again", scenes=[{"built_in": "four_way", "tags": {"a": "b"}}])
+    assert facts(again).items() <= facts(whole).items()
+    there = {plan.name: plan.split for plan in whole.scenarios}
+    (tmp_path / "elsewhere").mkdir()
+    read()
+    shutil.copy(tmp_path / "study.yaml", tmp_path / "elsewhere")
+    other = load_generation(tmp_path / "elsewhere" / "study.yaml")
+    assert {plan.name: plan.split for plan in other.scenarios} == there
+
+
+def test_splits_are_near_their_shares(read):
+    generation = read()
+    assert [len(plans) for plans in generation.splits.values()] == [45, 6, 13]
+    for scene, light in product(("four_way", "the circle"), ("midday", "night")):
+        own = [
+            plan.split
+            for plan in generation.scenarios
+            if (plan.source.name, plan.settings["light"]) == (scene, light)
+        ]
+        assert len(own) == 16
+        assert 10 <= own.count("train") <= 12
+        assert 1 <= own.count("validate") <= 2
+        assert 3 <= own.count("test") <= 4
+    for key in ("density", "weather", "seed"):  # none of their values is left out
+        for split, plans in generation.splits.items():
+            assert len({plan.settings[key] for plan in plans}) == 2, (key, split)
+    assert {plan.split for plan in read(splits=dict(test=1)).scenarios} == {"test"}
+    even = read(splits=dict(train=0.5, test=0.5))
+    assert [len(plans) for plans in even.splits.values()] == [32, 0, 32]
+
+
+def test_split_by_scene_keeps_traffic_apart(read):
+    seeds = list(range(10))
+    generation = read(settings=dict(seed=seeds, light=["midday", "night"]), split_by="scene")
+    where = {}
+    for plan in generation.scenarios:
+        where.setdefault(plan.scene, set()).add(plan.split)
+    assert len(where) == 20
+    assert all(len(splits) == 1 for splits in where.values())
+    assert [len(plans) for plans in generation.splits.values()] == [56, 8, 16]
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("xyz")), min_size=1, max_size=80),
+    st.lists(st.floats(0, 10), min_size=3, max_size=3).filter(lambda shares: sum(shares) > 0.1),
+    st.randoms(),
+)
+def test_splits_of_any_number(kinds, shares, random):
+    kinds = {f"key {n}": kind for n, kind in enumerate(kinds)}
+    found = _split(kinds, shares)
+    assert set(found) == set(kinds)
+    for split, share in zip(SPLITS, shares, strict=True):
+        many = list(found.values()).count(split)
+        assert abs(many - share / sum(shares) * len(kinds)) < 1 + 1e-6
+        assert share or not many
+    keys = list(kinds)
+    random.shuffle(keys)
+    assert _split({key: kinds[key] for key in keys}, shares) == found
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(scenes=[]), r"study.yaml: scenes: needs at least 1, has 0"),
+        (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
+        (dict(scenes=[{"built_in": "four_way", "frames": 3}]), r"scenes\[0\].frames: unknown key"),
+        (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),
+        (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
+        (dict(layouts=["Cam-d9"]), r"layouts\[0\]: no strategy 'Cam-d9'.*did you mean Cam-d"),
+        (dict(layouts=["a.yaml"]), r"a.yaml: no such file"),
+        (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
+        (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
+        (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
+        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
+        (dict(settings=dict(traffic="walk")), r"settings.traffic: 'walk': one of waypoints, sumo"),
+        (dict(settings=dict(frames=5)), r"settings.frames: unknown key.*allowed: density, light"),
+        (dict(settings=dict(method="none")), r"settings.method: unknown key"),
+        (dict(settings=dict(visibility="in_view")), r"settings.visibility: unknown key"),
+        (dict(settings=dict(seconds=0)), r"settings.seconds\[0\]: .*greater than 0"),
+        (dict(settings=dict(seconds=0.25)), r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz: a"),
+        (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
+        (dict(settings=dict(seed=-1)), r"settings.seed\[0\]: .*greater than or equal to 0"),
+        (dict(rate_hz=0), r"rate_hz: .*greater than 0, got 0"),
+        (dict(rate_hz="10"), r"rate_hz: input should be a valid number, got '10'"),
+        (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
+        (
+            dict(layers=["depths"]),
+            r"layers\[0\]: .*'depth', 'instance' or 'semantic', got 'depths'",
+        ),
+        (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
+        (dict(layers="depth"), r"layers: must be a list, got 'depth'"),
+        (dict(image_scale=2), r"image_scale: .*less than or equal to 1, got 2"),
+        (dict(splits=dict(train=0)), r"splits: one of train, validate, test must be above 0"),
+        (dict(splits=dict(vaildate=1)), r"splits.vaildate.*'train', 'validate' or 'test', got"),
+        (dict(splits=dict(train=-1)), r"splits.train: .*greater than or equal to 0"),
+        (dict(splits=[7, 1, 2]), r"splits: must hold keys"),
+        (dict(split_by="layout"), r"split_by: .*'scenario' or 'scene', got 'layout'"),
+    ],
+)
+def test_bad_studies(read, changes, message):
+    with pytest.raises(InspeError, match=message):
+        read(**changes)
+
+
+def test_files_that_are_no_study(tmp_path):
+    path = tmp_path / "study.yaml"
+    for text, message in (
+        ("", "the study is empty: it needs 'scenes' and 'layouts'"),
+        ("[1, 2]", "the study is empty"),
+        ("scenes: [", "not YAML"),
+        ("world: {town: Town05}", "the protocol of a set that this package has not made"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InspeError, match=message):
+            load_generation(path)
+
+
+def saved(path, **options):
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2, density=5, **options)
+    save_scene(scene, path)
+
+
+def test_saved_scenes(read, tmp_path):
+    saved(tmp_path / "saved.npz", frames=12, step=0.1)
+    scenes = [{"file": "saved.npz"}]
+    settings = dict(light=["midday", "night"])
+    plans = read(scenes=scenes, settings=settings, layouts=["L-c"]).scenarios
+    assert [plan.name for plan in plans] == [
+        f"saved__L-c__5__{light}__0" for light in ("midday", "night")
+    ]
+    assert [plan.frames for plan in plans] == [12, 12]
+    settings["seconds"] = [1]
+    plans = read(scenes=scenes, settings=settings).scenarios
+    assert {plan.frames for plan in plans} == {10}
+    settings["seconds"] = [1, 1.3]
+    with pytest.raises(InspeError, match=r"saved.npz has 12 frames, and 1.3 s at 10 Hz are 13"):
+        read(scenes=scenes, settings=settings)
+    with pytest.raises(InspeError, match=r"saved.npz has frames 0.1 s apart, and rate_hz 5 needs"):
+        read(scenes=scenes, settings={}, rate_hz=5)
+    with pytest.raises(InspeError, match=r"scenes\[0\]: a saved scene keeps its settings; leave"):
+        read(scenes=[{"file": "saved.npz", "radius": 20}])
+
+
+# ── Protocols ───────────────────────────────────────────────────────────────
+
+
+def protocol(plan, folder, backend="embedded", **changes):
+    """A scenario's protocol on disk, as a worker writes it."""
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=1, density=0)
+    layout = parse_yaml(layout_text(strategy(scene, "Cam-d1")), "layout")
+    write_protocol(folder, protocol_of(plan, layout, backend) | changes)
+    return folder / "data_protocol.yaml"
+
+
+def test_a_protocol_is_its_scenario(read, tmp_path):
+    for number, plan in enumerate(read(layers=["depth", "semantic"]).scenarios[::9]):
+        path = protocol(plan, tmp_path / str(number), "carla")
+        generation = load_generation(path)
+        (again,) = generation.scenarios
+        assert generation.backend == "carla"
+        assert not generation.notes
+        for key in ("name", "split", "source", "settings", "recording", "seed", "tags", "build"):
+            assert getattr(again, key) == getattr(plan, key)
+        same = protocol_of(again, parse_yaml(again.layout.text, ""), "carla")
+        write_protocol(tmp_path / "again", same)
+        assert (tmp_path / "again" / "data_protocol.yaml").read_bytes() == path.read_bytes()
+
+
+def test_other_versions_are_told(read, tmp_path):
+    (plan, *_) = read().scenarios
+    path = protocol(plan, tmp_path)
+    content = yaml.safe_load(path.read_text())
+    content["versions"] |= {"numpy": "1.0"}
+    path.write_text(yaml.safe_dump(content))
+    (note,) = load_generation(path).notes
+    assert note.startswith("made with numpy 1.0 (here ")
+    assert note.endswith("): files may differ")
+
+
+@pytest.mark.parametrize("name", ["place.xodr", "saved.npz"])
+def test_protocols_find_their_maps(read, tmp_path, name, monkeypatch):
+    if name == "saved.npz":
+        saved(tmp_path / name, frames=20, step=0.1)
+        scene = {"file": name}
+    else:
+        (tmp_path / name).write_text("<OpenDRIVE/>")
+        scene = {"map": name, "center": [1, 2.5]}
+    (plan, *_) = read(scenes=[scene]).scenarios
+    folder = tmp_path / "set" / "train" / plan.name
+    path = protocol(plan, folder)
+    assert str(tmp_path) not in path.read_text()
+    with pytest.raises(
+        InspeError, match=rf"{name} is not there; looked in {folder}, .*/set, .*--f"
+    ):
+        load_generation(path)
+    for place in (tmp_path / "set", folder):  # the nearest is looked at first
+        shutil.copy(tmp_path / name, place)
+        (again,) = load_generation(path).scenarios
+        assert again.source == plan.source.__class__(
+            **vars(plan.source) | {scene_key(scene): str(place / name)}
+        )
+        assert (again.settings, again.build) == (plan.settings, plan.build)
+    with (folder / name).open("ab") as f:
+        f.write(b" ")
+    (again,) = load_generation(path).scenarios
+    assert (tmp_path / "set" / name).samefile(again.source.map or again.source.file)
+    with pytest.raises(InspeError, match=rf"{name} has another content there than it had; looked"):
+        load_generation(path, folder)
+    (again,) = load_generation(path, tmp_path).scenarios
+    assert again.source == plan.source
+    (tmp_path / "set" / name).unlink()
+    monkeypatch.chdir(tmp_path)
+    assert load_generation(path).scenarios[0].source == plan.source
+
+
+def scene_key(scene):
+    return "map" if "map" in scene else "file"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("format", "inspe_jax scenario 9", r"format: 'inspe_jax scenario 9': one of inspe_jax sc"),
+        ("format", None, r"the protocol of a set that this package has not made"),
+        ("split", "trial", r"split: 'trial': one of train, validate, test; did you mean train"),
+        ("name", "../../etc", r"name: string should match"),
+        ("name", None, r"name: missing key"),
+        ("scene", {"name": "a", "built_in": "b"}, r"scene.built_in: 'b': one of four_way"),
+        ("scene", {"built_in": "four_way"}, r"scene.name: missing key"),
+        ("settings", {}, r"settings: radius: missing key"),
+        ("settings.light", "noon", r"settings.light: light 'noon': one of midday"),
+        ("settings.light", ["midday", "dusk"], r"settings: light: must be one value, got \['midda"),
+        ("settings.voxel", "1", r"settings: voxel\[0\]: input should be a valid number, got '1'"),
+        ("settings.seconds", 0.01, r"settings: seconds: 0.01 s are 0.1 frames at 10 Hz"),
+        ("settings.wind", 1, r"settings: wind: unknown key"),
+        ("recording.backend", "film", r"recording.backend: 'film': one of embedded, carla"),
+        ("recording.rate_hz", 0, r"recording.rate_hz: input should be greater than 0"),
+        ("recording.seed", -1, r"recording.seed: input should be greater than or equal to 0"),
+        ("layout", {"units": []}, r"layout: units: needs at least 1, has 0"),
+        ("layout", None, r"layout: missing key"),
+        ("world.town", None, r"world.town: missing key"),
+        ("colour", "red", r"colour: unknown key"),
+    ],
+)
+def test_bad_protocols(read, tmp_path, key, value, message):
+    path = protocol(read().scenarios[0], tmp_path)
+    content = yaml.safe_load(path.read_text())
+    *outer, last = key.split(".")
+    place = content[outer[0]] if outer else content
+    place[last] = value
+    if value is None:
+        del place[last]
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(InspeError, match=f"data_protocol.yaml: {message}"):
+        load_generation(path)

@@ -1,0 +1,114 @@
+"""A recorder of made-up frames, as slow, deadly or short of room as the environment says.
+
+In a module of its own, since workers import what they are sent.
+"""
+
+import errno
+import importlib
+import os
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from inspe_jax import files
+from inspe_jax.dataset import Frame, Image, Scan, Station, Thing, chunk
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.traffic import CLASSES
+
+SLOW, DEADLY, ROOM, PIDS = "MADE_UP_SLOW", "MADE_UP_DEADLY", "MADE_UP_ROOM", "MADE_UP_PIDS"
+"""Seconds a frame takes; a seed of which frame 3 kills its worker; the files that there is room
+for; and a folder for a file by the process id of each worker."""
+
+_work = chunk.work
+
+
+class Recorder:
+    """Noise by the seed and the frame, from where the sensors are; the scene's traffic."""
+
+    def __init__(self, scene, layout, recording, seed):
+        self.scene, self.layout, self.recording, self.seed = scene, layout, recording, seed
+
+    def frame(self, t):
+        if self.layout.name == "broken" and t == 13:
+            raise InspeError("the sun is too low")
+        if os.environ.get(DEADLY) == str(self.seed) and t == 3:
+            os._exit(1)
+        time.sleep(float(os.environ.get(SLOW, "0")))
+        rng, traffic = np.random.default_rng([self.seed, t]), self.scene.traffic
+        things = []
+        for b in np.flatnonzero(traffic.valid[t]):
+            kind = CLASSES[traffic.kind[t, b]]
+            place = traffic.center[t, b], float(traffic.yaw[t, b]), traffic.size[t, b]
+            track, velocity = int(traffic.track[t, b]), traffic.velocity[t, b]
+            things.append(Thing(track, kind, f"a {kind}", *place, velocity))
+        stations = [self.station(u, rng) for u in range(len(self.layout.units))]
+        return Frame(t, t / self.recording.rate, tuple(things), tuple(stations))
+
+    def station(self, u, rng):
+        own = [(self.layout.sensors[s], self.layout.poses[s]) for s in self.layout.members()[u]]
+        pose = np.array([*self.layout.units[u].base, 0, 0, 0])
+        images = [image(pose, rng, self.recording.layers) for s, pose in own if is_camera(s)]
+        scans = [scan(pose, rng) for s, pose in own if not is_camera(s)]
+        return Station(u + 1, self.layout.units[u].name, pose, tuple(images), tuple(scans))
+
+
+def is_camera(sensor):
+    return sensor.spec.kind == "camera"
+
+
+def image(pose, rng, layers):
+    pixels = {
+        "depth": rng.uniform(1, 50, (6, 8)).astype(np.float32),
+        "instance": rng.integers(0, 9, (6, 8)),
+        "semantic": rng.integers(0, 9, (6, 8)).astype(np.uint8),
+    }
+    intrinsic = np.array([[5.0, 0, 4], [0, 5.0, 3], [0, 0, 1]])
+    rgb = rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)
+    return Image(pose, intrinsic, rgb, **{key: pixels.get(key) for key in layers})
+
+
+def scan(pose, rng):
+    points = rng.uniform([-20, -20, -7, 0], [20, 20, -1, 1], (50, 4))
+    return Scan(pose, points.astype(np.float32))
+
+
+@contextmanager
+def recorder_of(backend, scene, layout, conditions, recording, seed):
+    if layout.name == "unheard of":
+        raise InspeError("recording needs embreex, which is not installed")
+    yield Recorder(scene, layout, recording, seed)
+
+
+def work(scene, todo):
+    """The worker's work, by this recorder."""
+    chunk.recorder_of = recorder_of
+    if PIDS in os.environ:
+        (Path(os.environ[PIDS]) / str(os.getpid())).touch()
+    if ROOM in os.environ:
+        files.os = SimpleNamespace(**{**vars(os), "replace": short_of_room(todo)})
+    return _work(scene, todo)
+
+
+def short_of_room(todo):
+    def replace(part, path):
+        root = todo.folder.parents[2]
+        if sum(len(names) for _, _, names in os.walk(root)) > int(os.environ[ROOM]):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        os.replace(part, path)
+
+    return replace
+
+
+def use():
+    """Have `generate` send this work; gives what puts that back."""
+    module = importlib.import_module("inspe_jax.dataset.generate")
+    before, module.work = module.work, work
+    recorder = chunk.recorder_of
+
+    def back():
+        module.work, chunk.recorder_of = before, recorder
+
+    return back

@@ -139,7 +139,7 @@ class World:
             Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], 60000 + k, (120, 110, 100))
             for k, s in enumerate(scenery)
         ]
-        self.hidden: set[int] = set()
+        self.release, self.hidden = VERSION, set()
         self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
         self.awaited: Counter[int] = Counter()  # streams asked for that nobody came for yet
         self.episode, self.frame, self.time = 7, 100, 5.0
@@ -155,7 +155,7 @@ class World:
 
     @call
     def version(self) -> str:
-        return VERSION
+        return self.release
 
     @call
     def get_episode_info(self) -> list:

@@ -143,13 +143,14 @@ def session_on(server: Server, place: Intersection, rate: float, weather: Any) -
     world = client.get_world()
     settings = world.get_settings()
     world = _on_map(client, world, town, server)
-    _check_empty(world, server)
     session = Session(carla, client, world, server, settings, world.get_weather())
     try:
         ours = world.get_settings()
         ours.synchronous_mode, ours.fixed_delta_seconds = True, 1.0 / rate
         ours.no_rendering_mode = False
         world.apply_settings(ours)
+        world.tick(server.timeout)  # where time stood still the client knows of nobody before
+        _check_empty(world, server)
         world.set_weather(weather(carla))
         session.hidden = [
             thing.id

@@ -1,5 +1,6 @@
 """What the sensors of a layout record of a scene's traffic, frame by frame."""
 
+import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -65,14 +66,12 @@ class Server:
     @classmethod
     def of(cls, text: str) -> "Server":
         """A server by "HOST", "HOST:PORT" or "PORT". Raises InspeError for anything else."""
-        host, colon, port = text.strip().rpartition(":")
-        if not colon:
-            host, port = ("", port) if port.isdecimal() else (port, str(cls.port))
-        if not port.isdecimal() or (colon and not host):
+        found = re.fullmatch(r"(?P<alone>\d+)|(?P<host>[^\s:]+)(:(?P<port>\d+))?", text.strip())
+        if found is None:
             raise InspeError(f"server '{text}': HOST, HOST:PORT or PORT, as {cls()}")
-        found = cls(host or cls.host, int(port))
-        found.check()
-        return found
+        server = cls(found["host"] or cls.host, int(found["alone"] or found["port"] or cls.port))
+        server.check()
+        return server
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""

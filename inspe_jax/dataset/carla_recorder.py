@@ -32,7 +32,7 @@ from inspe_jax.dataset.carla_sensors import (
     weather_of,
 )
 from inspe_jax.dataset.carla_server import OURS, Session, failing_plainly, session_on
-from inspe_jax.dataset.carla_traffic import Company
+from inspe_jax.dataset.carla_traffic import Actors
 from inspe_jax.dataset.lidar import worn
 from inspe_jax.dataset.record import Frame, Image, Scan, Thing
 from inspe_jax.dataset.recorder import Recording, Server, stations_of
@@ -87,7 +87,7 @@ class CarlaRecorder:
                 )
             )
             lights = self.conditions != FAIR
-            self.company = Company(self.session, self.scene.traffic, lights, self.seed)
+            self.actors = Actors(self.session, self.scene.traffic, lights, self.seed)
             self.ears = [self._ears(s) for s in range(len(self.layout))]
             self._warm_up()
             self._stack = stack.pop_all()
@@ -108,7 +108,7 @@ class CarlaRecorder:
         Raises InspeError where the server or a sensor does not answer.
         """
         with failing_plainly(self.server):
-            self.company.move(t)
+            self.actors.move(t)
             number = self.session.world.tick(self.server.timeout)
             snapshot = self.session.world.get_snapshot()
             if snapshot.frame != number:
@@ -116,7 +116,7 @@ class CarlaRecorder:
                     f"CARLA at {self.server}: time went on to frame {snapshot.frame} after we "
                     f"asked for {number}: does another client tick?"
                 )
-            things = self.company.things(t, snapshot)
+            things = self.actors.things(t, snapshot)
             seen = [self._seen(s, t, number, things) for s in range(len(self.layout))]
         stations = stations_of(self.layout, seen)
         return Frame(t, float(self.scene.traffic.time[t]), things, stations)
@@ -134,7 +134,7 @@ class CarlaRecorder:
             names = {"points": LIDAR}
         ears, unit = {}, self.layout.units[sensor.unit].name
         for kind, name in names.items():
-            blueprint = self.company.library.find(name)
+            blueprint = self.actors.library.find(name)
             for key, value in {**attributes, "role_name": OURS}.items():
                 blueprint.set_attribute(key, value)
             actor = self.session.spawn(blueprint, cords)

@@ -86,6 +86,13 @@ class Session:
         self.actors[actor.id] = None
         return actor
 
+    def try_spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
+        """As :meth:`spawn`, or None where it cannot be."""
+        actor = self.world.try_spawn_actor(blueprint, self.transform(cords))
+        if actor is not None:
+            self.actors[actor.id] = None
+        return actor
+
     def command(self, commands: list[Any]) -> list[int]:
         """Have commands done, all or as far as possible: the actors' ids.
 

@@ -28,7 +28,7 @@ logarithm of length, width or height."""
 THINNEST = 0.05
 """Half a size below this is none [m]: some versions have no width for two wheels."""
 
-_KNOWN: dict[tuple[str, str], "Body"] = {}
+_KNOWN: dict[tuple[str, str], "Body | None"] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Body:
     size: Float[np.ndarray, "3"]
 
 
-class Company:
+class Actors:
     """Everybody of the traffic who is in the world just now."""
 
     def __init__(self, session: Session, traffic: TrafficFrames, lights: bool, seed: int) -> None:
@@ -106,8 +106,10 @@ class Company:
             if might is None or not kinds & {might, *_longer(might)}:
                 continue
             if (version, blueprint.id) not in _KNOWN:
-                _KNOWN[version, blueprint.id] = self._tried(blueprint)
+                _KNOWN[version, blueprint.id] = self._tried(blueprint, len(_KNOWN))
             body = _KNOWN[version, blueprint.id]
+            if body is None:
+                continue
             kind = kind_of(blueprint.id, _facts(blueprint), float(body.size[0]))
             if kind is not None:
                 found.setdefault(kind, []).append(body)
@@ -119,8 +121,12 @@ class Company:
             )
         return {kind: tuple(bodies) for kind, bodies in found.items()}
 
-    def _tried(self, blueprint: Any) -> Body:
-        actor = self.session.spawn(blueprint, to_carla(self._aloft(0)))
+    def _tried(self, blueprint: Any, k: int) -> Body | None:
+        """What a blueprint makes, None where it makes nothing. Who was destroyed may still be in
+        the way."""
+        actor = self.session.try_spawn(blueprint, to_carla(self._aloft(k % 9)))
+        if actor is None:
+            return None
         box = actor.bounding_box
         self.session.destroy([actor.id])
         middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))

@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,12 +24,18 @@ from worlds import crossing, place_sensors, world
 
 from inspe_jax import dataset
 from inspe_jax.dataset.carla_instances import instances_of
-from inspe_jax.dataset.carla_sensors import intrinsic_of, lidar_attributes, notes_of
+from inspe_jax.dataset.carla_sensors import (
+    intrinsic_of,
+    lidar_attributes,
+    notes_of,
+    weather_of,
+)
 from inspe_jax.dataset.carla_server import town_of
 from inspe_jax.dataset.record import Thing
 from inspe_jax.dataset.recorder import Server, recorder_of
 from inspe_jax.errors import InspeError
 from inspe_jax.scene.traffic import CLASSES
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.devices import device
 
 PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
@@ -334,6 +341,23 @@ def test_a_lidar_turns_once_a_frame_with_all_its_rays():
     assert float(given["rotation_frequency"]) == 20
     assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
     assert float(given["horizontal_fov"]) == 360
+
+
+def weather_in(light: str, weather: str) -> dict[str, float]:
+    return weather_of(SimpleNamespace(WeatherParameters=dict), Conditions.of(light, weather))
+
+
+def test_weather_and_light_are_in_the_order_of_their_strength():
+    """Within CARLA's limits, 0 to 100 % and -90 to 90 degrees."""
+    for key, falling in (("precipitation", "rain:{}"), ("fog_density", "fog:{}")):
+        strength = [weather_in("midday", falling.format(n))[key] for n in (10, 20, 50, 200)]
+        steps = np.diff(strength) * (1 if "rain" in falling else -1)
+        assert (steps > 0).all()
+        assert 0 < min(strength) < max(strength) < 100
+    assert not weather_in("midday", "clear").keys() & {"precipitation", "fog_density"}
+    suns = [weather_in(light, "clear")["sun_altitude_angle"] for light in ("midday", "dusk")]
+    assert 90 > suns[0] > 30 > suns[1] > 0 > weather_in("night", "clear")["sun_altitude_angle"]
+    assert 0 <= weather_in("dusk", "clear")["sun_azimuth_angle"] < 360
 
 
 def test_two_numbers_of_one_road_user_are_both_its_own_and_strangers_are_nobodys():

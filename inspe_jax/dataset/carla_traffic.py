@@ -129,10 +129,7 @@ class Actors:
             return None
         box = actor.bounding_box
         self.session.destroy([actor.id])
-        middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
-        given = np.isfinite(half) & (half > THINNEST)
-        half = np.where(given, half, _usual(blueprint) / 2)
-        return Body(blueprint.id, flip(np.where(np.isfinite(middle), middle, 0.0)), 2 * half)
+        return body_of(blueprint.id, box, _usual(blueprint))
 
     def _body(self, t: int, b: int) -> Body:
         """Of a road user: by chance among those near its size, the same whenever it appears."""
@@ -191,6 +188,20 @@ class Actors:
             colours = blueprint.get_attribute("color").recommended_values
             blueprint.set_attribute("color", colours[int(dice.integers(len(colours)))])
         return blueprint
+
+
+def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> Body:
+    """A blueprint's body by the bounding box of its actor; ``usual`` where that has no size [m].
+
+    A box without a height stands on the ground, as the actor does.
+    """
+    middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
+    given = np.isfinite(half) & (half > THINNEST)
+    half = np.where(given, half, usual / 2)
+    middle = np.where(np.isfinite(middle), middle, 0.0)
+    if not given[2]:
+        middle[2] = half[2]
+    return Body(name, flip(middle), 2 * half)
 
 
 def _facts(blueprint: Any) -> dict[str, str]:

@@ -31,6 +31,7 @@ from inspe_jax.dataset.carla_sensors import (
     weather_of,
 )
 from inspe_jax.dataset.carla_server import town_of
+from inspe_jax.dataset.carla_traffic import body_of
 from inspe_jax.dataset.record import Thing
 from inspe_jax.dataset.recorder import Server, recorder_of
 from inspe_jax.errors import InspeError
@@ -341,6 +342,17 @@ def test_a_lidar_turns_once_a_frame_with_all_its_rays():
     assert float(given["rotation_frequency"]) == 20
     assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
     assert float(given["horizontal_fov"]) == 360
+
+
+def test_boxes_without_a_size_have_the_usual_one():
+    """CARLA is left-handed: what is to the right there has a negative y here."""
+    box = SimpleNamespace(
+        location=SimpleNamespace(x=0.1, y=0.2, z=np.inf),
+        extent=SimpleNamespace(x=0.8, y=0.0, z=np.inf),
+    )
+    body = body_of("bicycle", box, np.array([1.8, 0.6, 1.7]))
+    np.testing.assert_allclose(body.middle, [0.1, -0.2, 0.85])
+    np.testing.assert_allclose(body.size, [1.6, 0.6, 1.7])
 
 
 def weather_in(light: str, weather: str) -> dict[str, float]:

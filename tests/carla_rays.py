@@ -133,10 +133,10 @@ def scan(
     return hit.reshape(channels, rays).sum(1).tolist(), points
 
 
-def picture(
-    kind: str, spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], frame: int
-) -> np.ndarray:
-    """A pinhole camera's (H, W, 4) BGRA bytes; the blue of the ground tells the frame.
+def sight(
+    spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a pinhole camera's pixels show, row by row: depth, and which box as `cast` has it.
 
     Rays go through the middles of pixels; the focal length is W / (2 tan(fov / 2)). Depth is along
     the axis, not along the ray.
@@ -147,7 +147,18 @@ def picture(
         (np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal
     )
     own = np.stack([np.ones_like(right), right, -below], -1).reshape(-1, 3)
-    depth, which = cast(where[:3, 3], own @ where[:3, :3].T, boxes)
+    return cast(where[:3, 3], own @ where[:3, :3].T, boxes)
+
+
+def picture(
+    kind: str,
+    spec: Mapping[str, str],
+    seen: tuple[np.ndarray, np.ndarray],
+    boxes: Sequence[Box],
+    frame: int,
+) -> np.ndarray:
+    """(H, W, 4) BGRA bytes of what a camera has seen; the blue of the ground tells the frame."""
+    depth, which = seen
     if kind == "depth":
         code = np.round(np.minimum(depth / FAR, 1) * (256**3 - 1)).astype(int)
         rgb = np.stack([code & 255, code >> 8 & 255, code >> 16], -1)
@@ -167,6 +178,6 @@ def picture(
             ],
         }
         rgb = np.array(rows[kind])[which]
-    bgra = np.full((len(own), 4), 255, np.uint8)
+    bgra = np.full((len(depth), 4), 255, np.uint8)
     bgra[:, :3] = rgb[:, ::-1]
-    return bgra.reshape(height, width, 4)
+    return bgra.reshape(int(spec["image_size_y"]), int(spec["image_size_x"]), 4)

@@ -1,6 +1,7 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
     python tests/carla_wire.py MAP.xodr [MAP.xodr ...] [--rpc PORT] [--scenery FILE.json] [--log]
+        [--mute BLUEPRINT] [--after MEASUREMENTS] [--version VERSION]
 
 prints the port it listens on, on the loopback only. It ends on SIGTERM and with its parent. What
 it tells is in `carla_world`, what its sensors see in `carla_rays`, what can be spawned in
@@ -71,8 +72,8 @@ from socketserver import StreamRequestHandler, ThreadingTCPServer
 from typing import Any
 
 import msgpack
-from carla_rays import picture, scan
-from carla_world import CALLS, SNAPSHOTS, STEP, Actor, Refused, World
+from carla_rays import picture, scan, sight
+from carla_world import CALLS, SNAPSHOTS, STEP, VERSION, Actor, Refused, World
 
 KINDS = {
     "sensor.camera.depth": 1,
@@ -89,11 +90,19 @@ class Wire:
     """A world, and who listens to it; whatever touches either holds `changed`."""
 
     def __init__(
-        self, maps: Sequence[Path], port: int = 0, scenery: Sequence[dict] = (), log: bool = False
+        self,
+        maps: Sequence[Path],
+        port: int = 0,
+        scenery: Sequence[dict] = (),
+        log: bool = False,
+        mute: str = "",
+        after: int = 0,
     ):
         self.servers = [Server(self, Calls, port), Server(self, Streams, 0)]
         self.port, self.stream_port = (server.server_address[1] for server in self.servers)
         self.world, self.log = World(maps, self.token, scenery), log
+        self.mute, self.left = mute, after
+        self.sights: dict[tuple, tuple] = {}  # of this frame's cameras, by where and how they look
         self.changed = threading.Condition()
         self.listeners: dict[int, list[socket.socket]] = defaultdict(list)
 
@@ -144,9 +153,17 @@ class Wire:
     def publish(self) -> None:
         self.send(self.snapshot(), self.listeners[SNAPSHOTS])
         self.world.ticked = self.world.fresh = False
+        self.sights.clear()
         for actor, seconds, start in self.world.due():
-            if listeners := self.listeners[actor.stream]:
+            if (listeners := self.listeners[actor.stream]) and not self.silent(actor):
                 self.send(self.measurement(actor, seconds, start), listeners)
+
+    def silent(self, actor: Actor) -> bool:
+        """Whether a measurement is kept back."""
+        if actor.blueprint.name != self.mute:
+            return False
+        self.left -= 1
+        return self.left < 0
 
     def header(self, kind: str, where: Sequence[float]) -> bytes:
         return struct.pack("<QQd6f", KINDS[kind], self.world.frame, self.world.time, *where)
@@ -158,7 +175,11 @@ class Wire:
             counts, points = scan(spec, where, boxes, start, seconds)
             head += struct.pack("<fI", math.radians(actor.angle), len(counts))
             return head + struct.pack(f"<{len(counts)}I", *counts) + points.tobytes()
-        image = picture(name.rpartition(".")[2], spec, where, boxes, self.world.frame)
+        same = (where.tobytes(), *(spec[key] for key in ("image_size_x", "image_size_y", "fov")))
+        if same not in self.sights:
+            self.sights[same] = sight(spec, where, boxes)
+        kind = name.rpartition(".")[2]
+        image = picture(kind, spec, self.sights[same], boxes, self.world.frame)
         height, width, _ = image.shape
         return head + struct.pack("<IIf", width, height, float(spec["fov"])) + image.tobytes()
 
@@ -262,11 +283,15 @@ def main() -> None:
     parser.add_argument("--rpc", type=int, default=0, help="port; 0 takes a free one")
     parser.add_argument("--scenery", type=Path, help="JSON: a list of {tag, pose, extent}")
     parser.add_argument("--log", action="store_true", help="tell every call on stderr")
+    parser.add_argument("--mute", default="", help="sensors of this blueprint go silent")
+    parser.add_argument("--after", type=int, default=0, help="when so many measurements are sent")
+    parser.add_argument("--version", default=VERSION, help="what the server says that it is")
     given = parser.parse_args()
     parent = os.getppid()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     scenery = json.loads(given.scenery.read_text()) if given.scenery else ()
-    wire = Wire(given.maps, given.rpc, scenery, given.log)
+    wire = Wire(given.maps, given.rpc, scenery, given.log, given.mute, given.after)
+    wire.world.release = given.version
     wire.run()
     print(wire.port, flush=True)
     while os.getppid() == parent:

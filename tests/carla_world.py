@@ -54,7 +54,6 @@ NOTED = [
     "disable_actor_constant_velocity",
     "draw_debug_shape",
     "enable_actor_constant_velocity",
-    "enable_environment_objects",
     "freeze_all_traffic_lights",
     "reset_all_traffic_lights",
     "set_actor_autopilot",
@@ -140,6 +139,7 @@ class World:
             Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], 60000 + k, (120, 110, 100))
             for k, s in enumerate(scenery)
         ]
+        self.release, self.hidden = VERSION, set()
         self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
         self.awaited: Counter[int] = Counter()  # streams asked for that nobody came for yet
         self.episode, self.frame, self.time = 7, 100, 5.0
@@ -155,7 +155,7 @@ class World:
 
     @call
     def version(self) -> str:
-        return VERSION
+        return self.release
 
     @call
     def get_episode_info(self) -> list:
@@ -240,6 +240,13 @@ class World:
         return found
 
     @call
+    def enable_environment_objects(self, objects: list[int], enabled: bool) -> None:
+        if enabled:
+            self.hidden -= set(objects)
+        else:
+            self.hidden |= set(objects)
+
+    @call
     def get_all_level_BBs(self, tag: int) -> list:
         return [around for _, around, *_ in self.get_environment_objects(tag)]
 
@@ -287,7 +294,8 @@ class World:
         return Box(middle, kind.extent, kind.tag, instance_of(number), colour_of(number))
 
     def boxes(self) -> list[Box]:
-        return [*self.solids, *(self.box(a) for a in self.actors.values() if a.solid)]
+        solids = [box for box in self.solids if box.instance not in self.hidden]
+        return [*solids, *(self.box(a) for a in self.actors.values() if a.solid)]
 
     def told(self, actor: Actor) -> list:
         kind = actor.blueprint

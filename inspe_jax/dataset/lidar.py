@@ -82,13 +82,25 @@ class Lidar:
 
     def scan(self, returns: Returns, noise: LidarNoise, rng: np.random.Generator) -> Scan:
         """The points of what comes back."""
-        lost = rng.random((2, len(self.body)))
-        blur = rng.standard_normal(len(self.body)) * noise.range
-        intensity = np.exp(-ATTENUATION * returns.distance)
-        weak = np.clip(1 - intensity / noise.weak, 0, 1) if noise.weak > 0 else 0.0
-        back = np.isfinite(returns.distance) & (lost[0] >= noise.lost)
-        back &= lost[1] >= weak * noise.weakest_lost
-        distance = np.clip(returns.distance[back] + blur[back], 0.0, None)
-        points = returns.direction[back] * distance[:, None]
-        points = np.column_stack([points, np.exp(-ATTENUATION * distance)])
-        return Scan(self.pose, points.astype(np.float32))
+        return Scan(self.pose, worn(returns.direction, returns.distance, noise, rng))
+
+
+def worn(
+    direction: Float[np.ndarray, "R 3"],
+    distance: Float[np.ndarray, " R"],
+    noise: LidarNoise,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "N 4"]:
+    """Points of those of R rays that come back, x, y, z and intensity: some lost, ranges noisy.
+
+    ``distance`` [m] is infinite where nothing was met.
+    """
+    lost = rng.random((2, len(direction)))
+    blur = rng.standard_normal(len(direction)) * noise.range
+    intensity = np.exp(-ATTENUATION * distance)
+    weak = np.clip(1 - intensity / noise.weak, 0, 1) if noise.weak > 0 else 0.0
+    back = np.isfinite(distance) & (lost[0] >= noise.lost)
+    back &= lost[1] >= weak * noise.weakest_lost
+    far = np.clip(distance[back] + blur[back], 0.0, None)
+    points = np.column_stack([direction[back] * far[:, None], np.exp(-ATTENUATION * far)])
+    return points.astype(np.float32)

@@ -1,9 +1,10 @@
 """What the sensors of a layout record of a scene's traffic, frame by frame."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -46,6 +47,38 @@ class Recording:
                 raise InspeError(
                     f"layer '{name}': one of {', '.join(LAYERS)}{nearest(name, LAYERS)}"
                 )
+
+
+@dataclass(frozen=True)
+class Server:
+    """Where a CARLA server listens, and how long it may take to answer [s].
+
+    Apart from :class:`Recording`, as it makes no difference to what is recorded.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 2000
+    timeout: float = 20.0
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    @classmethod
+    def of(cls, text: str) -> "Server":
+        """A server by "HOST", "HOST:PORT" or "PORT". Raises InspeError for anything else."""
+        found = re.fullmatch(r"(?P<alone>\d+)|(?P<host>[^\s:]+)(:(?P<port>\d+))?", text.strip())
+        if found is None:
+            raise InspeError(f"server '{text}': HOST, HOST:PORT or PORT, as {cls()}")
+        server = cls(found["host"] or cls.host, int(found["alone"] or found["port"] or cls.port))
+        server.check()
+        return server
+
+    def check(self) -> None:
+        """Raise InspeError where a value is out of range."""
+        if not 0 < self.port < 65535:  # CARLA also takes the next one
+            raise InspeError(f"port {self.port} is out of range: 1 to 65534")
+        if not (np.isfinite(self.timeout) and self.timeout > 0):
+            raise InspeError(f"timeout {self.timeout} s is out of range: above 0")
 
 
 class Recorder(Protocol):
@@ -98,19 +131,21 @@ class EmbeddedRecorder:
             else:
                 returns = sensor.cast(company, 1.0 / self.recording.rate)
                 seen.append(sensor.scan(returns, self.recording.noise, rng))
-        stations = tuple(
-            Station(
-                number=u + 1,
-                name=unit.name,
-                pose=np.array([*unit.base, 0.0, 0.0, 0.0]),
-                images=tuple(x for x in (seen[s] for s in members) if isinstance(x, Image)),
-                scans=tuple(x for x in (seen[s] for s in members) if isinstance(x, Scan)),
-            )
-            for u, (unit, members) in enumerate(
-                zip(self.layout.units, self.layout.members(), strict=True)
-            )
+        return Frame(t, float(self.scene.traffic.time[t]), things, stations_of(self.layout, seen))
+
+
+def stations_of(layout: Layout, seen: Sequence[Image | Scan]) -> tuple[Station, ...]:
+    """The units of a layout with what each of its sensors saw, in their order."""
+    return tuple(
+        Station(
+            number=u + 1,
+            name=unit.name,
+            pose=np.array([*unit.base, 0.0, 0.0, 0.0]),
+            images=tuple(x for x in (seen[s] for s in members) if isinstance(x, Image)),
+            scans=tuple(x for x in (seen[s] for s in members) if isinstance(x, Scan)),
         )
-        return Frame(t, float(self.scene.traffic.time[t]), things, stations)
+        for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
+    )
 
 
 def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:
@@ -131,16 +166,31 @@ def recorder_of(
     conditions: Conditions = FAIR,
     recording: Recording | None = None,
     seed: int = 0,
+    server: Server | None = None,
 ) -> AbstractContextManager[Recorder]:
-    """A recorder by the name of its backend, in :data:`BACKENDS`. Raises InspeError for another."""
+    """A recorder by the name of its backend, in :data:`BACKENDS`. Raises InspeError for another.
+
+    ``server`` is for those that need one.
+    """
     if backend not in BACKENDS:
         raise InspeError(
             f"backend '{backend}': one of {', '.join(BACKENDS)}{nearest(backend, [*BACKENDS])}"
         )
-    return BACKENDS[backend](scene, layout, conditions, recording, seed)
+    return BACKENDS[backend](scene, layout, conditions, recording, seed, server)
+
+
+def _embedded(*given: Any) -> AbstractContextManager[Recorder]:
+    return nullcontext(EmbeddedRecorder(*given[:-1]))
+
+
+def _carla(*given: Any) -> AbstractContextManager[Recorder]:
+    from inspe_jax.dataset.carla_recorder import CarlaRecorder
+
+    return CarlaRecorder(*given)
 
 
 BACKENDS: dict[str, Callable[..., AbstractContextManager[Recorder]]] = {
-    "embedded": lambda *given: nullcontext(EmbeddedRecorder(*given)),
+    "embedded": _embedded,
+    "carla": _carla,
 }
 """What can record."""

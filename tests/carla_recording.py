@@ -1,0 +1,164 @@
+"""Clients that record at the wire-level CARLA server, and what they were told, written to a file.
+
+In processes of their own, as what does not fit on the wire ends the interpreter:
+`python carla_recording.py record|wait|errors|look PORT FILE`.
+"""
+
+import json
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from worlds import MAPS
+
+from inspe_jax.dataset import write_frame, write_protocol
+from inspe_jax.dataset.lidar import LidarNoise
+from inspe_jax.dataset.recorder import Recording, Server, recorder_of
+from inspe_jax.errors import InspeError
+from inspe_jax.scene.maps import read_map
+from inspe_jax.scene.scene import Scene, build_scene
+from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+
+TOWN, JUNCTION = "Town10HD", 189
+MIDDLE = (-47.76, -20.43)
+FRAMES, RATE, SEED = 20, 10.0, 3
+RECORDING = Recording(
+    rate=RATE,
+    layers=("depth", "instance", "semantic"),
+    image_scale=0.25,
+    noise=LidarNoise(range=0.0, lost=0.2),
+)
+RAIN = Conditions.of("dusk", "rain:10")
+LIDAR = LidarSpec("lidar", tuple(np.radians(np.linspace(-30, 2, 32)).tolist()), 720, 2 * np.pi, 60)
+CAMERA = CameraSpec("camera", 640, 480, 320 / np.tan(np.radians(45)), (320.0, 240.0), 0.1, 30.0)
+
+
+def scene() -> Scene:
+    """Everybody at a junction of a town, whose ground is level at z = 0."""
+    place = read_map(MAPS / f"{TOWN}.xodr", junction=JUNCTION, radius=40)
+    return build_scene(
+        place, radius=40, voxel=2.0, density=24, frames=FRAMES, step=1 / RATE, seed=SEED
+    )
+
+
+def layout() -> Layout:
+    """Two cameras and a LiDAR on one mast at a corner, turned every way."""
+    x, y = MIDDLE[0] + 14, MIDDLE[1] + 14
+    angles = np.radians([[2, -20, -135], [-3, -25, 160], [1, 2, 30]])
+    poses = np.column_stack([np.full(3, x), np.full(3, y), [6.0, 6.2, 6.5], angles])
+    sensors = [Sensor("west", CAMERA, 0), Sensor("east", CAMERA, 0), Sensor("top", LIDAR, 0)]
+    return make_layout(sensors, [Unit("mast", (x, y, 0.0))], poses)
+
+
+def at(port: int, seen: Scene, server: Server | None = None, conditions: Conditions = FAIR):
+    server = replace(server or Server(), port=port)
+    return recorder_of("carla", seen, layout(), conditions, RECORDING, SEED, server)
+
+
+def record(port: int, file: Path) -> None:
+    """A scenario of all frames, some asked for again; the traffic beside it."""
+    seen, folder = scene(), file.parent / "train" / TOWN
+    with at(port, seen, conditions=RAIN) as recorder:
+        frames = [recorder.frame(t) for t in range(FRAMES)]
+        again = recorder.frame(7)
+        told = look_at(port)
+    world = dict(
+        fixed_delta_seconds=1 / RATE, client_port=port, seed=SEED, weather=RAIN.record, town=TOWN
+    )
+    write_protocol(folder, {"world": world}, frames[0].stations)
+    for frame in frames:
+        write_frame(folder, frame)
+    for one, other in zip(frames[7].things, again.things, strict=True):
+        assert (one.track, one.name, one.kind) == (other.track, other.name, other.kind)
+        np.testing.assert_array_equal(one.center, other.center)
+    (one,), (other,) = frames[7].stations, again.stations
+    np.testing.assert_array_equal(one.scans[0].points, other.scans[0].points)
+    for image, same in zip(one.images, other.images, strict=True):
+        for layer in RECORDING.layers:
+            np.testing.assert_array_equal(getattr(image, layer), getattr(same, layer))
+    traffic = {
+        key: getattr(seen.traffic, key) for key in ("center", "size", "yaw", "track", "kind")
+    }
+    np.savez(file, meanwhile=json.dumps(told), valid=seen.traffic.valid, **traffic)
+
+
+def wait(port: int, file: Path) -> None:
+    """Records until somebody stops it, which `file` is there from the first frame on to tell."""
+    seen = scene()
+    with at(port, seen) as recorder:
+        while True:
+            recorder.frame(0)
+            file.touch()
+
+
+def errors(_: int, file: Path, *ports: str) -> None:
+    """What it is told by servers that will not do, NAME:PORT each, and how they are left.
+
+    On the one named "taken" there is a car already.
+    """
+    told, seen, quick = {}, scene(), Server(timeout=1.5)
+    for name, port in (given.split(":") for given in ports):
+        if name == "taken":
+            park(int(port))
+        try:
+            with at(int(port), seen, quick) as recorder:
+                for t in range(FRAMES):
+                    recorder.frame(t)
+            told[name] = "nothing"
+        except InspeError as error:
+            told[name] = str(error)
+        if name in ("mute", "failing", "taken"):
+            told[f"{name}, left"] = look_at(int(port))
+    file.write_text(json.dumps(told))
+
+
+def park(port: int) -> None:
+    """Leaves a car and time standing still, as a client that crashed."""
+    import carla
+
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(10)
+    world = client.get_world()
+    world.spawn_actor(world.get_blueprint_library().find("vehicle.tesla.model3"), carla.Transform())
+    settings = world.get_settings()
+    settings.synchronous_mode = True
+    world.apply_settings(settings)
+
+
+def look_at(port: int) -> dict:
+    """How a server is left."""
+    import carla
+
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(10)
+    world = client.get_world()
+    settings, weather = world.get_settings(), world.get_weather()
+    here = carla.Location(MIDDLE[0], -MIDDLE[1], 30)
+    below = world.project_point(here, carla.Vector3D(0, 0, -1), 50)
+    until = time.monotonic() + 5
+    while not len(world.get_actors()) and time.monotonic() < until:
+        time.sleep(0.02)  # where time stands still the first snapshot may yet be on its way
+    actors = sorted(actor.type_id for actor in world.get_actors())
+    return {
+        "map": world.get_map().name.rpartition("/")[2],
+        "settings": [settings.synchronous_mode, settings.fixed_delta_seconds],
+        "weather": [weather.precipitation, weather.sun_altitude_angle],
+        "actors": actors,
+        "below": str(below.label),
+    }
+
+
+def look(port: int, file: Path) -> None:
+    file.write_text(json.dumps(look_at(port)))
+
+
+if __name__ == "__main__":
+    # Where tests run in the background, shells have Ctrl-C ignored, and processes inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    tasks = {"record": record, "wait": wait, "errors": errors, "look": look}
+    tasks[sys.argv[1]](int(sys.argv[2]), Path(sys.argv[3]), *sys.argv[4:])

@@ -11,8 +11,8 @@ from typing import Any
 
 from filelock import FileLock
 
-from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.opv2v import PROTOCOL, write_frame, write_protocol
+from inspe_jax.dataset.opv2v_reader import agent_ids
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.dataset.recorder import Recorder, recorder_of
@@ -170,9 +170,11 @@ def os_error(e: BaseException) -> OSError | None:
 def _left(chunk: Chunk) -> Iterator[int]:
     """Frames of a chunk that are not there; no more once who sent it is gone."""
     sender = multiprocessing.parent_process()
-    there = set(Scenario(chunk.folder).frames) if (chunk.folder / PROTOCOL).exists() else set()
+    begun = (chunk.folder / PROTOCOL).exists()
+    agents = [chunk.folder / str(agent) for agent in agent_ids(chunk.folder)] if begun else []
     for t in range(chunk.first, chunk.last + 1):
         if sender is not None and not sender.is_alive():
             return
-        if t not in there:
+        # A frame's YAML files are its last, and all agents' folders are there before any.
+        if not agents or not all((agent / f"{t:06d}.yaml").exists() for agent in agents):
             yield t

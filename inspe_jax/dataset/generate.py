@@ -122,7 +122,7 @@ def _record(
         return failures
     with dask().client(None, workers) as client:
         try:
-            for chunk, found in done(client, todo, build, work):
+            for chunk, found in done(client, todo, build, work, ahead=1):
                 plan = chunk.plan
                 outcome = Outcome(told(found)) if isinstance(found, Exception) else found
                 if outcome.fault:

@@ -172,7 +172,7 @@ class RecordingEntry(Strict):
     def recording(self, where: str) -> Recording:
         """The same. Raises InspeError where a layer is given twice."""
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
-        return Recording(self.rate_hz, tuple(self.layers), self.image_scale)
+        return Recording(rate=self.rate_hz, layers=tuple(self.layers), image_scale=self.image_scale)
 
 
 class _File(Sources, RecordingEntry):

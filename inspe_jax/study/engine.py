@@ -57,10 +57,12 @@ def done(
     build: Callable[[J], Any],
     work: Callable[..., Any],
     *given: Any,
+    ahead: int = AHEAD,
 ) -> Iterator[tuple[J, Any]]:
     """Jobs and what ``work(scene, job, *given)`` gives, or the exception that came of it.
 
-    As they are done; ``scene`` is what ``build`` gives of the first job of a scene. When a worker
+    As they are done; ``scene`` is what ``build`` gives of the first job of a scene. With one job
+    ``ahead`` workers wait a moment for each, but have them in order and of one scene. When a worker
     dies, Dask suspects all jobs that it had before it, not only the one that it was at. So the
     jobs that are given up for that are done once more at the end, one at a time. Raises InspeError
     where the scheduler is lost.
@@ -68,8 +70,8 @@ def done(
     from distributed import KilledWorker
 
     doubtful: list[J] = []
-    ahead = AHEAD * sum(client.nthreads().values())
-    for job, found in _sent(client, jobs, ahead, build, work, given):
+    at_once = ahead * sum(client.nthreads().values())
+    for job, found in _sent(client, jobs, at_once, build, work, given):
         if isinstance(found, KilledWorker):
             doubtful.append(job)
         else:

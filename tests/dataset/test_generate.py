@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import made_up
@@ -35,10 +36,10 @@ STUDY = dict(
     scenes=[{"built_in": "four_way", "tags": {"kind": "four-way"}}],
     layouts=["two.yaml", "L-c"],
     settings=dict(radius=15, voxel=2, density=5, seed=[0, 1], light=["midday", "night"],
-                  seconds=2.4),
+                  seconds=1.4),
     layers=["depth"],
 )  # fmt: skip
-FRAMES = 24
+FRAMES = 14
 
 COMMAND = """
 import signal
@@ -99,7 +100,7 @@ def begin(
 def wait_for_frames(process: subprocess.Popen, out: Path, count: int) -> None:
     """Until there are so many; whatever has its final name is whole on the way."""
     end = time.monotonic() + 120
-    while sum(1 for _ in (out / ".unfinished").rglob("*/-1/[0-9]*.yaml")) < count:
+    while sum(1 for _ in out.rglob("*/-1/[0-9]*.yaml")) < count:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end
         assert_whole(out)
@@ -191,15 +192,15 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     path, files = undisturbed
     out, pids = tmp_path / "out", tmp_path / "pids"
     pids.mkdir()
-    process = begin(path, out, "--workers", "2", **{made_up.PIDS: str(pids)})
+    process = begin(path, out, "--workers", "1", **{made_up.PIDS: str(pids)})
     wait_for_frames(process, out, 5)
-    (worker, *_) = pids.iterdir()
+    (worker,) = pids.iterdir()
     os.kill(int(worker.name), signal.SIGKILL)
     words, err = process.communicate(timeout=100)
     assert process.returncode == 0, err
     assert f"8 scenarios, {8 * FRAMES} frames, " in words
     assert "s a frame" in words
-    assert len([*pids.iterdir()]) == 3  # another took its place
+    assert len([*pids.iterdir()]) == 2  # another took its place
     assert content(out) == files
 
 
@@ -213,7 +214,7 @@ def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     os.kill(killed.pid, signal.SIGKILL)
     assert killed.wait(60) == -signal.SIGKILL
     assert_whole(out)
-    process = begin(path, out, "--workers", "2", slow=0)
+    process = begin(path, out, "--workers", "1", slow=0)
     _, err = process.communicate(timeout=100)
     killed.communicate(timeout=100)  # until its workers are gone
     assert process.returncode == 0, err
@@ -239,9 +240,9 @@ def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
     """What is there is whole; and with room again, the set is what it would have been."""
     path, files = undisturbed
     out = tmp_path / "out"
-    monkeypatch.setenv(made_up.ROOM, "600")
+    monkeypatch.setenv(made_up.ROOM, "400")
     with pytest.raises(InspeError) as told:
-        generate(load_generation(path), out, workers=2)
+        generate(load_generation(path), out, workers=1)
     words = str(told.value)
     assert f"{out}: the disk is full: " in words
     assert f"of {8 * FRAMES} frames are there, about " in words
@@ -250,12 +251,12 @@ def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
     assert check_set(out)
     assert_whole(out)
     monkeypatch.delenv(made_up.ROOM)
-    generate(load_generation(path), out, workers=2)
+    generate(load_generation(path), out, workers=1)
     assert content(out) == files
 
 
 IN_A_SMALL_DISK = """
-mount -t tmpfs -o size=2m none "$1" || exit 77
+mount -t tmpfs -o size=1m none "$1" || exit 77
 kept="$2"; folder="$1"; shift 2
 "$@"; status=$?
 cp -r "$folder/out" "$kept"
@@ -273,6 +274,8 @@ def test_a_disk_that_is_really_full(undisturbed, tmp_path):
     process = begin(
         path,
         small / "out",
+        "--workers",
+        "1",
         around=["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", IN_A_SMALL_DISK,
                 "sh", str(small), str(kept)],
     )  # fmt: skip
@@ -288,44 +291,34 @@ def test_a_disk_that_is_really_full(undisturbed, tmp_path):
     assert there.items() <= files.items()
 
 
-def test_scenarios_that_cannot_be_made(undisturbed, tmp_path):
-    """They say why, and the others are made; as whole as they were, they are tried again."""
+@pytest.mark.slow
+def test_scenarios_that_cannot_be_made(tmp_path, monkeypatch):
+    """They say why, also where they kill their workers, and the others are made."""
     (tmp_path / "broken.yaml").write_text(LAYOUT.replace("two masts", "broken"))
     (tmp_path / "unheard.yaml").write_text(LAYOUT.replace("two masts", "unheard of"))
     (tmp_path / "broken.xodr").write_text("<OpenDRIVE/>")
     path = write(
         tmp_path,
         scenes=[{"built_in": "four_way"}, {"map": "broken.xodr", "junction": 1}],
-        layouts=["two.yaml", "broken.yaml", "unheard.yaml"],
-        settings=STUDY["settings"] | dict(seed=0, light="midday", seconds=1.5),
+        layouts=["two.yaml", "broken.yaml", "unheard.yaml", "L-c"],
+        settings=STUDY["settings"] | dict(seed=0, light="midday"),
     )
     generation = load_generation(path)
-    for _ in range(2):
-        made = generate(generation, tmp_path / "out", workers=1)
-        assert made.scenarios == 1
-        assert len(made.failures) == 5
-        for name, words in {
-            "four_way__broken": "frame 13: the sun is too low",
-            "four_way__unheard_of": "recording needs embreex, which is not installed",
-            "broken_1__two_masts": "broken.xodr",
-            "broken_1__unheard_of": "broken.xodr",
-        }.items():
-            assert words in made.failures[f"{name}__5__midday__0"]
-        (only,) = check_set(tmp_path / "out")
-        assert only.endswith("/four_way__two_masts__5__midday__0")
-
-
-@pytest.mark.slow
-def test_a_frame_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypatch):
-    path = write(tmp_path, settings=STUDY["settings"] | dict(seconds=0.5, light="midday", seed=0))
-    generation = load_generation(path)
-    deadly, other = generation.scenarios
+    deadly = generation.scenarios[3]
     monkeypatch.setenv(made_up.DEADLY, str(deadly.seed))
     made = generate(generation, tmp_path / "out", workers=1)
-    assert [*made.failures] == [deadly.name]
-    assert "KilledWorker" in made.failures[deadly.name]
-    assert made.scenarios == 1
-    assert [*check_set(tmp_path / "out")] == [f"{other.split}/{other.name}"]
+    assert (made.scenarios, len(made.failures)) == (1, 7)
+    for name, words in {
+        "four_way__broken": "frame 13: the sun is too low",
+        "four_way__unheard_of": "recording needs embreex, which is not installed",
+        "four_way__L-c": "KilledWorker",
+        "broken_1__two_masts": "broken.xodr",
+        "broken_1__L-c": "broken.xodr",
+    }.items():
+        assert words in made.failures[f"{name}__5__midday__0"]
+    (only,) = check_set(tmp_path / "out")
+    assert only.endswith("/four_way__two_masts__5__midday__0")
+    assert_whole(tmp_path / "out")
 
 
 def test_a_scenario_is_made_again_from_its_protocol(undisturbed, tmp_path):
@@ -422,6 +415,31 @@ def test_the_embedded_backend(tmp_path, the_real_one):
     assert not made.failures
     (report,) = check_set(tmp_path / "out").values()
     assert (report.agents, report.frames) == (2, 2)
+
+
+def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
+    """Open as long as it does chunks of its scenario, and closed in the end."""
+    told = []
+
+    @contextmanager
+    def recorder_of(backend, scene, layout, conditions, recording, seed):
+        told.append(("open", conditions.light))
+        with made_up.recorder_of(backend, scene, layout, conditions, recording, seed) as found:
+            yield found
+        told.append(("close", conditions.light))
+
+    monkeypatch.setattr(chunk, "recorder_of", recorder_of)
+    monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+    day, night, *_ = load_generation(write(tmp_path)).scenarios
+    for number, (plan, first) in enumerate(((day, 0), (day, 10), (night, 0))):
+        given = tmp_path / plan.name, tmp_path / f"lock {number}", first, first + 1, 2
+        todo = chunk.Chunk(plan, "embedded", *given)
+        for _ in range(2):  # the second time there is nothing to do
+            assert chunk.work(chunk.build(todo), todo) == chunk.Outcome()
+    chunk.close()
+    opened = [(word, light) for light in ("midday", "night") for word in ("open", "close")]
+    assert told == opened
+    assert dataset.open(tmp_path / day.name).scenarios[0].frames == (0, 1, 10, 11)
 
 
 def test_a_fault_of_the_disk_is_not_the_scenario_s(tmp_path):

@@ -106,9 +106,7 @@ class EmbeddedRecorder:
         layout = conditions.layout(layout)
         poses = np.asarray(layout.poses, float)
         self.layout = layout
-        self.statics = build_statics(
-            scene.intersection, scene.voxels.radius, _masts(layout, poses), seed
-        )
+        self.statics = build_statics(scene.intersection, scene.voxels.radius, _masts(layout, poses))
         self.still = Caster(self.statics.triangles)
         self.sensors: list[Camera | Lidar] = [
             Camera(

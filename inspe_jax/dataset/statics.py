@@ -4,6 +4,7 @@ Buildings and trees stand clear of the region of interest, which the scores take
 it there are only kerbs, as low as they are, and thin poles.
 """
 
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -56,14 +57,14 @@ def build_statics(
     intersection: Intersection,
     radius: float,
     masts: Float[np.ndarray, "U 4"],
-    seed: int,
 ) -> Statics:
     """The still world of an intersection, out to the horizon.
 
     ``masts`` are the infrastructure units' feet and how high they rise above them [m]; units over
-    the carriageway have none. Where buildings and trees stand is drawn with ``seed``.
+    the carriageway have none. Where buildings and trees stand is drawn by lot, the same at every
+    intersection of one name.
     """
-    rng = np.random.default_rng([seed, 7])
+    rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     center = np.asarray(intersection.center, float)
     open_ = unary_union(list(intersection.regions.values()))
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]

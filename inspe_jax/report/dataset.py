@@ -29,7 +29,7 @@ MOST_DOTS = 2000
 """Boxes of a class that are drawn as dots, at most; then every n-th."""
 
 _LEFT, _RIGHT, _GAP = 0.72, 0.12, 0.42  # margins and between panels [inch]
-_HEAD, _BETWEEN, _SHARE = 0.74, 0.66, 0.53  # above, between rows, of the lower panels [inch]
+_HEAD, _BETWEEN, _SHARE = 0.84, 0.66, 0.53  # above, between rows, of the lower panels [inch]
 _GRID: dict[str, Any] = dict(color="#e0e0e0", lw=0.4)
 _MERGED: dict[str, Any] = dict(color="#303030", lw=1.0, ls=(0, (4, 1.5)))
 _TICKS = np.array([1, 2, 5]) * 10.0 ** np.arange(-2, 4)[:, None]
@@ -79,18 +79,17 @@ def _heading(fig: Figure, found: Statistics) -> None:
         _LEFT / WIDTH, 1 - 0.10 / height, title, size=10, weight="bold", va="top", parse_math=False
     )
     users = sum(found.tracks.values())
-    facts = [
+    what = [
         counted(len(found.splits), "split"),
         counted(total.scenarios, "scenario"),
         counted(total.frames, "frame"),
         f"{total.boxes:,} boxes of {counted(users, 'road user')}",
-        counted(total.images, "image"),
     ]
+    seen = [counted(total.images, "image"), counted(total.clouds, "point cloud")]
     if total.clouds:
-        facts.append(
-            f"{counted(total.clouds, 'point cloud')} of {found.mean_points:,.0f} points on average"
-        )
-    fig.text(_LEFT / WIDTH, 1 - 0.30 / height, ", ".join(facts), va="top", parse_math=False)
+        seen[-1] += f" of {found.mean_points:,.0f} points on average"
+    facts = f"{', '.join(what)}\n{', '.join(seen)}"
+    fig.text(_LEFT / WIDTH, 1 - 0.29 / height, facts, va="top", linespacing=1.35, parse_math=False)
 
 
 def _notes(found: Statistics) -> list[str]:
@@ -263,7 +262,7 @@ def _draw_points(panels: Sequence[Axes], shares: Sequence[Axes], found: Statisti
             if k:
                 each.tick_params(labelleft=False)
         ax.set(yscale="log", ylim=(0.8, 1.5 * most))
-        ax.yaxis.set_major_locator(FixedLocator(10.0 ** np.arange(7)))
+        ax.yaxis.set_major_locator(FixedLocator([10.0**k for k in range(7)]))
         ax.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
         ax.yaxis.set_minor_formatter(NullFormatter())
         ax.tick_params(labelbottom=False)

@@ -5,6 +5,7 @@ from inspe_jax.dataset.folders import open_dataset as open
 from inspe_jax.dataset.opv2v import write_frame, write_protocol
 from inspe_jax.dataset.opv2v_reader import read_frame
 from inspe_jax.dataset.record import Frame, Image, Scan, Station, Thing
+from inspe_jax.dataset.stats import Statistics, statistics
 
 __all__ = [
     "Dataset",
@@ -13,9 +14,11 @@ __all__ = [
     "Scan",
     "Scenario",
     "Station",
+    "Statistics",
     "Thing",
     "open",
     "read_frame",
+    "statistics",
     "write_frame",
     "write_protocol",
 ]

@@ -134,9 +134,10 @@ def statistics(
     data = given if isinstance(given, Dataset) else open_dataset(given)
     many = sum(len(scenario.frames) for scenario in data.scenarios)
     if not many:
+        count = len(data.scenarios)
         raise InspeError(
-            f"{data.path}: no frame in {len(data.scenarios)} scenarios: one is a YAML file of the "
-            f"same number in the folder of every agent"
+            f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: one is a YAML file of "
+            f"the same number in the folder of every agent"
         )
     tally = _Tally()
     splits = []

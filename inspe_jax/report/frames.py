@@ -226,5 +226,5 @@ def _draw_image(ax: Axes, image: Image, things: Sequence[Thing], words: str) -> 
         ax.add_collection(drawn, autolim=False)
     ax.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     met = len(set(owner.tolist()) & seen)
-    words = f"{words}: {width} × {height}, {met} box{'es' * (met != 1)}"
+    words = f"{words}: {met} box{'es' * (met != 1)}"
     ax.set_title(words, loc="left", size=6.5, pad=2.5, parse_math=False)

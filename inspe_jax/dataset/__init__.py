@@ -8,6 +8,7 @@ from inspe_jax.dataset.opv2v_reader import read_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
 from inspe_jax.dataset.record import Frame, Image, Scan, Station, Thing
+from inspe_jax.dataset.stats import Statistics, statistics
 
 __all__ = [
     "Dataset",
@@ -19,11 +20,13 @@ __all__ = [
     "Scenario",
     "ScenarioPlan",
     "Station",
+    "Statistics",
     "Thing",
     "generate",
     "load_generation",
     "open",
     "read_frame",
+    "statistics",
     "write_frame",
     "write_protocol",
 ]

@@ -10,10 +10,14 @@ from typing import Any
 from inspe_jax.dataset.opv2v import PROTOCOL
 from inspe_jax.dataset.opv2v_reader import agent_ids, frame_of, read_protocol, stems
 from inspe_jax.dataset.record import Frame
-from inspe_jax.errors import InspeError
+from inspe_jax.errors import InspeError, nearest
 
 SPLITS = ("train", "validate", "test")
 """The splits that come first; a set may have others, such as ``test_culvercity``."""
+
+
+MOST_LISTED = 20
+"""Scenarios that an error lists."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,32 @@ class Dataset:
     def scenarios(self) -> tuple[Scenario, ...]:
         """All scenarios, split by split."""
         return tuple(scenario for split in self.splits.values() for scenario in split)
+
+    def scenario(self, name: str | None = None) -> Scenario:
+        """The scenario of a name, or the only one; as ``SPLIT/NAME`` where two splits have it.
+
+        Raises InspeError, which lists them, where the name is of none or of several.
+        """
+        named = {
+            f"{split}/{scenario.name}": scenario
+            for split, scenarios in self.splits.items()
+            for scenario in scenarios
+        }
+        found = [key for key, scenario in named.items() if name in (None, key, scenario.name)]
+        if len(found) == 1:
+            return named[found[0]]
+        listed = ", ".join((found or list(named))[:MOST_LISTED])
+        more = len(found or named) - MOST_LISTED
+        if more > 0:
+            listed += f" and {more} more"
+        if name is None:
+            raise InspeError(f"{self.path}: {len(named)} scenarios: name one of {listed}")
+        if found:
+            raise InspeError(f"{self.path}: scenario '{name}' is in {len(found)} splits: {listed}")
+        names = (*named, *(scenario.name for scenario in self.scenarios))
+        raise InspeError(
+            f"{self.path}: no scenario '{name}': one of {listed}{nearest(name, names)}"
+        )
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Dataset:

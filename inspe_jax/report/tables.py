@@ -53,20 +53,20 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     weights = [f"{w:g}" for w in scores.settings.get("weights", ())] or [""] * 3
 
     title = f"Scores of {layout.name}{scores.conditions.words}"
-    total = _table(title, "metric", "symbol", "weight", "score")
+    total = table_of(title, "metric", "symbol", "weight", "score")
     for (name, symbol), weight in zip(METRICS.items(), [*weights, ""], strict=True):
         look = "bold" if name == "surrogate" else ""
         total.add_row(_words(name), symbol, weight, f"{getattr(scores, name):.3f}", style=look)
 
-    regions = _table("Share covered by region", "region", "weight", "share")
+    regions = table_of("Share covered by region", "region", "weight", "share")
     for key, share in scores.region_coverage.items():
         regions.add_row(key, f"{WEIGHTS[Region[key.upper()]]:g}", f"{share:.3f}")
 
-    levels = _table("Unweighted, by level", "level, from below", "share")
+    levels = table_of("Unweighted, by level", "level, from below", "share")
     for k, share in enumerate(scores.level_coverage):
         levels.add_row(str(k + 1), f"{share:.3f}")
 
-    each = _table("What each sensor adds", "#", "sensor", "device", *METRICS.values())
+    each = table_of("What each sensor adds", "#", "sensor", "device", *METRICS.values())
     for k, (part, _, device) in enumerate(members):
         drops = [f"{getattr(part, name):+.4f}" for name in METRICS]
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
@@ -79,7 +79,7 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
 def before_after_table(result: Result) -> RenderableType:
     """The four scores before and after a search, and its objective where that is something else."""
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
-    table = _table(title, "metric", "symbol", *_CHANGE)
+    table = table_of(title, "metric", "symbol", *_CHANGE)
     rows = [
         (_words(name), symbol, getattr(result.scores_before, name), getattr(result.scores, name))
         for name, symbol in METRICS.items()
@@ -98,7 +98,7 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 
     Distance is in plan; turns are counter-clockwise and nose-up.
     """
-    table = _table("What moved", "#", "sensor", *_MOVES)
+    table = table_of("What moved", "#", "sensor", *_MOVES)
     poses, new = (np.asarray(of.poses, float) for of in (before, after))
     for k, sensor in enumerate(after.sensors):
         ground = (before.units[before.sensors[k].unit].base[2], after.units[sensor.unit].base[2])
@@ -117,7 +117,7 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 
 def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     """The rows of a study by layout: mean ± standard deviation over scenes and settings."""
-    table = _table("Mean ± standard deviation", "layout", "jobs", "failed", *METRICS.values())
+    table = table_of("Mean ± standard deviation", "layout", "jobs", "failed", *METRICS.values())
     by: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
         by.setdefault(row["layout"], []).append(row)
@@ -135,7 +135,7 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
     for result in results:
         by.setdefault(result.method, []).append(result)
     name = f"{results[0].start.name}: {results[0].objective_before:.4f} at the start"
-    table = _table(name, "method", *_ENDS)
+    table = table_of(name, "method", *_ENDS)
     for method, of in sorted(by.items(), key=lambda row: -np.median([r.objective for r in row[1]])):
         scores = [result.objective for result in of]
         work = [np.median([getattr(r, key) for r in of]) for key in ("evaluations", "seconds")]
@@ -146,7 +146,7 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
 
 def pareto_table(found: Sequence[Mix]) -> RenderableType:
     """What mixes of devices cost and score, cheapest first; those that no other beats in bold."""
-    table = _table("Cost against score", "mix", "cost\n[US$]", *METRICS.values(), "objective", "")
+    table = table_of("Cost against score", "mix", "cost\n[US$]", *METRICS.values(), "objective", "")
     for mix in found:
         scores = [f"{getattr(mix.result.scores, name):.3f}" for name in METRICS]
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
@@ -160,13 +160,13 @@ def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
     step = f"per {100 * POSITION_STEP:g} cm"
     heads = [f"{name}\n{step}" for name in "xyz"] + [f"{name}\nper 1°" for name in _TURNS]
     around = Conditions.of(found.settings["light"], found.settings["weather"])
-    slopes = _table(f"What P_sm of {layout.name}{around.words} gains", "#", "sensor", *heads)
+    slopes = table_of(f"What P_sm of {layout.name}{around.words} gains", "#", "sensor", *heads)
     for k, row in enumerate(found.slopes):
         values = (row.x, row.y, row.z, row.yaw, row.pitch)
         slopes.add_row(str(k + 1), Text(row.sensor), *(f"{value:+.5f}" for value in values))
     settings = found.settings
     errors = f"{settings['position']:g} m and {settings['angle_deg']:g}°"
-    left = _table(f"After errors of {errors} (standard deviation)", "installed", "P_sm", "change")
+    left = table_of(f"After errors of {errors} (standard deviation)", "installed", "P_sm", "change")
     for name, value in {
         "as planned": found.score,
         f"mean of {settings['samples']} installations": found.mean,
@@ -241,7 +241,7 @@ def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
 def scene_table(scene: Scene) -> RenderableType:
     """A scene for people: where it is from, its voxels, its traffic, its regions, its notes."""
     place, grid, traffic = scene.intersection, scene.voxels, scene.traffic
-    facts = _table(scene.name, "scene", "")
+    facts = table_of(scene.name, "scene", "")
     rows = {
         "source": place.source,
         "centre": _position(place.center),
@@ -256,7 +256,7 @@ def scene_table(scene: Scene) -> RenderableType:
     for name, value in rows.items():
         if value:
             facts.add_row(name, Text(value))
-    share = _table("Regions", "region", "weight", "columns", "share")
+    share = table_of("Regions", "region", "weight", "columns", "share")
     for region in Region:
         count = int((grid.region == region).sum())
         if count:
@@ -281,7 +281,7 @@ def layout_table(layout: Layout) -> RenderableType:
         "pitch\n[°]": pitch,
         **({"roll\n[°]": roll} if np.any(np.abs(roll) >= 0.05) else {}),
     }
-    table = _table(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
+    table = table_of(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
     for k, (sensor, row) in enumerate(
         zip(layout.sensors, zip(*numbers.values(), strict=True), strict=True)
     ):
@@ -301,7 +301,7 @@ def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> Renderabl
         "rays",
         "price\n[US$]",
     )
-    table = _table("Devices", *headers)
+    table = table_of("Devices", *headers)
     sources = [Text("Where their figures are from", style="bold")]
     for device in devices.values() if isinstance(devices, Mapping) else devices:
         resolution, view = _resolution(device.spec)
@@ -317,7 +317,7 @@ def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> Renderabl
 
 def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:
     """The junctions of a map for people: id, centre (x, y, z) [m], arms, size, what is there."""
-    table = _table(
+    table = table_of(
         f"Junctions of {map_name}", "id", "centre [m]", "arms", "size [m]", "crosswalks", "signals"
     )
     for info in infos:
@@ -330,7 +330,9 @@ def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> Renderabl
 
 def built_ins_table() -> RenderableType:
     """The built-in intersections for people."""
-    table = _table("Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes")
+    table = table_of(
+        "Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes"
+    )
     for name in BUILT_INS:
         place = built_in(name)
         regions = ", ".join(
@@ -357,10 +359,10 @@ _NAMES = {
     "name",
     "centre [m]",
 }
-_NAMES |= {"pixels,\nchannels"}
+_NAMES |= {"pixels,\nchannels", "split", "class", "column"}
 
 
-def _table(title: str, *columns: str) -> Table:
+def table_of(title: str, *columns: str) -> Table:
     """A table that may break prose between words, but numbers and names at no price."""
     table = Table(title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.pad_edge, table.collapse_padding = False, True

@@ -1,0 +1,109 @@
+"""Look at data sets: `inspe dataset stats` and `inspe dataset show`.
+
+Imports stay inside the commands, as of matplotlib.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inspe_jax.cli.common import PlotOption, app, busy, check_record, err, out, progress, show
+
+dataset_app = typer.Typer(
+    help="Look at data sets: what they hold, and single frames.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+app.add_typer(dataset_app, name="dataset")
+
+SetArgument = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A data set, one split of it, or one scenario.")
+]
+
+
+@dataset_app.command("stats")
+def stats(
+    folder: SetArgument,
+    plot: PlotOption = None,
+    record: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE", help="Write the numbers; - for stdout alone."),
+    ] = None,
+    row: Annotated[
+        Path | None,
+        typer.Option(
+            "--csv", metavar="FILE.csv", help="Write its row of a table that compares data sets."
+        ),
+    ] = None,
+) -> None:
+    """Count what a data set holds: frames, boxes, sizes, and points in boxes against range.
+
+    Reads OPV2V's format and the Infra-Set variant's. Pictures are counted, not read.
+
+    Examples:
+
+    - `inspe dataset stats infra`
+    - `inspe dataset stats infra --plot infra.png --json infra.json --csv row.csv`
+    - `inspe dataset stats infra/test --json -`
+    """
+    from inspe_jax.dataset.folders import open_dataset
+    from inspe_jax.dataset.stats import statistics, table_row
+    from inspe_jax.files import check_output, write_text
+    from inspe_jax.placement.result import csv_text
+    from inspe_jax.report.dataset import statistics_view
+    from inspe_jax.report.dataset_tables import statistics_record, statistics_table
+    from inspe_jax.report.sheet import FORMATS, save_figure
+
+    check_output(plot, FORMATS)
+    check_output(row, (".csv",))
+    check_record(record)
+    data = open_dataset(folder)
+    with progress("frames") as tell:
+        found = statistics(data, tell)
+    show(statistics_table(found), statistics_record(found), record)
+    said = err if record == "-" else out
+    if row:
+        values = {key: "" if value is None else value for key, value in table_row(found).items()}
+        write_text(row, csv_text([values]))
+        said.print(f"wrote {row}", highlight=False)
+    if plot:
+        with busy("drawing"):
+            save_figure(statistics_view(found), plot)
+        said.print(f"drew {plot}", highlight=False)
+
+
+@dataset_app.command("show")
+def show_frame(
+    folder: SetArgument,
+    frame: Annotated[int, typer.Argument(metavar="FRAME", help="The number of a frame.")],
+    scenario: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Which scenario, where there are several."),
+    ] = None,
+    plot: PlotOption = None,
+) -> None:
+    """List what is in a frame, and draw its boxes on its images and on its point cloud.
+
+    The boxes are put onto the images by the calibration that is written in the files.
+
+    Examples:
+
+    - `inspe dataset show infra/test/four_way 68`
+    - `inspe dataset show infra 68 --scenario test/four_way --plot frame.png`
+    """
+    from inspe_jax.dataset.folders import open_dataset
+    from inspe_jax.files import check_output
+    from inspe_jax.report.dataset_tables import frame_table
+    from inspe_jax.report.frames import frame_view
+    from inspe_jax.report.sheet import FORMATS, save_figure
+
+    check_output(plot, FORMATS)
+    chosen = open_dataset(folder).scenario(scenario)
+    with busy(f"reading frame {frame}"):
+        table = frame_table(chosen, frame)
+    out.print(table)
+    if plot:
+        with busy("drawing"):
+            save_figure(frame_view(chosen, frame), plot)
+        out.print(f"drew {plot}", highlight=False)

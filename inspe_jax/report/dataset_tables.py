@@ -1,0 +1,117 @@
+"""What a data set or a frame of it holds, as tables for people and as records for JSON."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from inspe_jax import __version__
+from inspe_jax.dataset.folders import Scenario
+from inspe_jax.dataset.inside import count_inside
+from inspe_jax.dataset.record import KINDS
+from inspe_jax.dataset.stats import Hits, Statistics, bands, table_row
+from inspe_jax.report.tables import table_of
+
+_AXES = ("length", "width", "height")
+_NONE = "–"
+
+
+def statistics_table(found: Statistics) -> RenderableType:
+    """A set for people: its splits, its classes, and its row of a table that compares sets."""
+    counts = (
+        "scenarios",
+        "frames",
+        "agents",
+        "images",
+        "point\nclouds",
+        "points\na cloud",
+        "boxes",
+    )
+    splits = table_of(f"Data set {found.name}", "split", *counts, "MB")
+    rows = [*found.splits, *([found.total] if len(found.splits) > 1 else [])]
+    for split in rows:
+        whole = (split.scenarios, split.frames, split.agents, split.images, split.clouds)
+        mean = f"{split.points / split.clouds:,.0f}" if split.clouds else _NONE
+        numbers = [*(f"{count:,}" for count in whole), mean, f"{split.boxes:,}"]
+        splits.add_row(Text(split.name), *numbers, f"{split.size / 1e6:,.1f}")
+
+    sides = (f"{axis}\n[m]" for axis in _AXES)
+    heads = ("boxes", "road\nusers", *sides, "points\na box", "boxes with\na point")
+    classes = table_of("Classes, medians", "class", *heads)
+    for k, kind in enumerate(KINDS):
+        sizes = found.users.size[found.users.kind == k]
+        points = found.merged.points[found.merged.kind == k]
+        middle = [f"{value:.2f}" for value in np.median(sizes, 0)] if len(sizes) else [_NONE] * 3
+        seen = (f"{np.median(points):,.0f}", f"{(points > 0).mean():.1%}") if len(points) else ()
+        classes.add_row(
+            kind,
+            f"{found.boxes[kind]:,}",
+            f"{found.tracks[kind]:,}",
+            *middle,
+            *(seen or (_NONE, _NONE)),
+        )
+
+    row = table_of("Table row", "column", "value")
+    for name, value in table_row(found).items():
+        words = f"{value:,}" if isinstance(value, int) else _NONE if value is None else value
+        row.add_row(name, Text(words))
+    return Group(splits, "", classes, "", row)
+
+
+def statistics_record(found: Statistics) -> dict[str, Any]:
+    """A set as a JSON-serialisable record.
+
+    ``points`` has the bands of range of each class, of one scan and of all scans of a frame; sizes
+    [m] have their quartiles.
+    """
+    return {
+        "name": found.name,
+        "splits": [asdict(split) for split in found.splits],
+        "total": asdict(found.total),
+        "points_per_cloud": found.mean_points,
+        "classes": {
+            kind: {"boxes": found.boxes[kind], "road_users": found.tracks[kind], **_sizes(found, k)}
+            for k, kind in enumerate(KINDS)
+        },
+        "objects_per_frame": {
+            "mean": float(found.crowd.mean()),
+            "least": int(found.crowd.min()),
+            "most": int(found.crowd.max()),
+        },
+        "points": {"one_scan": _bands(found.single), "all_scans": _bands(found.merged)},
+        "row": table_row(found),
+        "versions": {"inspe_jax": __version__, "numpy": np.__version__},
+    }
+
+
+def frame_table(scenario: Scenario, number: int) -> RenderableType:
+    """A frame for people: each thing, and the points within its box of all scans together.
+
+    Raises InspeError where there is no such frame or a file of it is broken.
+    """
+    frame = scenario.frame(number)
+    heads = ("x\n[m]", "y\n[m]", "yaw\n[°]", "speed\n[m/s]", *(f"{axis}\n[m]" for axis in _AXES))
+    table = table_of(f"{scenario.name}, frame {number}", "track", "class", *heads, "points")
+    scans = [scan for station in frame.stations for scan in station.scans]
+    points = count_inside(scans, frame.things).sum(0)
+    for thing, count in zip(frame.things, points, strict=True):
+        place = [f"{value:z.1f}" for value in thing.center[:2]]
+        turn = [f"{np.degrees(thing.yaw):z.0f}", f"{np.linalg.norm(thing.velocity):.1f}"]
+        size = [f"{value:.2f}" for value in thing.size]
+        seen = f"{count:,}" if scans else _NONE
+        table.add_row(str(thing.track), thing.kind, *place, *turn, *size, seen)
+    return table
+
+
+def _sizes(found: Statistics, kind: int) -> dict[str, list[float] | None]:
+    sizes = found.users.size[found.users.kind == kind]
+    if not len(sizes):
+        return dict.fromkeys(_AXES)
+    quartiles = np.percentile(sizes, [25, 50, 75], axis=0).T.tolist()
+    return dict(zip(_AXES, quartiles, strict=True))
+
+
+def _bands(hits: Hits) -> dict[str, list[dict[str, Any]]]:
+    return {kind: [asdict(band) for band in bands(hits, k)] for k, kind in enumerate(KINDS)}

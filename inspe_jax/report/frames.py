@@ -1,0 +1,230 @@
+"""A frame of a data set, as a figure: the point cloud in plan, the images, and boxes on both."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from inspe_jax.dataset.folders import Scenario
+from inspe_jax.dataset.inside import world_points
+from inspe_jax.dataset.projection import box_lines, corners
+from inspe_jax.dataset.record import KINDS, Frame, Image, Station, Thing
+from inspe_jax.report.dataset import counted
+from inspe_jax.report.figures import CLASS_COLORS, KEYS
+from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, WIDTH, fit, house_style
+
+MARGIN = 6.0
+"""What the plan shows about the things and the stations [m]."""
+
+BADGE_COLOR = "#00543d"
+"""Of stations: a green that is none of the classes'."""
+
+_HEIGHTS = LinearSegmentedColormap.from_list(
+    "heights", ["#d4d4d4", "#9db8c8", "#4c7f94", "#0d3b4a"]
+)
+_HEAD, _FOOT, _GAP, _WORDS = 0.62, 0.42, 0.10, 0.17  # [inch]
+_DOTS: Any = (0, (1, 1.2))
+_RIM: list[Any] = [patheffects.withStroke(linewidth=1.3, foreground="white", alpha=0.6)]
+_ROW = 9.5  # height of a row of the panel [pt]
+
+
+def frame_view(scenario: Scenario, number: int) -> Figure:
+    """A frame: every point in plan, coloured by height, and every image, with the boxes on both.
+
+    A box has its class's colour, and in plan a line to its front. Where an image has its
+    instances beside it, boxes of which no pixel is to be seen are dotted. Raises InspeError
+    where there is no such frame or a file of it is broken.
+    """
+    frame = scenario.frame(number)
+    images = [
+        (f"station {name_of(station)}, camera {i}", image)
+        for station in frame.stations
+        for i, image in enumerate(station.images)
+    ]
+    columns = 2 if len(images) <= 4 else 3 if len(images) <= 12 else 4
+    width = (WIDTH - 2 * _GAP - _GAP * (columns - 1)) / columns
+    ratio = max((image.rgb.shape[0] / image.rgb.shape[1] for _, image in images), default=0.0)
+    step = width * ratio + _WORDS + _GAP
+    rows = -(-len(images) // columns)
+    height = _HEAD + MAP + _FOOT + (rows * step + _GAP if images else 0.0)
+    with house_style():
+        fig = Figure(figsize=(WIDTH, height), facecolor="white")
+        _heading(fig, scenario, frame, [image for _, image in images])
+        ax = fig.add_axes((LEFT / WIDTH, 1 - (_HEAD + MAP) / height, MAP / WIDTH, MAP / height))
+        panel = fig.add_axes(
+            (PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
+        )
+        panel.set(xlim=(0, ASIDE * 72), ylim=(-MAP * 72, 0))  # in points
+        panel.axis("off")
+        cloud = _draw_plan(ax, frame)
+        _draw_panel(fig, panel, frame, cloud, bool(images))
+        for k, (words, image) in enumerate(images):
+            left = _GAP + (k % columns) * (width + _GAP)
+            top = _HEAD + MAP + _FOOT + _WORDS + (k // columns) * step
+            own = width * image.rgb.shape[0] / image.rgb.shape[1]
+            place = (left / WIDTH, 1 - (top + own) / height, width / WIDTH, own / height)
+            _draw_image(fig.add_axes(place), image, frame.things, words)
+    return fig
+
+
+def name_of(station: Station) -> str:
+    """What a station is called by: its number, or ``v641`` for the vehicle 641."""
+    return str(station.number) if station.number > 0 else f"v{-station.number}"
+
+
+def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Image]) -> None:
+    height = fig.get_figheight()
+    scans = [scan for station in frame.stations for scan in station.scans]
+    points = sum(len(scan.points) for scan in scans)
+    title = fit(f"{scenario.name}, frame {frame.number}", 68)
+    facts = (
+        f"{frame.time:.2f} s; {counted(len(frame.things), 'object')}; "
+        f"{counted(len(frame.stations), 'station')}\n"
+        f"{counted(len(images), 'image')}; {counted(len(scans), 'point cloud')}"
+        f"{f' of {points:,} points together' if scans else ''}"
+    )
+    at: dict[str, Any] = dict(x=LEFT / WIDTH, va="top", parse_math=False)
+    fig.text(y=1 - 0.10 / height, s=title, size=10, weight="bold", **at)
+    fig.text(y=1 - 0.29 / height, s=facts, linespacing=1.35, **at)
+
+
+def _draw_plan(ax: Axes, frame: Frame) -> Any:
+    """Points, boxes and stations in plan, north up; the points as drawn, or None."""
+    scans = [scan for station in frame.stations for scan in station.scans]
+    cloud = np.concatenate([np.zeros((3, 0)), *map(world_points, scans)], 1)
+    (x0, x1), (y0, y1) = _limits(frame, cloud)
+    ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x, east [m]", ylabel="y, north [m]")
+    cloud = cloud[:, (cloud[0] > x0) & (cloud[0] < x1) & (cloud[1] > y0) & (cloud[1] < y1)]
+    drawn = None
+    if cloud.size:
+        cloud = cloud[:, np.argsort(cloud[2], kind="stable")]  # the highest on top
+        low, high = _heights(frame, cloud[2])
+        drawn = ax.scatter(
+            cloud[0], cloud[1], c=cloud[2], s=0.35, lw=0, cmap=_HEIGHTS, vmin=low, vmax=high,
+            rasterized=True, zorder=1,
+        )  # fmt: skip
+    footprint = corners(frame.things)[:, :4, :2]
+    colors = [_color(thing) for thing in frame.things]
+    ax.add_collection(
+        PolyCollection(list(footprint), fc="none", ec=colors, lw=0.8, zorder=3), autolim=False
+    )
+    front = footprint[:, [0, 3]].mean(1)
+    middle = footprint.mean(1)
+    ahead = LineCollection(list(np.stack([middle, front], 1)), colors=colors, lw=0.6, zorder=3)
+    ax.add_collection(ahead, autolim=False)
+    for station in frame.stations:
+        for image in station.images:
+            yaw = image.pose[5]
+            tip = image.pose[:2] + 0.05 * (x1 - x0) * np.array([np.cos(yaw), np.sin(yaw)])
+            ends = np.stack([image.pose[:2], tip])
+            ax.plot(*ends.T, color=BADGE_COLOR, lw=0.9, zorder=5, path_effects=HALO)
+        _badge(ax, station.pose[:2], station)
+    return drawn
+
+
+def _limits(
+    frame: Frame, cloud: Float[np.ndarray, "3 N"]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """A square about things and stations; about the points, where there are no others."""
+    places = [thing.center[:2] for thing in frame.things]
+    places += [station.pose[:2] for station in frame.stations]
+    if len(places) < 2 and cloud.size:
+        places += list(cloud[:2].T)
+    spots = np.array(places).reshape(-1, 2) if places else np.zeros((1, 2))
+    low, high = spots.min(0), spots.max(0)
+    (x, y), reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
+    return (x - reach, x + reach), (y - reach, y + reach)
+
+
+def _heights(frame: Frame, z: Float[np.ndarray, " N"]) -> tuple[float, float]:
+    """From the lowest of the ground to the top of the things, or of most points [m]."""
+    low = float(np.percentile(z, 1))
+    tops = [thing.center[2] + thing.size[2] / 2 for thing in frame.things]
+    high = max(tops, default=float(np.percentile(z, 99)))
+    return low, max(high, low + 1.0)
+
+
+def _color(thing: Thing) -> str:
+    return CLASS_COLORS[KINDS.index(thing.kind)]
+
+
+def _badge(ax: Axes, at: Any, station: Station) -> None:
+    ax.annotate(
+        name_of(station), tuple(at), size=6, weight="bold", color="white", ha="center", va="center",
+        zorder=6, bbox=dict(boxstyle="round,pad=0.25,rounding_size=0.6", fc=BADGE_COLOR,
+        ec="white", lw=0.5), annotation_clip=True,
+    )  # fmt: skip
+
+
+def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool) -> None:
+    """The heights' colours, the stations by name, and the keys."""
+    y = 0.0
+    if cloud is not None:
+        axes = panel.inset_axes((0.02, 1 - 21 / (MAP * 72), 0.94, 7 / (MAP * 72)))
+        bar = fig.colorbar(cloud, cax=axes, orientation="horizontal", extend="max")
+        bar.ax.locator_params(nbins=5)
+        middle = panel.get_xlim()[1] / 2
+        panel.text(middle, -1, "height of a point, z [m]", ha="center", va="top")
+        y = -42.0
+    look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
+    keys = 10 + len({thing.kind for thing in frame.things})
+    room = int((MAP * 72 + y) / _ROW - keys) // 2
+    for k, station in enumerate(frame.stations):
+        if k == room and len(frame.stations) > room + 1:
+            panel.text(0, y - _ROW, f"and {len(frame.stations) - room} more stations", **look)
+            break
+        y -= _ROW
+        _badge(panel, (6, y), station)
+        inset = 13 + 3.2 * (len(name_of(station)) - 1)
+        panel.text(inset, y, fit(station.name, 26), **look, weight="bold")
+        y -= _ROW
+        words = f"{counted(len(station.images), 'camera')}, {counted(len(station.scans), 'LiDAR')}"
+        panel.text(13, y, words, **look)
+    panel.legend(handles=_keys(frame, images), loc="lower left", **KEYS)
+
+
+def _keys(frame: Frame, images: bool) -> list[Any]:
+    counts = {kind: sum(thing.kind == kind for thing in frame.things) for kind in KINDS}
+    keys: list[Any] = [
+        Patch(fc="none", ec=color, lw=0.9, label=f"{kind} ({counts[kind]})")
+        for kind, color in zip(KINDS, CLASS_COLORS, strict=True)
+        if counts[kind]
+    ]
+    if images:
+        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="a camera looks this way"))
+    told = [image.instance for station in frame.stations for image in station.images]
+    if any(layer is not None for layer in told):
+        keys.append(
+            Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel is seen of it")
+        )
+    return keys
+
+
+def _draw_image(ax: Axes, image: Image, things: Sequence[Thing], words: str) -> None:
+    """An image and the boxes that fall on it."""
+    height, width = image.rgb.shape[:2]
+    ax.imshow(image.rgb, extent=(0, width, height, 0))
+    lines, owner = box_lines(image, things, width, height)
+    seen = set(range(len(things)))
+    if image.instance is not None:
+        found = set(np.unique(image.instance).tolist())
+        seen = {k for k, thing in enumerate(things) if thing.track + 1 in found}
+    for shown, look in ((False, dict(lw=0.5, ls=_DOTS)), (True, dict(lw=0.7))):
+        own = np.array([(k in seen) == shown for k in owner], bool)
+        colors = [_color(things[k]) for k in owner[own]]
+        drawn = LineCollection(list(lines[own]), colors=colors, **look)
+        if shown:
+            drawn.set_path_effects(_RIM)
+        ax.add_collection(drawn, autolim=False)
+    ax.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
+    met = len(set(owner.tolist()) & seen)
+    words = f"{words}: {met} box{'es' * (met != 1)}"
+    ax.set_title(words, loc="left", size=6.5, pad=2.5, parse_math=False)

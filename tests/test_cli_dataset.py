@@ -1,0 +1,106 @@
+"""`inspe dataset` as a stranger meets it: what it prints, what it writes, how it fails."""
+
+import csv
+import json
+import sys
+
+import pytest
+from frames import WORLD, frame
+
+from inspe_jax.cli import main
+from inspe_jax.dataset import write_frame, write_protocol
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A set of two scenarios of two frames each, and a folder that is none."""
+    root = tmp_path_factory.mktemp("files")
+    for place in ("train/a", "test/a"):
+        for number in (4, 6):
+            write_frame(root / "infra" / place, frame(number))
+        write_protocol(root / "infra" / place, {"world": WORLD})
+    write_protocol(root / "bare" / "train" / "a", {"world": WORLD})
+    (root / "none").mkdir()
+    return root
+
+
+@pytest.fixture
+def inspe(files, monkeypatch, capsys):
+    """Run the command line in the folder of files: (status, stdout, stderr)."""
+
+    def run(*arguments):
+        monkeypatch.chdir(files)
+        monkeypatch.setattr(sys, "argv", ["inspe", "dataset", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "160")
+        status = 0
+        try:
+            main()
+        except SystemExit as e:
+            status = e.code or 0
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+def test_stats_prints_draws_and_writes_the_same(inspe, files):
+    outputs = ("--json", "set.json", "--csv", "row.csv", "--plot", "set.png")
+    status, text, error = inspe("stats", "infra", *outputs)
+    assert (status, error) == (0, "")
+    assert "Data set infra" in text
+    assert "drew set.png" in text
+    record = json.loads((files / "set.json").read_text())
+    assert record["total"]["frames"] == 4
+    with (files / "row.csv").open(newline="") as f:
+        (row,) = csv.DictReader(f)
+    assert row["3D boxes"] == "16"
+    assert row["year"] == ""
+    assert (files / "set.png").read_bytes().startswith(b"\x89PNG")
+    status, text, error = inspe("stats", "infra", "--json", "-", "--csv", "row.csv")
+    assert json.loads(text) == record
+    assert "wrote row.csv" in error
+
+
+def test_show_lists_and_draws_a_frame(inspe, files):
+    status, text, error = inspe("show", "infra/test/a", 6, "--plot", "frame.png")
+    assert (status, error) == (0, "")
+    assert "a, frame 6" in text
+    assert "pedestrian" in text
+    assert (files / "frame.png").read_bytes().startswith(b"\x89PNG")
+    assert inspe("show", "infra", 4, "--scenario", "test/a")[0] == 0
+    assert inspe("show", "infra/train", 4, "--scenario", "a")[0] == 0
+
+
+@pytest.mark.parametrize("command", ["stats", "show"])
+def test_help_has_examples(inspe, command):
+    status, text, _ = inspe(command, "--help")
+    assert status == 0
+    assert "Examples" in text
+    assert f"inspe dataset {command}" in text
+
+
+BAD = [
+    (("stats", "nosuch"), "nosuch: no such folder"),
+    (("stats", "none"), "none: not a data set"),
+    (("stats", "bare"), "no frame in 1 scenario:"),
+    (("stats", "infra", "--plot", "set.jpg"), "set.jpg: the name must end in .png"),
+    (("stats", "infra", "--csv", "row.txt"), "row.txt: the name must end in .csv"),
+    (("stats", "infra", "--json", "no/such.json"), "no such folder"),
+    (("show", "nosuch", 4), "nosuch: no such folder"),
+    (("show", "infra", 4), "infra: 2 scenarios: name one of train/a, test/a"),
+    (("show", "infra", 4, "--scenario", "a"), "scenario 'a' is in 2 splits: train/a, test/a"),
+    (("show", "infra", 4, "--scenario", "tset/a"), "no scenario 'tset/a': one of train/a, test/a"),
+    (("show", "infra/test/a", 5), "000005.yaml: no such frame; there are 2, 4 to 6"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
+)
+def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
+    before = sorted(files.iterdir())
+    status, _, error = inspe(*arguments)
+    assert status == 2
+    assert message in " ".join(error.split())
+    assert "Traceback" not in error
+    assert sorted(files.iterdir()) == before

@@ -1,7 +1,8 @@
 """What stands still: the ground, kerbs, buildings, trees and poles, as triangles of materials.
 
-Buildings and trees stand clear of the region of interest, which the scores take to be open; within
-it there are only kerbs, as low as they are, and thin poles.
+Buildings and trees stand beyond the radius of the region of interest, so that no line of sight
+within it meets any: the scores take it to be open. Within it there are only kerbs, as low as they
+are, and thin poles.
 """
 
 import zlib
@@ -34,7 +35,7 @@ CLEAR = 2.0
 """Least distance of trees and buildings from any region [m]."""
 CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
 """Nothing stands here."""
-BUILDINGS, TREES = 26, 30
+BUILDINGS, TREES = 44, 60
 """As many are tried for."""
 
 
@@ -172,7 +173,7 @@ def _plots(
     streets = unary_union(list(intersection.regions.values())).boundary
     for _ in range(BUILDINGS):
         for _ in range(25):
-            away = radius * rng.uniform(0.35, 1.5)
+            away = radius + rng.uniform(6, 60)
             turn = rng.uniform(0, 2 * np.pi)
             at = intersection.center[:2] + away * np.array([np.cos(turn), np.sin(turn)])
             size = rng.uniform([9, 8], [22, 16]) / 2
@@ -181,7 +182,8 @@ def _plots(
             axes = np.array([[np.cos(facing), np.sin(facing)], [-np.sin(facing), np.cos(facing)]])
             corners = at + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size) @ axes
             shape = Polygon(corners)
-            if shape.disjoint(taken) and all(shape.distance(b) > 1.5 for b in built):
+            clear = shape.distance(Point(intersection.center[:2])) > radius + CLEAR
+            if clear and shape.disjoint(taken) and all(shape.distance(b) > 1.5 for b in built):
                 built.append(shape)
                 yield corners
                 break
@@ -206,8 +208,9 @@ def _trees(
     for _ in range(TREES):
         height = rng.uniform(4.5, 9.0)
         for _ in range(15):
-            at = intersection.center[:2] + radius * 1.3 * rng.uniform(-1, 1, 2)
-            if Point(at).distance(taken) > 0.3 * height:
+            turn, away = rng.uniform(0, 2 * np.pi), radius + rng.uniform(4, 45)
+            at = intersection.center[:2] + away * np.array([np.cos(turn), np.sin(turn)])
+            if Point(at).distance(taken) > 0.35 * height:
                 yield np.array([*at, intersection.ground(at[None])[0]]), float(height)
                 break
 

@@ -241,7 +241,7 @@ def test_as_much_is_seen_as_occlusion_says(crowded, name):
     assert np.mean(shares) > scores.occlusion
 
 
-def test_only_kerbs_and_poles_stand_in_the_region():
+def test_only_kerbs_and_poles_stand_within_the_radius():
     for name in ("four_way", "roundabout", "t_junction"):
         place = inspe_jax.built_in(name)
         scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
@@ -251,6 +251,8 @@ def test_only_kerbs_and_poles_stand_in_the_region():
         at = (statics.triangles[tall] + statics.center).reshape(-1, 3)
         assert len(at) > 300
         assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
+        # Nor does any stand between two places in it.
+        assert np.hypot(*(at - statics.center)[:, :2].T).min() > 40
         assert set(np.unique(statics.material)) == set(range(7))
 
 

@@ -14,7 +14,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LADDER = [
     ("errors",),
     ("files", "numerics", "masks", "cores", "sharding"),
-    ("geometry",),
+    ("geometry", "carla_frame"),
     ("scene",),
     ("sensing",),
     ("metrics", "measures", "world", "exact", "soft", "evaluation", "viewshed"),

@@ -9,16 +9,16 @@ import signal
 import socket
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from urllib.request import urlopen
 
 import jax
 import numpy as np
 import pytest
-from processes import inspe_process
+from processes import inspe_here, inspe_process
 from worlds import rilsa
 
-from inspe_jax.cli import main
 from inspe_jax.cli.common import keep_compiled
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
@@ -69,20 +69,7 @@ def files(tmp_path_factory):
 @pytest.fixture
 def inspe(files, monkeypatch, capsys):
     """Run the command line in the folder of files: (status, stdout, stderr)."""
-
-    def run(*arguments):
-        monkeypatch.chdir(files)
-        monkeypatch.setattr(sys, "argv", ["inspe", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "160")
-        status = 0
-        try:
-            main()
-        except SystemExit as e:
-            status = e.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
+    return partial(inspe_here, files, monkeypatch, capsys)
 
 
 def test_score_prints_a_table_and_the_same_numbers_as_json(inspe, files):

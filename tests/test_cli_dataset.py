@@ -2,12 +2,12 @@
 
 import csv
 import json
-import sys
+from functools import partial
 
 import pytest
 from frames import WORLD, frame
+from processes import inspe_here
 
-from inspe_jax.cli import main
 from inspe_jax.dataset import write_frame, write_protocol
 
 
@@ -27,20 +27,7 @@ def files(tmp_path_factory):
 @pytest.fixture
 def inspe(files, monkeypatch, capsys):
     """Run the command line in the folder of files: (status, stdout, stderr)."""
-
-    def run(*arguments):
-        monkeypatch.chdir(files)
-        monkeypatch.setattr(sys, "argv", ["inspe", "dataset", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "160")
-        status = 0
-        try:
-            main()
-        except SystemExit as e:
-            status = e.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
+    return partial(inspe_here, files, monkeypatch, capsys, "dataset")
 
 
 def test_stats_prints_draws_and_writes_the_same(inspe, files):

@@ -68,7 +68,7 @@ def generate(
     """
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
-    from inspe_jax.dataset.plan import check_backend
+    from inspe_jax.dataset.recorder import check_backend
     from inspe_jax.placement.result import check_folder
 
     check_folder(folder)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.light import LAMP, developed, haze, light_of
 from inspe_jax.dataset.movers import Company, Movers, paints
+from inspe_jax.dataset.projection import corners
 from inspe_jax.dataset.record import Image, Thing
 from inspe_jax.dataset.shapes import PARTS
 from inspe_jax.dataset.statics import (
@@ -281,12 +282,9 @@ class Camera:
     def _may_see(self, things: tuple[Thing, ...], after: float) -> Int[np.ndarray, " P"]:
         """The pixels within the frames about the things' boxes; all where one is at the lens."""
         wanted = np.zeros((self.height, self.width), bool)
-        corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
-        for thing in things:
-            cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
-            turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-            at = (corner * thing.size) @ turn.T + thing.center + after * thing.velocity
+        for thing, at in zip(things, corners(things), strict=True):
+            at = at + after * thing.velocity
             body = (at - self.pose[:3]) @ self.turn
             if (body[:, 0] <= 0.05).all():
                 continue
@@ -301,9 +299,8 @@ class Camera:
 
 
 def _lamps(statics: Statics) -> Float[np.ndarray, "P 3"]:
-    """Where street lamps hang: above the poles, 8 m above their feet at least."""
-    lamps = statics.poles - statics.center
-    return lamps + [0.0, 0.0, 1.5]
+    """Where street lamps hang: 1.5 m above the poles."""
+    return statics.poles - statics.center + [0.0, 0.0, 1.5]
 
 
 def _still_look(

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from inspe_jax.dataset.carla_frame import to_carla
+from inspe_jax.carla_frame import to_carla
 from inspe_jax.dataset.carla_instances import instances_of
 from inspe_jax.dataset.carla_sensors import (
     LIDAR,

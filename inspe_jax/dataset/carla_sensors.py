@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from inspe_jax.dataset.carla_frame import flip
+from inspe_jax.carla_frame import flip
 from inspe_jax.dataset.lidar import ATTENUATION
 from inspe_jax.dataset.light import light_of
 from inspe_jax.sensing.conditions import Conditions

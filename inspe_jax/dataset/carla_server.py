@@ -73,7 +73,7 @@ class Session:
     hidden: list[int] = field(default_factory=list)
 
     def transform(self, cords: Iterable[float]) -> Any:
-        """A transform of cords (6,), as :mod:`~inspe_jax.dataset.carla_frame` has them."""
+        """A transform of cords (6,), as :mod:`~inspe_jax.carla_frame` has them."""
         x, y, z, roll, yaw, pitch = map(float, cords)
         carla = self.carla
         return carla.Transform(

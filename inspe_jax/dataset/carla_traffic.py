@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.dataset.carla_frame import flip, from_carla, to_carla
+from inspe_jax.carla_frame import flip, from_carla, to_carla
 from inspe_jax.dataset.carla_server import OURS, Session
 from inspe_jax.dataset.record import Thing
 from inspe_jax.errors import InspeError

@@ -10,12 +10,15 @@ from pathlib import Path
 
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
 from inspe_jax.dataset.making import Making
-from inspe_jax.dataset.plan import BACKENDS, Generation, ScenarioPlan, check_backend
+from inspe_jax.dataset.plan import Generation, ScenarioPlan
+from inspe_jax.dataset.recorder import check_backend
 from inspe_jax.errors import InspeError
 from inspe_jax.study.engine import dask, done
 from inspe_jax.study.work import told
 
 MB = 1e6
+MOST_WORKERS = {"carla": 1}
+"""By how many workers a backend can record, where that is limited: a CARLA server has one world."""
 GO_ON = "make room, and the same command goes on from here"
 
 
@@ -86,7 +89,7 @@ def generate(
 def _checked(backend: str, workers: int | None) -> int | None:
     """How many workers there are to be. Raises InspeError where there cannot be so many."""
     check_backend(backend)
-    most = BACKENDS[backend]
+    most = MOST_WORKERS.get(backend)
     if workers is not None and (workers < 1 or (most is not None and workers > most)):
         allowed = "1 or more" if most is None else f"{most} with backend {backend}"
         raise InspeError(f"workers {workers}: {allowed}")

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.record import Thing
 from inspe_jax.dataset.shapes import PARTS, VARIANTS, paint, shape_of
+from inspe_jax.geometry import rotation
 from inspe_jax.scene.traffic import CLASSES, TrafficFrames
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
@@ -52,8 +53,7 @@ def pose_things(
     found, owner, part = [np.zeros((0, 3, 3))], [], []
     for k, thing in enumerate(things):
         shape = shape_of(thing.kind, VARIANTS[thing.kind].index(thing.name), _phase(thing))
-        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
         at = thing.center - center + after * thing.velocity
         found.append(((shape.vertices * thing.size) @ turn.T + at)[shape.faces])
         owner.append(np.full(len(shape.faces), k))

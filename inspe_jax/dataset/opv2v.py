@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from inspe_jax.dataset.carla_frame import between, flip, to_carla
+from inspe_jax.carla_frame import between, flip, to_carla
 from inspe_jax.dataset.pcd import write_pcd
 from inspe_jax.dataset.png import write_depth, write_instance, write_rgb, write_semantic
 from inspe_jax.dataset.record import Frame, Image, Scan, Station, Thing, check_frame

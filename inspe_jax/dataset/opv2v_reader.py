@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from inspe_jax.dataset.carla_frame import flip, from_carla
+from inspe_jax.carla_frame import flip, from_carla
 from inspe_jax.dataset.opv2v import KMH, NO_LIDAR, PROTOCOL, SECTIONS
 from inspe_jax.dataset.pcd import read_notes, read_pcd
 from inspe_jax.dataset.png import read_depth, read_instance, read_rgb, read_semantic

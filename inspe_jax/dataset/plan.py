@@ -39,7 +39,7 @@ from pydantic import Field
 
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.recorder import Recording
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.errors import InspeError
 from inspe_jax.files import check_model
 from inspe_jax.placement.checkpoint import digest
 from inspe_jax.scene.traffic import MOST_FRAMES
@@ -62,14 +62,11 @@ from inspe_jax.study.sources import (
     SceneEntry,
     SceneSource,
     Sources,
+    each_scene,
     layout_sources,
-    scene_settings,
-    scene_source,
     with_named_layouts,
 )
 
-BACKENDS: dict[str, int | None] = {"embedded": None, "carla": 1}
-"""What can record, and by how many workers at most: a CARLA server has one world."""
 SECONDS = 10.0
 """How long a scenario is if nobody says [s]."""
 SETTINGS = (*WORLD, *CONDITIONS, "seconds")
@@ -199,14 +196,7 @@ def make_generation(
     layouts = layout_sources(entry, folder, where)
     defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
     plans: dict[str, ScenarioPlan] = {}
-    names = []
-    for k, item in enumerate(entry.scenes):
-        at = f"{where}: scenes[{k}]"
-        own = {key: getattr(item, key) for key in WORLD}
-        check_settings(own, at)
-        source = scene_source(item, folder, at)
-        names.append(source.name)
-        given = scene_settings(source, own, whole, at)
+    for at, item, source, given in each_scene(entry.scenes, WORLD, whole, folder, where):
         if source.file is not None:
             given["seconds"] = saved_seconds(source, given["seconds"], recording.rate, at)
         for build in combinations(given, (*WORLD, "seconds"), defaults):
@@ -215,7 +205,6 @@ def make_generation(
                     settings = build | conditioned(around)
                     plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
                     plans.setdefault(plan.key, replace(plan, tags=dict(item.tags)))
-    check_names(names, f"{where}: scenes")
     done = _named(list(plans.values()))
     done = [replace(plan, seed=_seed(key)) for key, plan in zip(plans, done, strict=True)]
     by_scene = entry.split_by == "scene"
@@ -227,13 +216,6 @@ def make_generation(
     splits = _split(kinds, shares)
     done = [replace(plan, split=splits[group]) for group, plan in zip(groups, done, strict=True)]
     return Generation(entry.name or name, tuple(done))
-
-
-def check_backend(backend: str) -> None:
-    """Raise InspeError for a backend that is not known."""
-    if backend not in BACKENDS:
-        known = tuple(BACKENDS)
-        raise InspeError(f"backend '{backend}': one of {', '.join(known)}{nearest(backend, known)}")
 
 
 def check_seconds(seconds: float, rate: float, where: str) -> None:

@@ -14,7 +14,6 @@ from pydantic import Field
 
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.plan import (
-    BACKENDS,
     SETTINGS,
     Generation,
     RecordingEntry,
@@ -24,6 +23,7 @@ from inspe_jax.dataset.plan import (
     make_generation,
     saved_seconds,
 )
+from inspe_jax.dataset.recorder import BACKENDS
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import check_model, read_yaml
 from inspe_jax.placement import optimise

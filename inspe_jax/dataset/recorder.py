@@ -157,6 +157,13 @@ def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:
     )
 
 
+def check_backend(backend: str) -> None:
+    """Raise InspeError for a backend that is not in :data:`BACKENDS`."""
+    if backend not in BACKENDS:
+        known = tuple(BACKENDS)
+        raise InspeError(f"backend '{backend}': one of {', '.join(known)}{nearest(backend, known)}")
+
+
 def recorder_of(
     backend: str,
     scene: Scene,
@@ -170,10 +177,7 @@ def recorder_of(
 
     ``server`` is for those that need one.
     """
-    if backend not in BACKENDS:
-        raise InspeError(
-            f"backend '{backend}': one of {', '.join(BACKENDS)}{nearest(backend, [*BACKENDS])}"
-        )
+    check_backend(backend)
     return BACKENDS[backend](scene, layout, conditions, recording, seed, server)
 
 

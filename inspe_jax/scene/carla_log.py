@@ -1,7 +1,7 @@
 """Traffic as CARLA's recorder wrote it down: its logs, read without a server.
 
-A log is a run of packets, each an id and a length; those not needed here are passed over. CARLA is
-left-handed and the log in centimetres: both are put right in this file.
+A log is a run of packets, each an id and a length; those not needed here are passed over. The log
+is in centimetres and CARLA left-handed: both are put right here.
 """
 
 import functools
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from inspe_jax.carla_frame import flip, from_carla
 from inspe_jax.errors import InspeError
 from inspe_jax.files import check_input
 from inspe_jax.scene.intersection import Intersection
@@ -232,9 +233,10 @@ def _snapshot(
     box = np.array([log.boxes[actor] for actor in who]).reshape(-1, 6)
     still = (0.0, 0.0, 0.0)
     velocity = np.array([moment.velocity.get(actor, still) for actor in who], float)
-    flip = np.array([1.0, -1.0, 1.0])
-    at, offset, speed = where[:, :3] / 100 * flip, box[:, :3] * flip, velocity.reshape(-1, 3) * flip
-    yaw = -np.radians(where[:, 5])
+    x, y, z, roll, pitch, yaw = where.T  # of the log, which is in centimetres
+    poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
+    at, yaw = poses[:, :3], poses[:, 5]
+    offset, speed = flip(box[:, :3]), flip(velocity.reshape(-1, 3))
     cos, sin = np.cos(yaw), np.sin(yaw)
     middle = at[:, :2] + np.column_stack(
         [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]

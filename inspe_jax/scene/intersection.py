@@ -100,6 +100,10 @@ class Intersection:
         height = self.ground_points[index, 2]
         return (weight * height).sum(1) / weight.sum(1)
 
+    def on_ground(self, xy: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N 3"]:
+        """Points on the ground [m] at plan points; what they have beyond x and y is left out."""
+        return np.column_stack([xy[:, :2], self.ground(xy[:, :2])])
+
 
 def mouth_crosswalks(arms: tuple[Arm, ...], width: float = CROSSWALK_WIDTH) -> BaseGeometry:
     """One strip of ``width`` metres across each arm, just outside the junction's mouth."""

@@ -11,7 +11,13 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.errors import InspeError
-from inspe_jax.scene.intersection import Arm, corner_islands, mouth_crosswalks
+from inspe_jax.scene.intersection import (
+    Arm,
+    Intersection,
+    Route,
+    corner_islands,
+    mouth_crosswalks,
+)
 from inspe_jax.scene.regions import Region
 
 STEP = 1.0
@@ -126,6 +132,13 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
                     break
         if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
             yield resample(line)
+
+
+def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:
+    """Ways on foot (N, 2) as routes on the ground of a place, both ways."""
+    for line in lines:
+        for way in (line, line[::-1]):
+            yield Route(place.on_ground(way), 2.0, "pedestrian")
 
 
 def mounting_of(

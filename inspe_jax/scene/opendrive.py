@@ -27,6 +27,7 @@ from inspe_jax.scene.map_parts import (
     joined_lines,
     mounting_of,
     resample,
+    walking_routes,
 )
 from inspe_jax.scene.opendrive_map import (
     INSET,
@@ -121,18 +122,15 @@ def read_opendrive(
         map=Path(path).resolve(),
     )
 
-    # Signals hang on poles or are sunk in the map; their feet, the centre and people stand on
-    # the ground.
-    def on_ground(xy: np.ndarray) -> np.ndarray:
-        return np.column_stack([xy[:, :2], found.ground(xy[:, :2])])
-
     people = [*crossing_lines(walks), *_pavements(strips, middle, radius)]
     routes = [
         *_vehicle_routes(world, legs, arm_of, members, interior, middle, radius),
-        *(Route(on_ground(line), 2.0, "pedestrian") for p in people for line in (p, p[::-1])),
+        *walking_routes(found, people),
     ]
-    poles = on_ground(signals) if len(signals) else signals
-    return replace(found, center=on_ground(middle[None])[0], poles=poles, routes=tuple(routes))
+    # Signals hang on poles or are sunk in the map: their feet stand on the ground, as the centre.
+    poles = found.on_ground(signals) if len(signals) else signals
+    foot = found.on_ground(middle[None])[0]
+    return replace(found, center=foot, poles=poles, routes=tuple(routes))
 
 
 def _choose(

@@ -1,6 +1,7 @@
 """An OpenDRIVE map and its lanes: what the XML says, and where CARLA says it runs.
 
-CARLA is left-handed: ``position`` flips its y and ``heading_of`` its yaw, here and nowhere else.
+CARLA is left-handed: ``position`` flips its y and ``heading_of`` its yaw, as everything does in
+:mod:`inspe_jax.carla_frame`.
 """
 
 import functools

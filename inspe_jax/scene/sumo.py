@@ -28,6 +28,7 @@ from inspe_jax.scene.map_parts import (
     mounting_of,
     resample,
     valid,
+    walking_routes,
 )
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.strips import Strip, same_level
@@ -132,9 +133,6 @@ def read_sumo(
         map=Path(path).resolve(),
     )
 
-    def on_ground(xy: np.ndarray) -> np.ndarray:
-        return np.column_stack([xy[:, :2], found.ground(xy[:, :2])])
-
     pavements = [
         run.center[:, :2]
         for strip in strips
@@ -144,9 +142,9 @@ def read_sumo(
     people = [*crossing_lines(walks), *joined_lines(pavements)]
     routes = [
         *_vehicle_routes(streets, legs, arm_of, members, interior, middle, radius),
-        *(Route(on_ground(line), 2.0, "pedestrian") for p in people for line in (p, p[::-1])),
+        *walking_routes(found, people),
     ]
-    return replace(found, center=on_ground(middle[None])[0], routes=tuple(routes))
+    return replace(found, center=found.on_ground(middle[None])[0], routes=tuple(routes))
 
 
 def _choose(

@@ -67,11 +67,6 @@ class RoadNet:
         return at - [*self.shift, 0.0]
 
 
-def is_net(path: Path) -> bool:
-    """Whether a file's name is that of a network or of an OpenStreetMap extract."""
-    return path.name.lower().endswith((*NET_SUFFIXES, *OSM_SUFFIXES))
-
-
 def load_net(path: Path) -> RoadNet:
     """The network of a .net.xml, .osm or .xodr file, kept for as long as the file stays the same.
 

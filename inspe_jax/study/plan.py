@@ -48,7 +48,6 @@ from inspe_jax.study.settings import (
     Length,
     Several,
     WorldSettings,
-    check_names,
     check_settings,
     combinations,
     conditioned,
@@ -60,9 +59,8 @@ from inspe_jax.study.sources import (
     SceneEntry,
     SceneSource,
     Sources,
+    each_scene,
     layout_sources,
-    scene_settings,
-    scene_source,
     with_named_layouts,
 )
 
@@ -184,21 +182,13 @@ def make_study(
     layouts = layout_sources(entry, folder, where)
     defaults = _defaults()
     jobs: dict[str, Job] = {}
-    names = []
-    for k, item in enumerate(entry.scenes):
-        at = f"{where}: scenes[{k}]"
-        own = {key: getattr(item, key) for key in BUILD}
-        check_settings(own, at)
-        source = scene_source(item, folder, at)
-        names.append(source.name)
-        given = scene_settings(source, own, whole, at)
+    for _, item, source, given in each_scene(entry.scenes, BUILD, whole, folder, where):
         for build in combinations(given, BUILD, defaults):
             for layout in layouts:
                 for rest in combinations(given, (*CONDITIONS, *SCORE, *SEARCH), defaults):
                     settings = build | _searched(conditioned(rest))
                     job = Job(source, layout, settings, dict(item.tags))
                     jobs.setdefault(job.key, job)
-    check_names(names, f"{where}: scenes")
     return Study(entry.name or name, tuple(jobs.values()))
 
 

@@ -1,7 +1,7 @@
 """Where the scenes and the layouts of a study come from, whatever it is for."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +16,7 @@ from inspe_jax.scene.scene import load_scene
 from inspe_jax.sensing.devices import spec_of
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.study.settings import Length, Line, Strict, Text, check_names
+from inspe_jax.study.settings import Length, Line, Strict, Text, check_names, check_settings
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,28 @@ class Sources(Strict):
     name: Line | None = None
     devices: dict[Line, Any] = Field(default={})
     layouts: Annotated[list[LayoutEntry], Field(min_length=1)]
+
+
+def each_scene(
+    entries: Sequence[SceneEntry],
+    keys: Iterable[str],
+    whole: Mapping[str, list[Any]],
+    folder: Path,
+    where: str,
+) -> Iterator[tuple[str, SceneEntry, SceneSource, dict[str, list[Any]]]]:
+    """(where in the file, entry, source, settings) of every scene; its own ``keys`` before all's.
+
+    Raises InspeError where a setting or a source is wrong; and at the end where two have one name.
+    """
+    keys, names = tuple(keys), []
+    for k, entry in enumerate(entries):
+        at = f"{where}: scenes[{k}]"
+        own = {key: getattr(entry, key) for key in keys}
+        check_settings(own, at)
+        source = scene_source(entry, folder, at)
+        names.append(source.name)
+        yield at, entry, source, scene_settings(source, own, whole, at)
+    check_names(names, f"{where}: scenes")
 
 
 def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:

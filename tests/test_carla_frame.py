@@ -5,7 +5,7 @@ import pytest
 from frames import POSES
 from hypothesis import given, settings
 
-from inspe_jax.dataset.carla_frame import between, flip, from_carla, matrix, to_carla
+from inspe_jax.carla_frame import between, flip, from_carla, matrix, to_carla
 from inspe_jax.geometry import rotation
 
 

@@ -1,4 +1,6 @@
-"""The only place that turns ENU, right-handed and in radians, into CARLA's world and back.
+"""Turns ENU, right-handed and in radians, into CARLA's world and back, of poses and points.
+
+Maps alone do without: :mod:`inspe_jax.scene.opendrive_map` asks for points by the ten thousand.
 
 CARLA's world is left-handed and in degrees, as Unreal's: y and yaw change sign, roll and pitch
 do not. Its body frame is x forward, y right, z up. Files hold *cords*, six numbers in the order

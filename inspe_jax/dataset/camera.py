@@ -4,16 +4,19 @@ What stands still is met and shaded once for each camera. In each frame only tho
 at anew that a road user or its shadow may fall on.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from PIL import Image as Pillow
+from PIL import ImageDraw
 
 from inspe_jax.dataset.embree import Caster
-from inspe_jax.dataset.light import LAMP, developed, haze, light_of
+from inspe_jax.dataset.light import developed
 from inspe_jax.dataset.movers import Company, Movers, paints
-from inspe_jax.dataset.projection import corners
+from inspe_jax.dataset.projection import corners, outlines
 from inspe_jax.dataset.record import Image, Thing
+from inspe_jax.dataset.shading import FAR, Shading
 from inspe_jax.dataset.shapes import PARTS
 from inspe_jax.dataset.statics import (
     BUILDING,
@@ -28,11 +31,8 @@ from inspe_jax.dataset.statics import (
 from inspe_jax.dataset.surface import GRASS, PAINT, noise
 from inspe_jax.geometry import rotation
 from inspe_jax.scene.regions import Region
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.sensors import CameraSpec
 
-FAR = 1000.0
-"""Cameras see so far [m], but for haze; how far they perceive is the scores' business."""
 SHADOWED = 150.0
 """Shadows of road users are looked for so far from the centre [m]."""
 SKY = 11
@@ -48,19 +48,25 @@ _OF_LABEL = {
     GRASS: 10,
     PAINT: 24,
 }
-_GLOSS = np.zeros(len(PARTS))
+_GLOSS = np.zeros(len(PARTS), np.float32)
 for _part, _share in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
     _GLOSS[PARTS.index(_part)] = _share
-_GLOW = {"lamp": np.array([1.0, 0.95, 0.85]), "lamp rear": np.array([0.5, 0.02, 0.02])}
+_GLOW = np.zeros((len(PARTS), 3), np.float32)
+_GLOW[PARTS.index("lamp")] = [1.0, 0.95, 0.85]
+_GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
 
 
 class Ground(NamedTuple):
-    """What lies behind every pixel when nobody is there: R pixels, row by row."""
+    """What lies behind every pixel when nobody is there: R pixels, row by row.
+
+    ``other`` is its colour without the sun, before what the air does to it.
+    """
 
     distance: Float[np.ndarray, " R"]
     point: Float[np.ndarray, "R 3"]
-    direct: Float[np.ndarray, "R 3"]
+    in_sun: Bool[np.ndarray, " R"]
     other: Float[np.ndarray, "R 3"]
+    colour: Float[np.ndarray, "R 3"]
     semantic: Int[np.ndarray, " R"]
 
 
@@ -85,6 +91,16 @@ class Cells:
         return np.concatenate([self.pixels[a:b] for a, b in runs])
 
 
+class Seen(NamedTuple):
+    """P pixels that look otherwise than when nobody is there: their colours, how far away what is
+    seen is [m], and which road user it is (−1: what stands still, in somebody's shadow)."""
+
+    pixels: Int[np.ndarray, " P"]
+    colour: Float[np.ndarray, "P 3"]
+    distance: Float[np.ndarray, " P"]
+    thing: Int[np.ndarray, " P"]
+
+
 class Camera:
     """One camera at its place, in one light."""
 
@@ -94,11 +110,11 @@ class Camera:
         pose: Float[np.ndarray, "6"],
         statics: Statics,
         still: Caster,
-        conditions: Conditions,
+        shading: Shading,
         scale: float = 1.0,
     ) -> None:
         self.pose, self.statics, self.still_caster = np.asarray(pose, float), statics, still
-        self.light, self.haze = light_of(conditions), haze(conditions)
+        self.shading, self.light = shading, shading.light
         self.height, self.width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
         across, down = self.width / spec.width, self.height / spec.height
         self.intrinsic = np.array(
@@ -112,69 +128,44 @@ class Camera:
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
         body = np.stack([np.ones_like(u), (cx - u) / fx, (cy - v) / fy], -1).reshape(-1, 3)
         self.ahead = 1.0 / np.linalg.norm(body, axis=1)  # depth along the axis for 1 m of ray
-        self.turn = rotation(self.pose[3:], np)
-        self.directions = ((body * self.ahead[:, None]) @ self.turn.T).astype(np.float32)
-        self.origin = self.pose[:3] - statics.center
+        turned = (body * self.ahead[:, None]) @ rotation(self.pose[3:], np).T
+        self.directions = np.ascontiguousarray(turned, np.float32)
+        self.origin = (self.pose[:3] - statics.center).astype(np.float32)
         self.ground = self._behind()
-        self.sunny = Cells(self.ground.point, self.ground.direct.max(1) > 0, SHADOWED)
+        self.sunny = Cells(self.ground.point, self.ground.in_sun, SHADOWED)
 
     # ── What stands still ───────────────────────────────────────────────────
 
     def _behind(self) -> Ground:
         hits = self.still_caster.cast(self.origin, self.directions, FAR)
         met = hits.face >= 0
-        point = self.origin + self.directions * np.where(met, hits.distance, 0.0)[:, None]
+        point = self._points(slice(None), np.where(met, hits.distance, 0))
         albedo, semantic = _still_look(self.statics, hits.face, point, hits.normal)
-        direct, other = self._lit(point, hits.normal, albedo)
-        sky = self._sky()
-        direct[~met], other[~met] = 0.0, sky[~met]
-        shaded = np.flatnonzero(met & (direct.max(1) > 0))
-        direct[shaded[self._dark(self.still_caster, point[shaded], hits.normal[shaded])]] = 0.0
+        other = self.shading.other(point, hits.normal, albedo)
+        other[~met] = self.shading.sky(self.directions[~met])
+        direct = self.shading.sunlight(hits.normal, albedo)
+        in_sun = direct.max(1) > 0
+        shaded = np.flatnonzero(in_sun)
+        shaded = shaded[self._dark(self.still_caster, point[shaded], hits.normal[shaded])]
+        direct[shaded], in_sun[shaded] = 0, False
         return Ground(
-            hits.distance,
-            point.astype(np.float32),
-            direct.astype(np.float32),
-            other.astype(np.float32),
-            np.where(met, semantic, SKY),
+            distance=hits.distance,
+            point=point,
+            in_sun=in_sun,
+            other=other,
+            colour=self.shading.through_air(direct + other, hits.distance),
+            semantic=np.where(met, semantic, SKY),
         )
 
-    def _sky(self) -> Float[np.ndarray, "R 3"]:
-        """Paler towards the horizon; a glow about the sun."""
-        up = np.clip(self.directions[:, 2], 0, 1)[:, None] ** 0.5
-        colour = np.array(self.light.sky) * (1.25 - 0.55 * up)
-        if self.light.has_sun:
-            toward = np.clip(self.directions @ self.light.to_sun, 0, 1)[:, None]
-            colour = colour + np.array(self.light.sun) * (0.3 * toward**8 + 2.0 * toward**400)
-        return colour
-
-    # ── Shading ─────────────────────────────────────────────────────────────
-
-    def _lit(
-        self, point: np.ndarray, normal: np.ndarray, albedo: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(light of the sun if nothing is in its way, all other light) that points send back."""
-        light = self.light
-        direct = albedo * np.array(light.sun)
-        direct = direct * np.clip(normal @ light.to_sun, 0, None)[:, None]
-        if not light.has_sun:
-            direct[:] = 0.0
-        other = albedo * np.array(light.ambient) * (0.65 + 0.35 * normal[:, 2:])
-        if light.lamps > 0:
-            for lamp in _lamps(self.statics):
-                to = lamp - point
-                squared = (to**2).sum(1) + 1.0
-                facing = np.clip((to * normal).sum(1) / np.sqrt(squared), 0, None)
-                other = other + albedo * (light.lamps * facing / squared)[:, None] * LAMP
-        return direct, other
+    def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
+        """What is seen at pixels, by how far away it is, about the centre."""
+        return self.origin + self.directions[pixels] * distance[:, None]
 
     def _dark(
         self, caster: Caster, point: np.ndarray, normal: np.ndarray
     ) -> Bool[np.ndarray, " R"]:
         """Whether something stands between points and the sun."""
-        if not len(point):
-            return np.zeros(0, bool)
-        sun = np.broadcast_to(self.light.to_sun, point.shape)
-        return caster.meets(point + 0.02 * normal, sun, 200.0)
+        return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, 200.0)
 
     # ── A frame ─────────────────────────────────────────────────────────────
 
@@ -186,87 +177,97 @@ class Camera:
         layers: tuple[str, ...] = (),
     ) -> Image:
         """The picture of one frame; the middle of the exposure is the frame's time."""
-        things = company.things
-        moments = self.light.moments if things else 1
-        painted = paints(things, seed)
-        total = np.zeros((len(self.directions), 3), np.float32)
+        moments = self.light.moments
+        painted = paints(company.things, seed)
+        middle = None
+        total = self.ground.colour.copy()
         for k in range(moments):
             after = ((k + 0.5) / moments - 0.5) * self.light.exposure
-            total += self._moment(company, painted, after)[0]
+            seen = self._moment(company, painted, after)
+            total[seen.pixels] += (seen.colour - self.ground.colour[seen.pixels]) / moments
+            middle = seen if after == 0 else middle
         shape = (self.height, self.width)
-        rgb = developed((total / moments).reshape(*shape, 3), self.light, rng)
+        rgb = developed(total.reshape(*shape, 3), self.light, rng)
         extra = {}
         if layers:
-            _, distance, thing = self._moment(company, painted, 0.0)
-            track = np.array([t.track + 1 for t in things] + [0])
-            label = np.array([SEMANTIC[t.kind] for t in things] + [0])
-            semantic = np.where(thing >= 0, label[thing], self.ground.semantic)
-            depth = (distance * self.ahead).astype(np.float32)
-            whole = {
-                "depth": depth,
-                "instance": track[thing].astype(np.int32),
-                "semantic": semantic.astype(np.uint8),
-            }
+            whole = self._layers(middle or self._moment(company, painted, 0.0), company.things)
             extra = {name: whole[name].reshape(shape) for name in layers}
         return Image(self.pose, self.intrinsic, rgb, **extra)
 
-    def _moment(
-        self, company: Company, painted: np.ndarray, after: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(colour, distance, thing) of every pixel at one moment."""
-        behind, things = self.ground, company.things
-        colour, distance = behind.direct + behind.other, behind.distance.copy()
-        thing = np.full(len(distance), -1)
-        if things:
-            movers, caster = company.at(after)
-            pixels = self._may_see(things, after)
-            hits = caster.cast(
-                self.origin, self.directions[pixels], np.minimum(distance[pixels], FAR)
-            )
-            met = hits.face >= 0
-            if self.light.has_sun:
-                self._cast_shadows(caster, things, after, colour)
-            at = pixels[met]
-            colour[at] = self._mover_look(caster, movers, painted, hits, met, at)
-            distance[at], thing[at] = hits.distance[met], movers.thing[hits.face[met]]
-        if self.haze > 0:
-            clear = np.exp(-self.haze * np.where(np.isfinite(distance), distance, FAR))[:, None]
-            veil = np.array(self.light.ambient) * 0.9 + 0.15 * np.array(self.light.sun)
-            colour = colour * clear + veil * (1 - clear)
-        return colour, distance, thing
+    def _layers(self, seen: Seen, things: tuple[Thing, ...]) -> dict[str, np.ndarray]:
+        """Depth, instance and semantic of every pixel."""
+        distance, semantic = self.ground.distance.copy(), self.ground.semantic.copy()
+        instance = np.zeros(len(distance), np.int32)
+        met = seen.thing >= 0
+        at, thing = seen.pixels[met], seen.thing[met]
+        distance[at] = seen.distance[met]
+        instance[at] = np.array([t.track + 1 for t in things], int)[thing]
+        semantic[at] = np.array([SEMANTIC[t.kind] for t in things], int)[thing]
+        return {
+            "depth": (distance * self.ahead).astype(np.float32),
+            "instance": instance,
+            "semantic": semantic.astype(np.uint8),
+        }
 
-    def _mover_look(  # type: ignore[no-untyped-def]
-        self, caster: Caster, movers: Movers, painted: np.ndarray, hits, met, at: np.ndarray
-    ) -> np.ndarray:
-        face = hits.face[met]
-        point = self.origin + self.directions[at] * hits.distance[met][:, None]
-        normal = hits.normal[met]
-        part = movers.part[face]
+    def _moment(self, company: Company, painted: np.ndarray, after: float) -> Seen:
+        """What road users change at one moment."""
+        movers, caster = company.at(after)
+        boxes = corners(company.things)
+        for box, thing in zip(boxes, company.things, strict=True):
+            box += after * thing.velocity
+        pixels = self._may_see(boxes)
+        reach = np.minimum(self.ground.distance[pixels], FAR)
+        hits = caster.cast(self.origin, self.directions[pixels], reach)
+        met = hits.face >= 0
+        at, distance, face = pixels[met], hits.distance[met], hits.face[met]
+        look = self._mover_look(caster, movers, painted, at, distance, face, hits.normal[met])
+        covered = np.zeros(len(self.directions), bool)
+        covered[at] = True
+        shadow = self._shadows(caster, company.things, after)
+        shadow = shadow[~covered[shadow]]
+        distance = np.concatenate([distance, self.ground.distance[shadow]])
+        colour = np.concatenate([look, self.ground.other[shadow]])
+        return Seen(
+            np.concatenate([at, shadow]),
+            self.shading.through_air(colour, distance),
+            distance,
+            np.concatenate([movers.thing[face], np.full(len(shadow), -1)]),
+        )
+
+    def _mover_look(
+        self,
+        caster: Caster,
+        movers: Movers,
+        painted: np.ndarray,
+        at: np.ndarray,
+        distance: np.ndarray,
+        face: np.ndarray,
+        normal: np.ndarray,
+    ) -> Float[np.ndarray, "P 3"]:
+        """Colours of road users at the pixels where they are met."""
+        shading, part = self.shading, movers.part[face]
+        point = self._points(at, distance)
         albedo = painted[movers.thing[face], part]
-        direct, other = self._lit(point, normal, albedo)
+        colour = shading.other(point, normal, albedo)
         if self.light.has_sun:
-            dark = self._dark(caster, point, normal) | self._dark(self.still_caster, point, normal)
-            direct[dark] = 0.0
-        colour = direct + other
-        colour = colour + self._gloss(part, self.directions[at], normal)
+            direct = shading.sunlight(normal, albedo)
+            lit = np.flatnonzero(direct.max(1) > 0)
+            for one in (caster, self.still_caster):
+                lit = lit[~self._dark(one, point[lit], normal[lit])]
+            colour[lit] += direct[lit]
+        colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)
         if self.light.lamps > 0:
-            for name, glow in _GLOW.items():
-                colour = colour + (part == PARTS.index(name))[:, None] * glow * self.light.lamps
+            colour += _GLOW[part] * np.float32(self.light.lamps)
         return colour
 
-    def _gloss(self, part: np.ndarray, to: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """What lacquer and glass mirror of the sky, more at a grazing angle (Schlick 1994)."""
-        along = np.einsum("rk,rk->r", to, normal)
-        share = _GLOSS[part] * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
-        up = to[:, 2] - 2 * along * normal[:, 2]
-        return (share * np.clip(0.25 + 1.5 * up, 0.1, 1))[:, None] * np.array(self.light.sky)
-
-    def _cast_shadows(
-        self, caster: Caster, things: tuple[Thing, ...], after: float, colour: np.ndarray
-    ) -> None:
-        """Take the sun from what lies in the shadow of a road user."""
-        behind, sun = self.ground, self.light.to_sun
-        near = np.zeros(len(colour), bool)
+    def _shadows(
+        self, caster: Caster, things: tuple[Thing, ...], after: float
+    ) -> Int[np.ndarray, " P"]:
+        """The pixels of what stands still, in the sun but for the shadow of a road user."""
+        if not self.light.has_sun:
+            return np.zeros(0, int)
+        sun = self.light.to_sun
+        near = np.zeros(len(self.directions), bool)
         for thing in things:
             at = thing.center + after * thing.velocity - self.statics.center
             reach = np.hypot(*thing.size[:2]) / 2
@@ -275,32 +276,16 @@ class Camera:
             low, high = np.minimum(at[:2], end) - reach, np.maximum(at[:2], end) + reach
             near[self.sunny.within(low, high)] = True
         pixels = np.flatnonzero(near)
-        up = np.broadcast_to([0.0, 0.0, 1.0], (len(pixels), 3))
-        dark = pixels[self._dark(caster, behind.point[pixels], up)]
-        colour[dark] = behind.other[dark]
+        up = np.array([0, 0, 1], np.float32)
+        return pixels[self._dark(caster, self.ground.point[pixels], up)]
 
-    def _may_see(self, things: tuple[Thing, ...], after: float) -> Int[np.ndarray, " P"]:
-        """The pixels within the frames about the things' boxes; all where one is at the lens."""
-        wanted = np.zeros((self.height, self.width), bool)
-        (fx, _, cx), (_, fy, cy), _ = self.intrinsic
-        for thing, at in zip(things, corners(things), strict=True):
-            at = at + after * thing.velocity
-            body = (at - self.pose[:3]) @ self.turn
-            if (body[:, 0] <= 0.05).all():
-                continue
-            if (body[:, 0] <= 0.05).any():
-                wanted[:] = True
-                break
-            u, v = cx - fx * body[:, 1] / body[:, 0], cy - fy * body[:, 2] / body[:, 0]
-            left, right = np.clip([u.min() - 1, u.max() + 2], 0, self.width).astype(int)
-            top, bottom = np.clip([v.min() - 1, v.max() + 2], 0, self.height).astype(int)
-            wanted[top:bottom, left:right] = True
-        return np.flatnonzero(wanted)
-
-
-def _lamps(statics: Statics) -> Float[np.ndarray, "P 3"]:
-    """Where street lamps hang: 1.5 m above the poles."""
-    return statics.poles - statics.center + [0.0, 0.0, 1.5]
+    def _may_see(self, boxes: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
+        """The pixels within the outlines of boxes, and a little around them."""
+        wanted = Pillow.new("1", (self.width, self.height))
+        pen = ImageDraw.Draw(wanted)
+        for outline in outlines(self, boxes, self.width, self.height, margin=2.0):
+            pen.polygon(outline.ravel().tolist(), fill=1)
+        return np.flatnonzero(np.asarray(wanted))
 
 
 def _still_look(
@@ -309,7 +294,7 @@ def _still_look(
     """(linear albedo, CARLA's label) of what stands still, by where it is met."""
     material = np.where(face >= 0, statics.material[face], -1)
     body = np.where(face >= 0, statics.body[face], 0)
-    albedo, semantic = np.zeros((len(face), 3)), np.zeros(len(face), int)
+    albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
     for kind, label in _OF_MATERIAL.items():
         semantic[material == kind] = label
     ground = material == GROUND

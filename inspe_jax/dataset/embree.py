@@ -23,7 +23,7 @@ class Caster:
         self.count = len(triangles)
         if self.count:
             core, mesh = _library()
-            self._scene = core.EmbreeScene()
+            self._scene = core.EmbreeScene(robust=True)  # or rays slip through between faces
             mesh.TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
 
     def cast(
@@ -37,37 +37,38 @@ class Caster:
         Normals face the ray. ``distance`` is infinite where nothing is met.
         """
         many = len(directions)
-        distance, normal = np.full(many, np.inf), np.zeros((many, 3), np.float32)
+        distance, normal = np.full(many, np.inf, np.float32), np.zeros((many, 3), np.float32)
         if not (self.count and many):
             return Hits(distance, np.full(many, -1), normal)
-        rays = _rays(origins, directions, reach)
-        found = self._scene.run(*rays[:2], dists=rays[2], output=True)
+        start, to, reach = _rays(origins, directions, reach)
+        found = self._scene.run(start, to, dists=reach, output=True)
         met = np.flatnonzero(found["primID"] >= 0)
         distance[met] = found["tfar"][met]
         across = found["Ng"][met]
-        across /= np.sqrt(np.einsum("rk,rk->r", across, across))[:, None]
-        behind = np.einsum("rk,rk->r", across, rays[1][met]) > 0
-        normal[met] = np.where(behind[:, None], -across, across)
+        along = np.einsum("rk,rk->r", across, to[met])
+        across /= np.copysign(np.sqrt(np.einsum("rk,rk->r", across, across)), -along)[:, None]
+        normal[met] = across
         return Hits(distance, found["primID"], normal)
 
     def meets(
         self,
         origins: Float[np.ndarray, "R 3"],
-        directions: Float[np.ndarray, "R 3"],
+        directions: Float[np.ndarray, "*R 3"],
         reach: float | Float[np.ndarray, " R"] = 1e4,
     ) -> Bool[np.ndarray, " R"]:
-        """Whether anything is met on each ray within ``reach`` [m]."""
-        if not (self.count and len(directions)):
-            return np.zeros(len(directions), bool)
-        rays = _rays(origins, directions, reach)
-        return self._scene.run(*rays[:2], dists=rays[2], query="OCCLUDED") >= 0
+        """Whether anything is met on each ray within ``reach`` [m]; one direction, or many."""
+        start, to, reach = _rays(origins, directions, reach)
+        if not (self.count and len(to)):
+            return np.zeros(len(to), bool)
+        return self._scene.run(start, to, dists=reach, query="OCCLUDED") >= 0
 
 
 def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Origins, directions and reaches, one for each ray, as Embree takes them."""
-    to = np.ascontiguousarray(directions, np.float32)
-    start = np.ascontiguousarray(np.broadcast_to(origins, to.shape), np.float32)
-    return start, to, np.ascontiguousarray(np.broadcast_to(reach, (len(to),)), np.float32)
+    """Copies of origins, directions and reaches, one for each ray, as Embree takes them."""
+    start, to = np.broadcast_arrays(origins, directions)
+    given = start, to, np.broadcast_to(reach, start.shape[:1])
+    start, to, far = (np.array(x, np.float32, order="C") for x in given)
+    return start, to, far
 
 
 def _library() -> tuple[Any, Any]:

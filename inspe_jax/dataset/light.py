@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from scipy.special import ndtri
 
 from inspe_jax.sensing.conditions import Conditions
 
@@ -89,8 +90,14 @@ def developed(
     """What a camera makes of light: noise, gain, highlights that roll off, and sRGB's curve."""
     value = np.maximum(np.asarray(linear, np.float32), 0.0)
     deviation = np.sqrt(light.read**2 + light.shot**2 / light.gain * value)
-    value = (value + deviation * rng.standard_normal(value.shape, np.float32)) * light.gain
-    return _CURVE[np.clip(value * (_FINE / WHITE), 0, _FINE).astype(np.int32)]
+    value = (value + deviation * _normal(value.shape, rng)) * light.gain
+    step = np.clip(value * (_FINE / WHITE), 0, _FINE).astype(np.int16)
+    return np.take(_CURVE, step, mode="clip")  # clipped already: the faster way
+
+
+def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "..."]:
+    """Standard normal numbers of 65 536 values, each as likely: many, and soon."""
+    return np.take(_QUANTILES, rng.integers(0, 2**16, shape, np.uint16))
 
 
 def _curve() -> UInt8[np.ndarray, " N"]:
@@ -105,3 +112,4 @@ WHITE = 2.5
 """Brightness that is white in an image, after the gain."""
 _FINE = 2**14
 _CURVE = _curve()
+_QUANTILES = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)

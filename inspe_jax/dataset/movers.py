@@ -73,7 +73,7 @@ def _phase(thing: Thing) -> float:
 def paints(things: tuple[Thing, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
     """Linear albedo of every part of every thing, which keeps its paint."""
     each = [_paint(thing.kind, thing.track, seed) for thing in things]
-    return np.array(each).reshape(-1, len(PARTS), 3)
+    return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
 
 
 @cache

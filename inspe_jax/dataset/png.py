@@ -1,9 +1,10 @@
 """Pictures on disk: colour, depth, instance and semantic, each a PNG.
 
-Compression is at a fixed level, so that the same picture gives the same bytes.
+Compression is fixed, so that the same picture gives the same bytes.
 """
 
 import os
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from PIL import Image as Pillow
 from inspe_jax.errors import InspeError
 from inspe_jax.files import check_input, whole_file
 
-LEVEL = 1
-"""zlib's level: flat shading compresses well at any, and noise at none; this is the fastest."""
+COMPRESSION = {"compress_level": 1, "compress_type": zlib.Z_RLE}
+"""What repeats in pictures is runs of a value, and noise does not: looking for longer repeats takes
+half as long again, and saves nothing."""
 
 DEPTH_UNIT = 0.01
 """A step of a depth picture [m]."""
@@ -68,7 +70,7 @@ def read_semantic(path: Path) -> UInt8[np.ndarray, "H W"]:
 
 def _write(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     with whole_file(path) as f:
-        Pillow.fromarray(np.ascontiguousarray(pixels)).save(f, "PNG", compress_level=LEVEL)
+        Pillow.fromarray(np.ascontiguousarray(pixels)).save(f, "PNG", **COMPRESSION)
 
 
 def _read(path: Path, mode: str | None) -> np.ndarray:

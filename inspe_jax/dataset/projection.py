@@ -1,15 +1,19 @@
 """Boxes as a camera sees them: the edges that fall on its picture."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
 
-from inspe_jax.dataset.record import Image, Thing
+from inspe_jax.dataset.record import Thing
 from inspe_jax.geometry import rotation
 
 NEAR = 0.1
 """Edges are cut where they come nearer to the plane of the camera than this [m]."""
+TOUCHING = 0.01
+"""As near as that a road user is looked for [m]."""
 
 _SIGNS = np.array([[x, y, z] for z in (-1, 1) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
 _BOTTOM = [(0, 1), (1, 2), (2, 3), (3, 0)]
@@ -27,7 +31,21 @@ def corners(things: Sequence[Thing]) -> Float[np.ndarray, "B 8 3"]:
     return found
 
 
-def pixels(image: Image, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+class Pinhole(Protocol):
+    """Where a camera is, and how it sees: an :class:`~inspe_jax.dataset.record.Image`, say."""
+
+    @property
+    def pose(self) -> Float[np.ndarray, "6"]:
+        """Its pose in the world."""
+        ...
+
+    @property
+    def intrinsic(self) -> Float[np.ndarray, "3 3"]:
+        """Its calibration in pixels."""
+        ...
+
+
+def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Points of the world on a picture: column, row and depth, in pixels and metres.
 
     (0, 0) is the outer corner of the first pixel. What is behind the camera has no place there:
@@ -41,22 +59,47 @@ def pixels(image: Image, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray,
 
 
 def box_lines(
-    image: Image, things: Sequence[Thing], width: int, height: int
+    image: Pinhole, things: Sequence[Thing], width: int, height: int
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
     """Edges of boxes, each cut to what is on a picture: (column, row) of their ends, and whose.
 
     A box that is behind the camera, or beside the picture, has none.
     """
-    pose = np.asarray(image.pose, float)
-    ends = corners(things)[:, EDGES].reshape(-1, 2, 3)
-    owner = np.repeat(np.arange(len(things)), len(EDGES))
-    depth = (ends - pose[:3]) @ rotation(pose[3:], np)[:, 0]  # (M, 2)
-    ends, owner = _cut(ends, owner, depth - NEAR)
-    lines = pixels(image, ends)[..., :2]
+    lines, owner = _in_front(image, corners(things), NEAR)
     for axis, most in ((0, width), (1, height)):
         lines, owner = _cut(lines, owner, lines[..., axis])
         lines, owner = _cut(lines, owner, most - lines[..., axis])
     return lines, owner
+
+
+def outlines(
+    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], width: int, height: int, margin: float = 0.0
+) -> list[Float[np.ndarray, "N 2"]]:
+    """What boxes cover of a picture, as polygons of (column, row), each ``margin`` pixels wider.
+
+    ``boxes`` are as of :func:`corners`. Those behind the camera or beside the picture have none.
+    """
+    lines, owner = _in_front(image, boxes, TOUCHING)
+    _, own = np.unique(np.repeat(owner, 2), return_inverse=True)
+    hulls = shapely.convex_hull(shapely.multipoints(lines.reshape(-1, 2), indices=own))
+    cut = shapely.clip_by_rect(shapely.buffer(hulls, margin, quad_segs=1), 0, 0, width, height)
+    return [
+        np.asarray(shape.exterior.coords)
+        for shape in cut
+        if shape.geom_type == "Polygon" and not shape.is_empty
+    ]
+
+
+def _in_front(
+    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], near: float
+) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
+    """Edges of boxes on a picture's plane, cut where they come nearer than ``near`` [m]; whose."""
+    pose = np.asarray(image.pose, float)
+    ends = boxes[:, EDGES].reshape(-1, 2, 3)
+    owner = np.repeat(np.arange(len(boxes)), len(EDGES))
+    depth = (ends - pose[:3]) @ rotation(pose[3:], np)[:, 0]  # (M, 2)
+    ends, owner = _cut(ends, owner, depth - near)
+    return pixels(image, ends)[..., :2], owner
 
 
 def _cut(

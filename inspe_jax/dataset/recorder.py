@@ -13,6 +13,7 @@ from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.lidar import Lidar, LidarNoise
 from inspe_jax.dataset.movers import Company, things_of
 from inspe_jax.dataset.record import Frame, Image, Scan, Station
+from inspe_jax.dataset.shading import Shading
 from inspe_jax.dataset.statics import build_statics
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
@@ -108,10 +109,10 @@ class EmbeddedRecorder:
         self.layout = layout
         self.statics = build_statics(scene.intersection, scene.voxels.radius, _masts(layout, poses))
         self.still = Caster(self.statics.triangles)
+        shading = Shading(conditions, self.statics.poles - self.statics.center)
+        scale = self.recording.image_scale
         self.sensors: list[Camera | Lidar] = [
-            Camera(
-                sensor.spec, pose, self.statics, self.still, conditions, self.recording.image_scale
-            )
+            Camera(sensor.spec, pose, self.statics, self.still, shading, scale)
             if isinstance(sensor.spec, CameraSpec)
             else Lidar(sensor.spec, pose, self.statics, self.still)
             for sensor, pose in zip(layout.sensors, poses, strict=True)

@@ -103,6 +103,27 @@ def test_returns_are_what_rays_and_triangles_say(scene, corners):
     assert (thing >= 0).sum() > 20
 
 
+def test_no_ray_slips_through_between_two_faces():
+    """Rays at the very edges that faces of a thin tube share end at its near side."""
+    rng = np.random.default_rng(0)
+    turn = np.arange(8) * np.pi / 4
+    ring = np.array([-10.3, -10.3]) + 0.08 * np.column_stack([np.cos(turn), np.sin(turn)])
+    low, high = (np.column_stack([ring, np.full(8, z)]) for z in (0.0, 6.0))
+    sides = zip(low, np.roll(low, -1, 0), np.roll(high, -1, 0), high, strict=True)
+    caster = Caster(
+        np.array([[x, *y] for a, b, c, d in sides for x, y in ((a, (b, c)), (a, (c, d)))])
+    )
+    corner, share = rng.integers(8, size=20_000), rng.uniform(0.01, 0.99, (20_000, 1))
+    other = (corner + rng.integers(2, size=20_000)) % 8  # an upright edge or a face's diagonal
+    at = (1 - share) * low[corner] + share * high[other]
+    origins = rng.uniform([5, 5, 4], [30, 30, 9], (20_000, 3))
+    far = np.linalg.norm(at - origins, axis=1)
+    facing = ((at - origins)[:, :2] * (at[:, :2] + 10.3)).sum(1) < -0.05 * far
+    hits = caster.cast(origins, (at - origins) / far[:, None], 1e3)
+    assert facing.sum() > 3000
+    assert np.abs(hits.distance - far)[facing].max() < 0.02  # the far side is 0.1 m further
+
+
 def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]

@@ -75,7 +75,8 @@ class Cells:
 
     def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
         self.reach, self.size = reach, int(2 * reach)
-        pixels = np.flatnonzero(lit & (np.abs(point[:, :2]) < reach).all(1))
+        x, y = np.abs(point[:, :2].T)
+        pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
         cell = np.floor(point[pixels, :2] + reach).astype(int)
         number = cell[:, 1] * self.size + cell[:, 0]
         order = np.argsort(number, kind="stable")
@@ -144,7 +145,7 @@ class Camera:
         other = self.shading.other(point, hits.normal, albedo)
         other[~met] = self.shading.sky(self.directions[~met])
         direct = self.shading.sunlight(hits.normal, albedo)
-        in_sun = direct.max(1) > 0
+        in_sun = direct[:, 0] > 0
         shaded = np.flatnonzero(in_sun)
         shaded = shaded[self._dark(self.still_caster, point[shaded], hits.normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
@@ -212,9 +213,7 @@ class Camera:
     def _moment(self, company: Company, painted: np.ndarray, after: float) -> Seen:
         """What road users change at one moment."""
         movers, caster = company.at(after)
-        boxes = corners(company.things)
-        for box, thing in zip(boxes, company.things, strict=True):
-            box += after * thing.velocity
+        boxes = corners(company.things) + after * company.velocity[:, None]
         pixels = self._may_see(boxes)
         reach = np.minimum(self.ground.distance[pixels], FAR)
         hits = caster.cast(self.origin, self.directions[pixels], reach)
@@ -251,7 +250,7 @@ class Camera:
         colour = shading.other(point, normal, albedo)
         if self.light.has_sun:
             direct = shading.sunlight(normal, albedo)
-            lit = np.flatnonzero(direct.max(1) > 0)
+            lit = np.flatnonzero(direct[:, 0] > 0)
             for one in (caster, self.still_caster):
                 lit = lit[~self._dark(one, point[lit], normal[lit])]
             colour[lit] += direct[lit]

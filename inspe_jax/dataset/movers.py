@@ -1,6 +1,6 @@
 """Who moves: the road users of a frame as things with names, and as triangles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -45,16 +45,13 @@ def _variant(kind: str, track: int, seed: int) -> int:
     return int(np.random.default_rng([seed, track, 1]).integers(len(VARIANTS[kind])))
 
 
-def pose_things(
-    things: tuple[Thing, ...], center: Float[np.ndarray, "3"], after: float = 0.0
-) -> Movers:
-    """Things as triangles, ``after`` seconds from where the frame has them: each goes on as its
-    velocity says."""
+def pose_things(things: tuple[Thing, ...], center: Float[np.ndarray, "3"]) -> Movers:
+    """Things as triangles, where the frame has them."""
     found, owner, part = [np.zeros((0, 3, 3))], [], []
     for k, thing in enumerate(things):
         shape = shape_of(thing.kind, VARIANTS[thing.kind].index(thing.name), _phase(thing))
         turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
-        at = thing.center - center + after * thing.velocity
+        at = thing.center - center
         found.append(((shape.vertices * thing.size) @ turn.T + at)[shape.faces])
         owner.append(np.full(len(shape.faces), k))
         part.append(shape.part)
@@ -85,12 +82,16 @@ class Company:
     """Everybody in one frame, ready to be met by rays at any moment about it."""
 
     def __init__(self, things: tuple[Thing, ...], center: Float[np.ndarray, "3"]) -> None:
-        self.things, self.center = things, center
+        self.things = things
+        self.velocity = np.array([thing.velocity for thing in things], float).reshape(-1, 3)
+        self._now = pose_things(things, center)
         self._at: dict[float, tuple[Movers, Caster]] = {}
 
     def at(self, after: float) -> tuple[Movers, Caster]:
-        """Where they are ``after`` seconds from the frame's time."""
+        """Where they are ``after`` seconds from the frame's time: each goes on as its velocity
+        says."""
         if after not in self._at:
-            movers = pose_things(self.things, self.center, after)
+            way = after * self.velocity[self._now.thing]
+            movers = replace(self._now, triangles=self._now.triangles + way[:, None])
             self._at[after] = movers, Caster(movers.triangles)
         return self._at[after]

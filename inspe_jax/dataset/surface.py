@@ -53,17 +53,18 @@ class Surface:
 
     def label(self, xy: Float[np.ndarray, "R 2"]) -> Int[np.ndarray, " R"]:
         """The label at points: a region, :data:`PAINT`, or :data:`GRASS` beyond the raster too."""
-        at = np.floor((xy - self.corner) / CELL).astype(int)
-        inside = ((at >= 0) & (at < len(self.labels))).all(1)
-        at = np.where(inside[:, None], at, 0)
-        return np.where(inside, self.labels[at[:, 1], at[:, 0]], GRASS)
+        x, y = np.floor((xy - self.corner).T / CELL).astype(int)
+        size = len(self.labels)
+        inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
+        return np.where(inside, self.labels[np.where(inside, y, 0), np.where(inside, x, 0)], GRASS)
 
     def albedo(self, xy: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, "R 3"]:
         """Linear colour at points."""
         label = self.label(xy)
         grain = 0.5 * noise(xy / 0.07) + 0.3 * noise(xy / 0.6) + 0.2 * noise(xy / 5.0)
         colour = ALBEDO[label] * (1 + ROUGH[label] * 2 * (grain - 0.5))[:, None]
-        slabs = (np.abs(xy % 1.2 - 0.6) > 0.575).any(1) & (label == Region.SIDEWALK)
+        x, y = np.abs(xy.T % 1.2 - 0.6)
+        slabs = ((x > 0.575) | (y > 0.575)) & (label == Region.SIDEWALK)
         return np.where(slabs[:, None], 0.6 * colour, colour)
 
 
@@ -134,15 +135,12 @@ def _lines(intersection: Intersection) -> list[BaseGeometry]:
 def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
     """Smooth noise of 0 … 1 that is always the same at the same point: random values on a lattice
     of edge 1, blended between."""
-    cell = np.floor(at).astype(np.int64)
-    part = at - cell
-    part = part * part * (3 - 2 * part)
-    value = np.zeros(len(at))
-    for i in (0, 1):
-        for j in (0, 1):
-            weight = np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1])
-            value += weight * _hashed(cell[:, 0] + i, cell[:, 1] + j)
-    return value
+    cell = np.floor(at.T)
+    x, y = cell.astype(np.int64)
+    part = (at.T - cell).astype(np.float32)
+    east, north = part * part * (3 - 2 * part)
+    south, far = ((1 - east) * _hashed(x, row) + east * _hashed(x + 1, row) for row in (y, y + 1))
+    return south + north * (far - south)
 
 
 def _hashed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -150,4 +148,4 @@ def _hashed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     mixed = x.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= y.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
-    return ((mixed ^ (mixed >> np.uint64(32))) >> np.uint64(40)).astype(float) / 2.0**24
+    return ((mixed ^ (mixed >> np.uint64(32))) >> np.uint64(40)).astype(np.float32) / 2**24

@@ -76,7 +76,7 @@ def scan(pose, rng):
 
 
 @contextmanager
-def recorder_of(backend, scene, layout, conditions, recording, seed):
+def recorder_of(backend, scene, layout, conditions, recording, seed, server=None):
     if layout.name == "unheard of":
         raise InspeError("recording needs embreex, which is not installed")
     yield Recorder(scene, layout, recording, seed)

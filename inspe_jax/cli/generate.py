@@ -30,6 +30,14 @@ def generate(
     workers: Annotated[
         int | None, typer.Option(help="Processes; one a core if not given, and one with carla.")
     ] = None,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            "--server",
+            metavar="HOST:PORT",
+            help="Where CARLA listens, with --backend carla; 127.0.0.1:2000 if not given.",
+        ),
+    ] = None,
     files: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the map that a data_protocol.yaml names."),
@@ -64,18 +72,21 @@ def generate(
 
     - `inspe generate study.yaml --out set --dry-run`
     - `inspe generate study.yaml --out set --workers 8`
+    - `inspe generate towns.yaml --out towns --backend carla --server 192.168.0.7:2000`
     - `inspe generate set/train/SCENARIO/data_protocol.yaml --out again`
     """
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
-    from inspe_jax.dataset.recorder import check_backend
+    from inspe_jax.dataset.recorder import Server, check_backend, server_of
     from inspe_jax.placement.result import check_folder
 
     check_folder(folder)
     if backend is not None:
         check_backend(backend)
+    server = None if address is None else Server.of(address)
     with busy(f"reading {source}"):
         generation = load_generation(source, files)
+    server_of(backend or generation.backend, server)
     note(generation.notes)
     if dry_run:
         each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
@@ -88,7 +99,7 @@ def generate(
         return
     try:
         with progress("frames") as report:
-            made = run(generation, folder, backend, workers=workers, progress=report)
+            made = run(generation, folder, backend, workers=workers, server=server, progress=report)
     except KeyboardInterrupt:
         err.print("stopped; the same command goes on from here", soft_wrap=True)
         raise typer.Exit(130) from None

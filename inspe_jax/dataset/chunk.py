@@ -15,7 +15,7 @@ from inspe_jax.dataset.opv2v import PROTOCOL, write_frame, write_protocol
 from inspe_jax.dataset.opv2v_reader import agent_ids
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.dataset.recorder import Recorder, recorder_of
+from inspe_jax.dataset.recorder import Recorder, Server, recorder_of
 from inspe_jax.files import parse_yaml
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import layout_text, parse_layout
@@ -32,7 +32,7 @@ class Chunk:
     """Frames ``first`` to ``last`` of a scenario that is written in ``folder``.
 
     ``left`` of them were not there when it was sent. Only one process at a time writes a chunk:
-    it holds the file ``lock``.
+    it holds the file ``lock``. ``server`` is where the backend records, if it needs one.
     """
 
     plan: ScenarioPlan
@@ -42,6 +42,7 @@ class Chunk:
     first: int
     last: int
     left: int
+    server: Server | None = None
 
     @property
     def key(self) -> str:
@@ -95,7 +96,7 @@ class _Desk:
             content = {"name": source.name, **parse_yaml(text, source.name)}
             layout = parse_layout(content, source.name, source.name, scene)
             self.protocol = protocol_of(plan, content, chunk.backend)
-            given = (scene, layout, plan.conditions, plan.recording, plan.seed)
+            given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
             self.left = ExitStack()
             self.recorder = self.left.enter_context(recorder_of(chunk.backend, *given))
         except Exception as e:

@@ -370,6 +370,7 @@ def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
     [
         (dict(workers=0), "workers 0: 1 or more"),
         (dict(backend="carla", workers=2), "workers 2: 1 with backend carla"),
+        (dict(server=dataset.Server("sim")), "server sim:2000: goes with backend carla, and this"),
         (dict(backend="carl"), "backend 'carl': one of embedded, carla; did you mean carla"),
         (dict(folder="no/such"), "no/such: no such folder: no"),
         (dict(folder="study.yaml"), "study.yaml: is a file; name a folder"),
@@ -422,9 +423,9 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     told = []
 
     @contextmanager
-    def recorder_of(backend, scene, layout, conditions, recording, seed):
+    def recorder_of(backend, scene, layout, conditions, *given):
         told.append(("open", conditions.light))
-        with made_up.recorder_of(backend, scene, layout, conditions, recording, seed) as found:
+        with made_up.recorder_of(backend, scene, layout, conditions, *given) as found:
             yield found
         told.append(("close", conditions.light))
 

@@ -30,6 +30,7 @@ class Recorder:
 
     def __init__(self, scene, layout, recording, seed):
         self.scene, self.layout, self.recording, self.seed = scene, layout, recording, seed
+        self.notes = tuple(sorted({f"{s.spec.kind}: made up" for s in layout.sensors}))
 
     def frame(self, t):
         if self.layout.name == "broken" and t == 13:

@@ -3,6 +3,7 @@
 Imports stay inside the command, as of Dask.
 """
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -65,8 +66,9 @@ def generate(
 
     Into --out go train, validate and test with a folder for each scenario, which appears when it
     is whole. A run that was stopped or killed goes on when the same command is given again, to
-    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more. Where
-    scenarios cannot be made, the others are, and the exit status is 1.
+    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more; what
+    could not be recorded as asked is noted in it, and at the end. Where scenarios cannot be made,
+    the others are, and the exit status is 1.
 
     Examples:
 
@@ -111,6 +113,8 @@ def generate(
         soft_wrap=True,
     )
     out.print(f"wrote {made.folder}", highlight=False, soft_wrap=True)
+    counts = Counter(words for notes in made.notes.values() for words in notes)
+    note(f"{words} ({_counted(count, 'scenario')})" for words, count in counts.items())
     failures = list(made.failures.items())
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:

@@ -64,12 +64,13 @@ class Chunk:
 class Outcome:
     """What became of a chunk: ``error`` if it cannot be made, ``fault`` if it cannot be written.
 
-    ``full``: since there is no room.
+    ``full``: since there is no room. ``notes`` tell what its recorder cannot do as asked.
     """
 
     error: str = ""
     fault: str = ""
     full: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -79,6 +80,7 @@ class _Desk:
     of: str = ""
     recorder: Recorder | None = None
     protocol: dict[str, Any] | None = None
+    notes: tuple[str, ...] = ()
     error: str = ""
     left: ExitStack | None = None
     closing: bool = False
@@ -95,17 +97,19 @@ class _Desk:
             text = source.text or layout_text(placed(source, scene))
             content = {"name": source.name, **parse_yaml(text, source.name)}
             layout = parse_layout(content, source.name, source.name, scene)
-            self.protocol = protocol_of(plan, content, chunk.backend)
             given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
             self.left = ExitStack()
             self.recorder = self.left.enter_context(recorder_of(chunk.backend, *given))
+            self.notes = getattr(self.recorder, "notes", ())
+            self.protocol = protocol_of(plan, content, chunk.backend, self.notes)
         except Exception as e:
             self.error = told(e)
 
     def clear(self) -> None:
         """Close the recorder."""
         left = self.left
-        self.of, self.recorder, self.protocol, self.error, self.left = "", None, None, "", None
+        self.of, self.recorder, self.protocol, self.notes = "", None, None, ()
+        self.error, self.left = "", None
         if left is not None:
             left.close()
 
@@ -129,6 +133,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     """
     if isinstance(scene, str):
         return Outcome(error=scene)
+    notes: tuple[str, ...] = ()
     try:
         with FileLock(chunk.lock):
             for t in _left(chunk):
@@ -138,6 +143,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                     _desk.set(scene, chunk)
                     if _desk.error:
                         return Outcome(error=_desk.error)
+                    notes = _desk.notes
                     try:
                         frame = replace(_desk.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
@@ -150,7 +156,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
         if fault is None:
             return Outcome(error=told(e))
         return Outcome(fault=told(e), full=fault.errno in FULL)
-    return Outcome()
+    return Outcome(notes=notes)
 
 
 def close() -> None:

@@ -28,7 +28,8 @@ class Made:
 
     ``scenarios`` and ``frames`` that are there now, and the ``size`` of all files [bytes];
     ``recorded`` frames of this run and the ``seconds`` it took; ``failures``, what is wrong with
-    each scenario that could not be made, by name.
+    each scenario that could not be made, by name; ``notes``, what of each scenario could not be
+    recorded as asked, of those recorded in this run.
     """
 
     folder: Path
@@ -38,6 +39,7 @@ class Made:
     recorded: int
     seconds: float
     failures: dict[str, str]
+    notes: dict[str, tuple[str, ...]]
 
 
 def generate(
@@ -70,7 +72,7 @@ def generate(
     try:
         with Making(generation, folder, backend) as making:
             had = making.frames
-            failures = _record(making, generation, backend, workers, server, progress)
+            failures, notes = _record(making, generation, backend, workers, server, progress)
             if not failures:
                 making.clear()
             placed = [plan.frames for plan in generation.scenarios if making.place(plan).exists()]
@@ -82,6 +84,7 @@ def generate(
                 recorded=making.frames - had,
                 seconds=time.monotonic() - began,
                 failures=failures,
+                notes=notes,
             )
     except OSError as e:
         if e.errno not in FULL:
@@ -106,11 +109,12 @@ def _record(
     workers: int | None,
     server: Server | None,
     progress: Callable[[int, int], None] | None,
-) -> dict[str, str]:
-    """Do what is left to do; gives what is wrong with each scenario that cannot be made."""
+) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
+    """Do what is left to do; gives what is wrong with each scenario that cannot be made, and the
+    notes of those that are."""
     chunks = {plan.name: _chunks(making, plan, backend, server) for plan in generation.scenarios}
     left = {name: len(own) for name, own in chunks.items()}
-    recorded, failures = making.frames, dict[str, str]()
+    recorded, failures, notes = making.frames, dict[str, str](), dict[str, tuple[str, ...]]()
 
     def tell() -> None:
         if progress:
@@ -126,7 +130,7 @@ def _record(
             settle(plan)
     todo = [chunk for own in chunks.values() for chunk in own]
     if not todo:
-        return failures
+        return failures, notes
     if server is not None:
         server.reach()  # or every scenario would fail by itself
     with dask().client(None, workers) as client:
@@ -141,12 +145,15 @@ def _record(
                     failures.setdefault(plan.name, outcome.error)
                 else:
                     recorded += chunk.left
+                    if outcome.notes:
+                        notes[plan.name] = outcome.notes
                 settle(plan)
                 tell()
         finally:
             with suppress(Exception):
                 client.run(close, on_error="ignore")
-    return failures
+    made = [plan.name for plan in generation.scenarios if plan.name not in failures]
+    return failures, {name: notes[name] for name in made if name in notes}
 
 
 def _chunks(making: Making, plan: ScenarioPlan, backend: str, server: Server | None) -> list[Chunk]:

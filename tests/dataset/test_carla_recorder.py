@@ -330,6 +330,16 @@ def test_a_set_is_generated_at_a_server_that_it_does_not_tell(generated):
         assert not re.search(rf"{port}|localhost", file.read_text())
 
 
+def test_what_carla_cannot_record_as_asked_is_told_and_kept(generated):
+    study, folder, _, words = generated
+    (scenario,) = dataset.open(folder).scenarios
+    (kept,) = scenario.protocol["notes"]
+    assert kept.startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced")
+    assert f"Note: {kept} (1 scenario)" in words
+    again = dataset.load_generation(scenario.path / "data_protocol.yaml", study.parent)
+    assert (again.backend, again.notes) == ("carla", ())
+
+
 def test_what_is_left_of_a_set_needs_a_server_at_any_address(generated, tmp_path):
     """Where it was is no part of the set: only that nobody is there now is wrong."""
     study, made, port, _ = generated

@@ -130,6 +130,10 @@ def undisturbed(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
     assert told == sorted(told)
     assert (made.scenarios, made.frames, made.recorded) == (8, 8 * FRAMES, 8 * FRAMES)
     assert not made.failures
+    assert {name: len(notes) for name, notes in made.notes.items()} == {
+        plan.name: 2 if plan.layout.name == "two masts" else 1
+        for plan in load_generation(path).scenarios
+    }
     assert made.size == sum(
         path.stat().st_size / path.stat().st_nlink
         for path in (folder / "out").rglob("*/*/*")
@@ -156,6 +160,7 @@ def test_every_scenario_is_valid_and_in_its_split(undisturbed):
         assert told["world"]["weather"] == plan.conditions.record
         assert told["world"]["seed"] == plan.settings["seed"]
         assert told["tags"] == {"kind": "four-way"}
+        assert told["notes"][-1] == "lidar: made up"
         assert told["stations"][-1] == ("north-east" if len(scenario.agents) == 2 else "centre")
 
 
@@ -200,6 +205,11 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     assert process.returncode == 0, err
     assert f"8 scenarios, {8 * FRAMES} frames, " in words
     assert "s a frame" in words
+    notes = [line for line in err.splitlines() if line.startswith("Note: ")]
+    assert notes == [
+        "Note: camera: made up (4 scenarios)",
+        "Note: lidar: made up (8 scenarios)",
+    ]
     assert len([*pids.iterdir()]) == 2  # another took its place
     assert content(out) == files
 
@@ -331,6 +341,7 @@ def test_a_scenario_is_made_again_from_its_protocol(undisturbed, tmp_path):
     out = tmp_path / "out"
     made = generate(load_generation(tmp_path / "data_protocol.yaml"), out, workers=1)
     assert (made.scenarios, made.frames) == (1, FRAMES)
+    assert [*made.notes.values()] == [("lidar: made up",)]
     check_scenario(out / place)
     again = content(out)
     del again["generation.yaml"]
@@ -435,8 +446,9 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     for number, (plan, first) in enumerate(((day, 0), (day, 10), (night, 0))):
         given = tmp_path / plan.name, tmp_path / f"lock {number}", first, first + 1, 2
         todo = chunk.Chunk(plan, "embedded", *given)
-        for _ in range(2):  # the second time there is nothing to do
-            assert chunk.work(chunk.build(todo), todo) == chunk.Outcome()
+        found = [chunk.work(chunk.build(todo), todo) for _ in range(2)]
+        assert found[0] == chunk.Outcome(notes=("camera: made up", "lidar: made up"))
+        assert found[1] == chunk.Outcome()  # there was nothing to do
     chunk.close()
     opened = [(word, light) for light in ("midday", "night") for word in ("open", "close")]
     assert told == opened

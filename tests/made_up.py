@@ -88,6 +88,7 @@ def work(scene, todo):
     chunk.recorder_of = recorder_of
     if PIDS in os.environ:
         (Path(os.environ[PIDS]) / str(os.getpid())).touch()
+    files.os = os
     if ROOM in os.environ:
         files.os = SimpleNamespace(**{**vars(os), "replace": short_of_room(todo)})
     return _work(scene, todo)

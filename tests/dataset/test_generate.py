@@ -58,6 +58,25 @@ def _made_up():
     back()
 
 
+@pytest.fixture
+def at_home(monkeypatch):
+    """One worker in this process, which need not import anything first.
+
+    For tests to which it is all the same; `undisturbed` and the slow ones have processes.
+    """
+    from distributed import Client, LocalCluster
+
+    @contextmanager
+    def client(scheduler, workers):
+        monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+        given = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
+        with LocalCluster(**given, memory_limit=None) as cluster, Client(cluster) as here:
+            yield here
+
+    monkeypatch.setattr("inspe_jax.files.os", os)
+    monkeypatch.setattr("inspe_jax.study.cluster.client", client)
+
+
 def write(folder: Path, **changes) -> Path:
     (folder / "two.yaml").write_text(LAYOUT)
     path = folder / "study.yaml"
@@ -177,7 +196,7 @@ def test_noise_differs_and_traffic_does_not(undisturbed):
     assert len({points for _, points in each.values()}) == 4
 
 
-def test_what_is_there_is_not_made_again(undisturbed, tmp_path):
+def test_what_is_there_is_not_made_again(undisturbed, at_home, tmp_path):
     """Nor is a worker started; what was taken away is made again."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -246,7 +265,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     assert there.items() <= files.items()
 
 
-def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
+def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
     """What is there is whole; and with room again, the set is what it would have been."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -331,7 +350,7 @@ def test_scenarios_that_cannot_be_made(tmp_path, monkeypatch):
     assert_whole(tmp_path / "out")
 
 
-def test_a_scenario_is_made_again_from_its_protocol(undisturbed, tmp_path):
+def test_a_scenario_is_made_again_from_its_protocol(undisturbed, at_home, tmp_path):
     """To the same bytes: from this file alone, and at another place."""
     path, files = undisturbed
     plan = load_generation(path).scenarios[2]
@@ -413,7 +432,7 @@ def test_workers_need_dask(tmp_path, monkeypatch):
         generate(load_generation(write(tmp_path)), tmp_path / "out")
 
 
-def test_the_embedded_backend(tmp_path, the_real_one):
+def test_the_embedded_backend(tmp_path, at_home, the_real_one):
     """The recorder that the package has, and the validator."""
     the_real_one()
     path = write(

@@ -1,17 +1,17 @@
 """Clients that record at the wire-level CARLA server, and what they were told, written to a file.
 
 In processes of their own, as what does not fit on the wire ends the interpreter:
-`python carla_recording.py record|wait|errors|look PORT FILE`.
+`python carla_recording.py record|wait|errors PORT FILE`.
 """
 
 import json
 import signal
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from carla_look import MIDDLE, look_at
 from worlds import MAPS
 
 from inspe_jax.dataset import write_frame, write_protocol
@@ -25,16 +25,15 @@ from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 
 TOWN, JUNCTION = "Town10HD", 189
-MIDDLE = (-47.76, -20.43)
 FRAMES, RATE, SEED = 20, 10.0, 3
 RECORDING = Recording(
     rate=RATE,
     layers=("depth", "instance", "semantic"),
-    image_scale=0.25,
+    image_scale=0.15,
     noise=LidarNoise(range=0.0, lost=0.2),
 )
 RAIN = Conditions.of("dusk", "rain:10")
-LIDAR = LidarSpec("lidar", tuple(np.radians(np.linspace(-30, 2, 32)).tolist()), 720, 2 * np.pi, 60)
+LIDAR = LidarSpec("lidar", tuple(np.radians(np.linspace(-30, 2, 32)).tolist()), 360, 2 * np.pi, 60)
 CAMERA = CameraSpec("camera", 640, 480, 320 / np.tan(np.radians(45)), (320.0, 240.0), 0.1, 30.0)
 
 
@@ -130,35 +129,8 @@ def park(port: int) -> None:
     world.apply_settings(settings)
 
 
-def look_at(port: int) -> dict:
-    """How a server is left."""
-    import carla
-
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(10)
-    world = client.get_world()
-    settings, weather = world.get_settings(), world.get_weather()
-    here = carla.Location(MIDDLE[0], -MIDDLE[1], 30)
-    below = world.project_point(here, carla.Vector3D(0, 0, -1), 50)
-    until = time.monotonic() + 5
-    while not len(world.get_actors()) and time.monotonic() < until:
-        time.sleep(0.02)  # where time stands still the first snapshot may yet be on its way
-    actors = sorted(actor.type_id for actor in world.get_actors())
-    return {
-        "map": world.get_map().name.rpartition("/")[2],
-        "settings": [settings.synchronous_mode, settings.fixed_delta_seconds],
-        "weather": [weather.precipitation, weather.sun_altitude_angle],
-        "actors": actors,
-        "below": str(below.label),
-    }
-
-
-def look(port: int, file: Path) -> None:
-    file.write_text(json.dumps(look_at(port)))
-
-
 if __name__ == "__main__":
     # Where tests run in the background, shells have Ctrl-C ignored, and processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    tasks = {"record": record, "wait": wait, "errors": errors, "look": look}
+    tasks = {"record": record, "wait": wait, "errors": errors}
     tasks[sys.argv[1]](int(sys.argv[2]), Path(sys.argv[3]), *sys.argv[4:])

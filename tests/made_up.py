@@ -30,6 +30,7 @@ class Recorder:
 
     def __init__(self, scene, layout, recording, seed):
         self.scene, self.layout, self.recording, self.seed = scene, layout, recording, seed
+        self.notes = tuple(sorted({f"{s.spec.kind}: made up" for s in layout.sensors}))
 
     def frame(self, t):
         if self.layout.name == "broken" and t == 13:
@@ -76,7 +77,7 @@ def scan(pose, rng):
 
 
 @contextmanager
-def recorder_of(backend, scene, layout, conditions, recording, seed):
+def recorder_of(backend, scene, layout, conditions, recording, seed, server=None):
     if layout.name == "unheard of":
         raise InspeError("recording needs embreex, which is not installed")
     yield Recorder(scene, layout, recording, seed)
@@ -87,6 +88,7 @@ def work(scene, todo):
     chunk.recorder_of = recorder_of
     if PIDS in os.environ:
         (Path(os.environ[PIDS]) / str(os.getpid())).touch()
+    files.os = os
     if ROOM in os.environ:
         files.os = SimpleNamespace(**{**vars(os), "replace": short_of_room(todo)})
     return _work(scene, todo)

@@ -327,6 +327,9 @@ def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
     status, words, _ = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
     assert status == 0
     assert "set: 4 scenarios (3 train, 0 validate, 1 test), 400 frames" in words
+    status, _, words = inspe("generate", "set.yaml", "--out", "set", "--dry-run", "--server", "sim")
+    assert status == 2
+    assert "server sim:2000: goes with backend carla, and this is embedded" in words
     assert not (files / "set").exists()
     (files / "dark.yaml").write_text(text % "dark")
     status, _, words = inspe("generate", "dark.yaml", "--out", "set")
@@ -398,6 +401,7 @@ BAD = [
     (("generate", "missing.yaml", "--out", "set"), "missing.yaml: no such file"),
     (("generate", "missing.yaml", "--out", "no/such"), "no/such: no such folder: no"),
     (("generate", "none.yaml", "--out", "set", "--backend", "carl"), "did you mean carla"),
+    (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),
     (("generate", "none.yaml", "--out", "set"), "none.yaml: the study is empty"),
     (("optimise", "s.npz", "--method", "adm"), "no method 'adm': adam"),
     (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),

@@ -3,6 +3,7 @@
 Imports stay inside the command, as of Dask.
 """
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,14 @@ def generate(
     ] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes; one a core if not given, and one with carla.")
+    ] = None,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            "--server",
+            metavar="HOST:PORT",
+            help="Where CARLA listens, with --backend carla; 127.0.0.1:2000 if not given.",
+        ),
     ] = None,
     files: Annotated[
         Path | None,
@@ -57,25 +66,29 @@ def generate(
 
     Into --out go train, validate and test with a folder for each scenario, which appears when it
     is whole. A run that was stopped or killed goes on when the same command is given again, to
-    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more. Where
-    scenarios cannot be made, the others are, and the exit status is 1.
+    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more; what
+    could not be recorded as asked is noted in it, and at the end. Where scenarios cannot be made,
+    the others are, and the exit status is 1.
 
     Examples:
 
     - `inspe generate study.yaml --out set --dry-run`
     - `inspe generate study.yaml --out set --workers 8`
+    - `inspe generate towns.yaml --out towns --backend carla --server 192.168.0.7:2000`
     - `inspe generate set/train/SCENARIO/data_protocol.yaml --out again`
     """
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
-    from inspe_jax.dataset.recorder import check_backend
+    from inspe_jax.dataset.recorder import Server, check_backend, server_of
     from inspe_jax.placement.result import check_folder
 
     check_folder(folder)
     if backend is not None:
         check_backend(backend)
+    server = None if address is None else Server.of(address)
     with busy(f"reading {source}"):
         generation = load_generation(source, files)
+    server_of(backend or generation.backend, server)
     note(generation.notes)
     if dry_run:
         each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
@@ -88,7 +101,7 @@ def generate(
         return
     try:
         with progress("frames") as report:
-            made = run(generation, folder, backend, workers=workers, progress=report)
+            made = run(generation, folder, backend, workers=workers, server=server, progress=report)
     except KeyboardInterrupt:
         err.print("stopped; the same command goes on from here", soft_wrap=True)
         raise typer.Exit(130) from None
@@ -100,6 +113,8 @@ def generate(
         soft_wrap=True,
     )
     out.print(f"wrote {made.folder}", highlight=False, soft_wrap=True)
+    counts = Counter(words for notes in made.notes.values() for words in notes)
+    note(f"{words} ({_counted(count, 'scenario')})" for words, count in counts.items())
     failures = list(made.failures.items())
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:

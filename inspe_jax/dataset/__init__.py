@@ -8,6 +8,7 @@ from inspe_jax.dataset.opv2v_reader import read_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
 from inspe_jax.dataset.record import Frame, Image, Scan, Station, Thing
+from inspe_jax.dataset.recorder import Server
 from inspe_jax.dataset.stats import Statistics, statistics
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "Scan",
     "Scenario",
     "ScenarioPlan",
+    "Server",
     "Station",
     "Statistics",
     "Thing",

@@ -1,7 +1,6 @@
 """A CARLA server while we record: on the right map, in step with us, and put back afterwards."""
 
 import re
-import socket
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -12,8 +11,6 @@ from inspe_jax.dataset.recorder import Server
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.scene.intersection import Intersection
 
-CONNECTING = 3.0
-"""Who listens answers within this time [s]."""
 LOADING = 180.0
 """So long may a map take to load [s]."""
 ENDING = 5.0
@@ -176,13 +173,7 @@ def session_on(server: Server, place: Intersection, rate: float, weather: Any) -
 
 def _connected(carla: Any, server: Server) -> Any:
     """A client of a server of its own version."""
-    try:
-        socket.create_connection((server.host, server.port), CONNECTING).close()
-    except OSError as error:
-        raise InspeError(
-            f"no CARLA server at {server} ({error.strerror or error}): start one, "
-            f"CarlaUE4.sh -carla-rpc-port={server.port}, or say where it is"
-        ) from error
+    server.reach()
     client = carla.Client(server.host, server.port)
     client.set_timeout(server.timeout)
     theirs, own = client.get_server_version(), client.get_client_version()

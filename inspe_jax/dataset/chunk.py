@@ -15,7 +15,7 @@ from inspe_jax.dataset.opv2v import PROTOCOL, write_frame, write_protocol
 from inspe_jax.dataset.opv2v_reader import agent_ids
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.dataset.recorder import Recorder, recorder_of
+from inspe_jax.dataset.recorder import Recorder, Server, recorder_of
 from inspe_jax.files import parse_yaml
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import layout_text, parse_layout
@@ -32,7 +32,7 @@ class Chunk:
     """Frames ``first`` to ``last`` of a scenario that is written in ``folder``.
 
     ``left`` of them were not there when it was sent. Only one process at a time writes a chunk:
-    it holds the file ``lock``.
+    it holds the file ``lock``. ``server`` is where the backend records, if it needs one.
     """
 
     plan: ScenarioPlan
@@ -42,6 +42,7 @@ class Chunk:
     first: int
     last: int
     left: int
+    server: Server | None = None
 
     @property
     def key(self) -> str:
@@ -63,12 +64,13 @@ class Chunk:
 class Outcome:
     """What became of a chunk: ``error`` if it cannot be made, ``fault`` if it cannot be written.
 
-    ``full``: since there is no room.
+    ``full``: since there is no room. ``notes`` tell what its recorder cannot do as asked.
     """
 
     error: str = ""
     fault: str = ""
     full: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -78,6 +80,7 @@ class _Desk:
     of: str = ""
     recorder: Recorder | None = None
     protocol: dict[str, Any] | None = None
+    notes: tuple[str, ...] = ()
     error: str = ""
     left: ExitStack | None = None
     closing: bool = False
@@ -94,17 +97,19 @@ class _Desk:
             text = source.text or layout_text(placed(source, scene))
             content = {"name": source.name, **parse_yaml(text, source.name)}
             layout = parse_layout(content, source.name, source.name, scene)
-            self.protocol = protocol_of(plan, content, chunk.backend)
-            given = (scene, layout, plan.conditions, plan.recording, plan.seed)
+            given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
             self.left = ExitStack()
             self.recorder = self.left.enter_context(recorder_of(chunk.backend, *given))
+            self.notes = getattr(self.recorder, "notes", ())
+            self.protocol = protocol_of(plan, content, chunk.backend, self.notes)
         except Exception as e:
             self.error = told(e)
 
     def clear(self) -> None:
         """Close the recorder."""
         left = self.left
-        self.of, self.recorder, self.protocol, self.error, self.left = "", None, None, "", None
+        self.of, self.recorder, self.protocol, self.notes = "", None, None, ()
+        self.error, self.left = "", None
         if left is not None:
             left.close()
 
@@ -128,6 +133,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     """
     if isinstance(scene, str):
         return Outcome(error=scene)
+    notes: tuple[str, ...] = ()
     try:
         with FileLock(chunk.lock):
             for t in _left(chunk):
@@ -137,6 +143,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                     _desk.set(scene, chunk)
                     if _desk.error:
                         return Outcome(error=_desk.error)
+                    notes = _desk.notes
                     try:
                         frame = replace(_desk.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
@@ -149,7 +156,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
         if fault is None:
             return Outcome(error=told(e))
         return Outcome(fault=told(e), full=fault.errno in FULL)
-    return Outcome()
+    return Outcome(notes=notes)
 
 
 def close() -> None:

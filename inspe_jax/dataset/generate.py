@@ -11,7 +11,7 @@ from pathlib import Path
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
 from inspe_jax.dataset.making import Making
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
-from inspe_jax.dataset.recorder import check_backend
+from inspe_jax.dataset.recorder import Server, check_backend, server_of
 from inspe_jax.errors import InspeError
 from inspe_jax.study.engine import dask, done
 from inspe_jax.study.work import told
@@ -28,7 +28,8 @@ class Made:
 
     ``scenarios`` and ``frames`` that are there now, and the ``size`` of all files [bytes];
     ``recorded`` frames of this run and the ``seconds`` it took; ``failures``, what is wrong with
-    each scenario that could not be made, by name.
+    each scenario that could not be made, by name; ``notes``, what of each scenario could not be
+    recorded as asked, of those recorded in this run.
     """
 
     folder: Path
@@ -38,6 +39,7 @@ class Made:
     recorded: int
     seconds: float
     failures: dict[str, str]
+    notes: dict[str, tuple[str, ...]]
 
 
 def generate(
@@ -46,28 +48,31 @@ def generate(
     backend: str | None = None,
     *,
     workers: int | None = None,
+    server: Server | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Made:
     """Make every scenario of a data set that ``folder`` does not have yet.
 
     As ``folder/SPLIT/SCENARIO``, each of which appears when it is whole. ``backend`` records:
     ``embedded`` or ``carla``; that of the generation, if not given. The work is shared out, a few
-    frames at a time, among ``workers`` processes, one a core if not given; with ``carla`` one. A
-    run that is killed is taken up again by calling it again, to the same bytes. A scenario that
-    cannot be made is told in ``failures``, while the others are. ``progress`` is called with
-    (frames done, frames).
+    frames at a time, among ``workers`` processes, one a core if not given; with ``carla`` one,
+    which records at ``server``, CARLA's usual address if not given. A run that is killed is taken
+    up again by calling it again, to the same bytes. A scenario that cannot be made is told in
+    ``failures``, while the others are. ``progress`` is called with (frames done, frames).
 
     Scripts that call this need the usual ``if __name__ == "__main__":``, as workers are processes
-    of their own. Raises InspeError where Dask is missing, the disk is full or cannot be written
-    to, or the folder has anything else in it; what is there is valid, and can be gone on from.
+    of their own. Raises InspeError where Dask is missing, no server answers, the disk is full or
+    cannot be written to, or the folder has anything else in it; what is there is valid, and can
+    be gone on from.
     """
     began = time.monotonic()
     backend = generation.backend if backend is None else backend
     workers = _checked(backend, workers)
+    server = server_of(backend, server)
     try:
         with Making(generation, folder, backend) as making:
             had = making.frames
-            failures = _record(making, generation, backend, workers, progress)
+            failures, notes = _record(making, generation, backend, workers, server, progress)
             if not failures:
                 making.clear()
             placed = [plan.frames for plan in generation.scenarios if making.place(plan).exists()]
@@ -79,6 +84,7 @@ def generate(
                 recorded=making.frames - had,
                 seconds=time.monotonic() - began,
                 failures=failures,
+                notes=notes,
             )
     except OSError as e:
         if e.errno not in FULL:
@@ -101,12 +107,14 @@ def _record(
     generation: Generation,
     backend: str,
     workers: int | None,
+    server: Server | None,
     progress: Callable[[int, int], None] | None,
-) -> dict[str, str]:
-    """Do what is left to do; gives what is wrong with each scenario that cannot be made."""
-    chunks = {plan.name: _chunks(making, plan, backend) for plan in generation.scenarios}
+) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
+    """Do what is left to do; gives what is wrong with each scenario that cannot be made, and the
+    notes of those that are."""
+    chunks = {plan.name: _chunks(making, plan, backend, server) for plan in generation.scenarios}
     left = {name: len(own) for name, own in chunks.items()}
-    recorded, failures = making.frames, dict[str, str]()
+    recorded, failures, notes = making.frames, dict[str, str](), dict[str, tuple[str, ...]]()
 
     def tell() -> None:
         if progress:
@@ -122,7 +130,9 @@ def _record(
             settle(plan)
     todo = [chunk for own in chunks.values() for chunk in own]
     if not todo:
-        return failures
+        return failures, notes
+    if server is not None:
+        server.reach()  # or every scenario would fail by itself
     with dask().client(None, workers) as client:
         try:
             for chunk, found in done(client, todo, build, work, ahead=1):
@@ -135,23 +145,26 @@ def _record(
                     failures.setdefault(plan.name, outcome.error)
                 else:
                     recorded += chunk.left
+                    if outcome.notes:
+                        notes[plan.name] = outcome.notes
                 settle(plan)
                 tell()
         finally:
             with suppress(Exception):
                 client.run(close, on_error="ignore")
-    return failures
+    made = [plan.name for plan in generation.scenarios if plan.name not in failures]
+    return failures, {name: notes[name] for name in made if name in notes}
 
 
-def _chunks(making: Making, plan: ScenarioPlan, backend: str) -> list[Chunk]:
+def _chunks(making: Making, plan: ScenarioPlan, backend: str, server: Server | None) -> list[Chunk]:
     """Chunks of a scenario with a frame that is not there."""
     found = []
     for first in range(0, plan.frames, SIZE):
         last = min(first + SIZE, plan.frames) - 1
         left = len(set(range(first, last + 1)) - making.there[plan.name])
         if left:
-            lock = making.lock(plan, first)
-            found.append(Chunk(plan, backend, making.unfinished(plan), lock, first, last, left))
+            files = making.unfinished(plan), making.lock(plan, first)
+            found.append(Chunk(plan, backend, *files, first, last, left, server))
     return found
 
 

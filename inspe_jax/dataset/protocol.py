@@ -4,7 +4,7 @@ The layout is in it whole. A map or a saved scene is by its name and the digest 
 """
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -78,6 +78,7 @@ class _Protocol(Strict):
     tags: dict[Line, Line] = Field(default={})
     layout: dict[str, Any]
     versions: dict[str, str]
+    notes: list[str] = Field(default=[])
     stations: dict[int, str] = Field(default={})
 
 
@@ -87,8 +88,11 @@ def versions(backend: str) -> dict[str, str]:
     return optimise.versions(("jax", "numpy", "pillow", "scipy", "shapely", *own))
 
 
-def protocol_of(plan: ScenarioPlan, layout: Mapping[str, Any], backend: str) -> dict[str, Any]:
-    """What a protocol holds; ``layout`` is what a layout file would."""
+def protocol_of(
+    plan: ScenarioPlan, layout: Mapping[str, Any], backend: str, notes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What a protocol holds; ``layout`` is what a layout file would, and ``notes`` tell what could
+    not be recorded as asked."""
     source = plan.source.anywhere
     scene = {
         "name": source.name,
@@ -122,6 +126,7 @@ def protocol_of(plan: ScenarioPlan, layout: Mapping[str, Any], backend: str) -> 
         **({"tags": dict(plan.tags)} if plan.tags else {}),
         "layout": dict(layout),
         "versions": versions(backend),
+        **({"notes": list(notes)} if notes else {}),
     }
 
 

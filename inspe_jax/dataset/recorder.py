@@ -1,6 +1,7 @@
 """What the sensors of a layout record of a scene's traffic, frame by frame."""
 
 import re
+import socket
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ BELOW = 2.5
 """A mast ends so far beneath its unit's lowest sensor [m], out of the sensors' sight."""
 LAYERS = ("depth", "instance", "semantic")
 """What a camera can record beside its pictures."""
+CONNECTING = 3.0
+"""Who listens answers within this time [s]."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,16 @@ class Server:
             raise InspeError(f"port {self.port} is out of range: 1 to 65534")
         if not (np.isfinite(self.timeout) and self.timeout > 0):
             raise InspeError(f"timeout {self.timeout} s is out of range: above 0")
+
+    def reach(self) -> None:
+        """Raise InspeError where nobody listens."""
+        try:
+            socket.create_connection((self.host, self.port), CONNECTING).close()
+        except OSError as error:
+            raise InspeError(
+                f"no CARLA server at {self} ({error.strerror or error}): start one, CarlaUE4.sh "
+                f"-carla-rpc-port={self.port}, or say where it is: --server HOST:PORT"
+            ) from error
 
 
 class Recorder(Protocol):
@@ -163,6 +176,18 @@ def check_backend(backend: str) -> None:
     if backend not in BACKENDS:
         known = tuple(BACKENDS)
         raise InspeError(f"backend '{backend}': one of {', '.join(known)}{nearest(backend, known)}")
+
+
+def server_of(backend: str, server: Server | None) -> Server | None:
+    """The server that a backend records with: CARLA's usual one if none is given, or None.
+
+    Raises InspeError where one is given and the backend needs none.
+    """
+    if backend == "carla":
+        return server or Server()
+    if server is not None:
+        raise InspeError(f"server {server}: goes with backend carla, and this is {backend}")
+    return None
 
 
 def recorder_of(

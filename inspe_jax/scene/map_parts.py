@@ -1,7 +1,8 @@
 """What every reader of a map ends with: clean regions, crosswalks, mounts and ways on foot."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import shapely
@@ -10,7 +11,7 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.errors import InspeError
+from inspe_jax.errors import InspeError, nearest
 from inspe_jax.scene.intersection import (
     Arm,
     Intersection,
@@ -28,6 +29,11 @@ MARGIN = 10.0
 """A map is read this much beyond the radius [m]."""
 CLEARANCE = 2.5
 """What is higher or lower than the road by more than this is on another level [m]."""
+MOST_LISTED = 20
+"""Junctions that an error lists."""
+
+J = TypeVar("J", bound=int | str)
+"""A junction's id."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,42 @@ class JunctionInfo:
     size: float
     crosswalks: int
     signals: int
+
+
+def chosen(
+    source: str,
+    ids: Iterable[J],
+    middle_of: Callable[[J], np.ndarray],
+    junction: str | int | None,
+    center: tuple[float, float] | None,
+) -> tuple[set[J], np.ndarray, str]:
+    """Which of a map's junctions are meant, their middle (3,), and what to call the place.
+
+    The ``junction`` of an id, or all whose middle is within :data:`CLUSTER` of ``center`` (x, y).
+    Raises InspeError where not just one of the two is given, or no junction is there.
+    """
+    if (junction is None) == (center is None):
+        raise InspeError("say which place to read: either a junction id or a center (x, y)")
+    if center is None:
+        named = {str(j): j for j in ids}
+        name = str(junction)
+        if name not in named:
+            known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
+            raise InspeError(
+                f"{source}: no junction '{name}'; there are: {known or 'none'}"
+                f"{nearest(name, [*named])}"
+            )
+        return {named[name]}, middle_of(named[name]), f"junction {name}"
+    middle, where = np.array([*center, 0.0], float), f"({center[0]:g}, {center[1]:g})"
+    middles = {j: middle_of(j) for j in ids}
+    away = {j: float(distance_from(at[None], middle)[0]) for j, at in middles.items()}
+    members = {j for j, d in away.items() if d <= CLUSTER}
+    if not members:
+        closest = min(away, key=lambda j: away[j], default=None)
+        hint = "" if closest is None else f"; the nearest is {closest} at {away[closest]:.0f} m"
+        raise InspeError(f"{source}: no junction within {CLUSTER:g} m of {where}{hint}")
+    middle[2] = np.mean([middles[j][2] for j in members])
+    return members, middle, f"at {where}"
 
 
 def check_radius(radius: float) -> None:

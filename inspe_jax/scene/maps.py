@@ -1,9 +1,7 @@
 """Maps of every kind, by the file's name: OpenDRIVE, SUMO's networks, OpenStreetMap."""
 
 import os
-from pathlib import Path
 
-from inspe_jax.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.map_parts import JunctionInfo
 from inspe_jax.scene.sumo_net import NET_SUFFIXES, OSM_SUFFIXES
@@ -43,14 +41,7 @@ def read_map(
     if str(path).lower().endswith(".xodr"):
         from inspe_jax.scene.opendrive import read_opendrive
 
-        try:
-            number = None if junction is None else int(junction)
-        except ValueError:
-            raise InspeError(
-                f"{Path(path).name}: no junction '{junction}': OpenDRIVE's are numbers; "
-                "--list shows them"
-            ) from None
-        return read_opendrive(path, junction=number, center=center, radius=radius)
+        return read_opendrive(path, junction=junction, center=center, radius=radius)
     from inspe_jax.scene.sumo import read_sumo
 
     return read_sumo(path, junction=junction, center=center, radius=radius)

@@ -15,11 +15,11 @@ from inspe_jax.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.legs import SIDEWALK, TRAVEL, Leg, arms_of
 from inspe_jax.scene.map_parts import (
-    CLUSTER,
     MARGIN,
     STEP,
     JunctionInfo,
     check_radius,
+    chosen,
     clean,
     crossing_lines,
     crosswalks_of,
@@ -66,7 +66,7 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
 def read_opendrive(
     path: str | os.PathLike[str],
     *,
-    junction: int | None = None,
+    junction: str | int | None = None,
     center: tuple[float, float] | None = None,
     radius: float = 50.0,
 ) -> Intersection:
@@ -79,7 +79,9 @@ def read_opendrive(
     or is not well-formed OpenDRIVE, the junction is unknown, or no road is near.
     """
     world = load_map(path)
-    members, middle, place = _choose(world, junction, center)
+    members, middle, place = chosen(
+        world.source, world.junctions, lambda j: world.box(j)[0], junction, center
+    )
     check_radius(radius)
     interior = interior_of(world, members)
     reach = radius + MARGIN
@@ -131,31 +133,6 @@ def read_opendrive(
     poles = found.on_ground(signals) if len(signals) else signals
     foot = found.on_ground(middle[None])[0]
     return replace(found, center=foot, poles=poles, routes=tuple(routes))
-
-
-def _choose(
-    world: TownMap, junction: int | None, center: tuple[float, float] | None
-) -> tuple[set[int], np.ndarray, str]:
-    """Which junctions are meant, their middle (3,), and what to call the place."""
-    if (junction is None) == (center is None):
-        raise InspeError("say which place to read: either a junction id or a center (x, y)")
-    if junction is not None:
-        if junction not in world.junctions:
-            known = ", ".join(map(str, world.junctions)) or "none"
-            raise InspeError(f"{world.source}: no junction {junction}; there are: {known}")
-        return {junction}, world.box(junction)[0], f"junction {junction}"
-    assert center is not None
-    middle = np.array([*center, 0.0], float)
-    away = {j: float(distance_from(world.box(j)[0][None], middle)[0]) for j in world.junctions}
-    members = {j for j, d in away.items() if d <= CLUSTER}
-    if not members:
-        where = f"({center[0]:g}, {center[1]:g})"
-        nearest = min(away, key=lambda j: away[j], default=None)
-        hint = "" if nearest is None else f"; the nearest is {nearest} at {away[nearest]:.0f} m"
-        raise InspeError(
-            f"{world.source}: no roads of a junction within {CLUSTER:g} m of {where}{hint}"
-        )
-    return members, middle, f"at ({center[0]:g}, {center[1]:g})"
 
 
 def _vehicle_routes(

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.legs import CARRIAGEWAY, Leg, arms_of
 from inspe_jax.scene.map_parts import (
@@ -20,6 +21,7 @@ from inspe_jax.scene.map_parts import (
     MARGIN,
     JunctionInfo,
     check_radius,
+    chosen,
     clean,
     crossing_lines,
     crosswalks_of,
@@ -95,7 +97,8 @@ def read_sumo(
     """
     streets = streets_of(load_net(Path(path)))
     road = streets.road
-    members, middle, place = _choose(streets, junction, center)
+    nodes = [node.getID() for node in road.net.getNodes() if _is_junction(node)]
+    members, middle, place = chosen(road.source, nodes, partial(_middle, streets), junction, center)
     check_radius(radius)
     reach = radius + MARGIN
     near = [s for s in streets.strips.values() if distance_from(s.center, middle).min() <= reach]
@@ -147,37 +150,13 @@ def read_sumo(
     return replace(found, center=found.on_ground(middle[None])[0], routes=tuple(routes))
 
 
-def _choose(
-    streets: Streets, junction: str | int | None, center: tuple[float, float] | None
-) -> tuple[set[str], np.ndarray, str]:
-    """Which nodes are meant, their middle (3,), and what to call the place."""
-    if (junction is None) == (center is None):
-        raise InspeError("say which place to read: either a junction or a center (x, y)")
-    nodes = {n.getID(): n for n in streets.road.net.getNodes() if _is_junction(n)}
-    source = streets.road.source
-    if junction is not None:
-        name = str(junction)
-        if name not in nodes:
-            known = ", ".join([*nodes][:20]) + (", …" if len(nodes) > 20 else "") or "none"
-            raise InspeError(
-                f"{source}: no junction '{name}'; there are: {known}{nearest(name, [*nodes])}"
-            )
-        outline = streets.road.world(nodes[name].getShape())
-        middle = streets.node(name)
-        if len(outline) > 2:
-            middle[:2] = (outline.min(0) + outline.max(0))[:2] / 2
-        return {name}, middle, f"junction {name}"
-    assert center is not None
-    middle = np.array([*center, 0.0], float)
-    away = {n: float(distance_from(streets.node(n)[None], middle)[0]) for n in nodes}
-    members = {n for n, d in away.items() if d <= CLUSTER}
-    if not members:
-        where = f"({center[0]:g}, {center[1]:g})"
-        closest = min(away, key=lambda n: away[n], default=None)
-        hint = "" if closest is None else f"; the nearest is {closest} at {away[closest]:.0f} m"
-        raise InspeError(f"{source}: no junction within {CLUSTER:g} m of {where}{hint}")
-    middle[2] = np.mean([streets.node(n)[2] for n in members])
-    return members, middle, f"at ({center[0]:g}, {center[1]:g})"
+def _middle(streets: Streets, name: str) -> np.ndarray:
+    """That of a node's outline, or where the node is if it has none (3,)."""
+    middle = streets.node(name)
+    outline = streets.road.world(streets.road.net.getNode(name).getShape())
+    if len(outline) > 2:
+        middle[:2] = (outline.min(0) + outline.max(0))[:2] / 2
+    return middle
 
 
 def _edges_at(streets: Streets, members: set[str]) -> dict[int, Any]:

@@ -1,6 +1,8 @@
 """A data set recorded by the wire-level CARLA server, judged by its files alone."""
 
 import json
+import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -13,13 +15,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import shapely
+import yaml
 from opv2v_validator import check_set, to_world
 
 pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]")
 
+import carla_look
 import carla_recording as client
 import carla_wire
 from carla_blueprints import BLUEPRINTS
+from processes import inspe_process
 from worlds import crossing, place_sensors, world
 
 from inspe_jax import dataset
@@ -47,7 +52,11 @@ TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
 
 
 def run_client(task: str, port: int, *arguments: object) -> None:
-    ran = subprocess.run(command(task, port, *arguments), capture_output=True, text=True)
+    run(command(task, port, *arguments))
+
+
+def run(words: list[str]) -> None:
+    ran = subprocess.run(words, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
 
 
@@ -56,7 +65,7 @@ def command(task: str, port: int, *arguments: object) -> list[str]:
 
 
 def look(port: int, folder) -> dict:
-    run_client("look", port, folder / "look.json")
+    run([sys.executable, carla_look.__file__, str(port), str(folder / "look.json")])
     return json.loads((folder / "look.json").read_text())
 
 
@@ -286,6 +295,70 @@ def test_servers_that_will_not_do_are_told_plainly(maps, tmp_path):
     )
 
 
+STUDY = {
+    "scenes": [{"map": f"{client.TOWN}.xodr", "junction": client.JUNCTION, "radius": 20}],
+    "layouts": ["one.yaml"],
+    "settings": {"voxel": 2, "density": 5, "seconds": 0.2},
+    "image_scale": 0.05,
+}
+ONE = """
+name: one mast
+units:
+  - base: [-38, -11]
+    sensors:
+      - {device: velodyne-vlp-32c, height: 6, yaw_deg: 0}
+      - {device: paper-camera, height: 6, yaw_deg: -135, pitch_deg: -20}
+"""
+
+
+@pytest.fixture(scope="module")
+def generated(maps, tmp_path_factory):
+    """A study, the folder of its set, and what `inspe generate` told of it."""
+    folder = tmp_path_factory.mktemp("generated")
+    (folder / "one.yaml").write_text(ONE)
+    shutil.copy(maps / f"{client.TOWN}.xodr", folder)
+    (folder / "towns.yaml").write_text(yaml.safe_dump(STUDY))
+    with carla_wire.serving(folder / f"{client.TOWN}.xodr") as port:
+        where = ("--out", "set", "--backend", "carla", "--server", f"localhost:{port}")
+        process = inspe_process("generate", "towns.yaml", *where, cwd=folder)
+        words, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return folder / "towns.yaml", folder / "set", port, words + err
+
+
+def test_a_set_is_generated_at_a_server_that_it_does_not_tell(generated):
+    _, folder, port, words = generated
+    assert "1 scenario, 2 frames" in words
+    ((name, report),) = check_set(folder).items()
+    assert (report.agents, report.frames) == (1, 2)
+    for file in (folder / "generation.yaml", folder / name / "data_protocol.yaml"):
+        assert not re.search(rf"{port}|localhost", file.read_text())
+
+
+def test_what_carla_cannot_record_as_asked_is_told_and_kept(generated):
+    study, folder, _, words = generated
+    (scenario,) = dataset.open(folder).scenarios
+    (kept,) = scenario.protocol["notes"]
+    assert kept.startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced")
+    assert f"Note: {kept} (1 scenario)" in words
+    again = dataset.load_generation(scenario.path / "data_protocol.yaml", study.parent)
+    assert (again.backend, again.notes) == ("carla", ())
+
+
+def test_what_is_left_of_a_set_needs_a_server_at_any_address(generated, tmp_path):
+    """Where it was is no part of the set: only that nobody is there now is wrong."""
+    study, made, port, _ = generated
+    generation, out = dataset.load_generation(study), tmp_path / "set"
+    shutil.copytree(made, out)
+    given = dict(backend="carla", server=dataset.Server("127.0.0.1", port))
+    assert dataset.generate(generation, out, **given).recorded == 0
+    next(out.glob("*/*/-1/000001.yaml")).unlink()
+    with pytest.raises(InspeError) as told:
+        dataset.generate(generation, out, **given)
+    assert str(told.value).startswith(f"no CARLA server at 127.0.0.1:{port} (Connection refused)")
+    assert str(told.value).endswith("or say where it is: --server HOST:PORT")
+
+
 def test_all_is_put_back_on_ctrl_c(maps, tmp_path):
     with carla_wire.serving(maps / f"{client.TOWN}.xodr") as port:
         begun = tmp_path / "begun"
@@ -338,7 +411,7 @@ def test_uneven_channels_and_shifted_axes_are_noted():
 
 def test_a_lidar_turns_once_a_frame_with_all_its_rays():
     given = lidar_attributes(client.LIDAR, 20.0)
-    assert int(given["points_per_second"]) == 32 * 720 * 20
+    assert int(given["points_per_second"]) == 32 * 360 * 20
     assert float(given["rotation_frequency"]) == 20
     assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
     assert float(given["horizontal_fov"]) == 360

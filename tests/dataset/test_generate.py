@@ -58,6 +58,25 @@ def _made_up():
     back()
 
 
+@pytest.fixture
+def at_home(monkeypatch):
+    """One worker in this process, which need not import anything first.
+
+    For tests to which it is all the same; `undisturbed` and the slow ones have processes.
+    """
+    from distributed import Client, LocalCluster
+
+    @contextmanager
+    def client(scheduler, workers):
+        monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+        given = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
+        with LocalCluster(**given, memory_limit=None) as cluster, Client(cluster) as here:
+            yield here
+
+    monkeypatch.setattr("inspe_jax.files.os", os)
+    monkeypatch.setattr("inspe_jax.study.cluster.client", client)
+
+
 def write(folder: Path, **changes) -> Path:
     (folder / "two.yaml").write_text(LAYOUT)
     path = folder / "study.yaml"
@@ -130,6 +149,10 @@ def undisturbed(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
     assert told == sorted(told)
     assert (made.scenarios, made.frames, made.recorded) == (8, 8 * FRAMES, 8 * FRAMES)
     assert not made.failures
+    assert {name: len(notes) for name, notes in made.notes.items()} == {
+        plan.name: 2 if plan.layout.name == "two masts" else 1
+        for plan in load_generation(path).scenarios
+    }
     assert made.size == sum(
         path.stat().st_size / path.stat().st_nlink
         for path in (folder / "out").rglob("*/*/*")
@@ -156,6 +179,7 @@ def test_every_scenario_is_valid_and_in_its_split(undisturbed):
         assert told["world"]["weather"] == plan.conditions.record
         assert told["world"]["seed"] == plan.settings["seed"]
         assert told["tags"] == {"kind": "four-way"}
+        assert told["notes"][-1] == "lidar: made up"
         assert told["stations"][-1] == ("north-east" if len(scenario.agents) == 2 else "centre")
 
 
@@ -172,7 +196,7 @@ def test_noise_differs_and_traffic_does_not(undisturbed):
     assert len({points for _, points in each.values()}) == 4
 
 
-def test_what_is_there_is_not_made_again(undisturbed, tmp_path):
+def test_what_is_there_is_not_made_again(undisturbed, at_home, tmp_path):
     """Nor is a worker started; what was taken away is made again."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -200,6 +224,11 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     assert process.returncode == 0, err
     assert f"8 scenarios, {8 * FRAMES} frames, " in words
     assert "s a frame" in words
+    notes = [line for line in err.splitlines() if line.startswith("Note: ")]
+    assert notes == [
+        "Note: camera: made up (4 scenarios)",
+        "Note: lidar: made up (8 scenarios)",
+    ]
     assert len([*pids.iterdir()]) == 2  # another took its place
     assert content(out) == files
 
@@ -236,7 +265,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     assert there.items() <= files.items()
 
 
-def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
+def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
     """What is there is whole; and with room again, the set is what it would have been."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -321,7 +350,7 @@ def test_scenarios_that_cannot_be_made(tmp_path, monkeypatch):
     assert_whole(tmp_path / "out")
 
 
-def test_a_scenario_is_made_again_from_its_protocol(undisturbed, tmp_path):
+def test_a_scenario_is_made_again_from_its_protocol(undisturbed, at_home, tmp_path):
     """To the same bytes: from this file alone, and at another place."""
     path, files = undisturbed
     plan = load_generation(path).scenarios[2]
@@ -331,6 +360,7 @@ def test_a_scenario_is_made_again_from_its_protocol(undisturbed, tmp_path):
     out = tmp_path / "out"
     made = generate(load_generation(tmp_path / "data_protocol.yaml"), out, workers=1)
     assert (made.scenarios, made.frames) == (1, FRAMES)
+    assert [*made.notes.values()] == [("lidar: made up",)]
     check_scenario(out / place)
     again = content(out)
     del again["generation.yaml"]
@@ -370,6 +400,7 @@ def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
     [
         (dict(workers=0), "workers 0: 1 or more"),
         (dict(backend="carla", workers=2), "workers 2: 1 with backend carla"),
+        (dict(server=dataset.Server("sim")), "server sim:2000: goes with backend carla, and this"),
         (dict(backend="carl"), "backend 'carl': one of embedded, carla; did you mean carla"),
         (dict(folder="no/such"), "no/such: no such folder: no"),
         (dict(folder="study.yaml"), "study.yaml: is a file; name a folder"),
@@ -401,7 +432,7 @@ def test_workers_need_dask(tmp_path, monkeypatch):
         generate(load_generation(write(tmp_path)), tmp_path / "out")
 
 
-def test_the_embedded_backend(tmp_path, the_real_one):
+def test_the_embedded_backend(tmp_path, at_home, the_real_one):
     """The recorder that the package has, and the validator."""
     the_real_one()
     path = write(
@@ -422,9 +453,9 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     told = []
 
     @contextmanager
-    def recorder_of(backend, scene, layout, conditions, recording, seed):
+    def recorder_of(backend, scene, layout, conditions, *given):
         told.append(("open", conditions.light))
-        with made_up.recorder_of(backend, scene, layout, conditions, recording, seed) as found:
+        with made_up.recorder_of(backend, scene, layout, conditions, *given) as found:
             yield found
         told.append(("close", conditions.light))
 
@@ -434,8 +465,9 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     for number, (plan, first) in enumerate(((day, 0), (day, 10), (night, 0))):
         given = tmp_path / plan.name, tmp_path / f"lock {number}", first, first + 1, 2
         todo = chunk.Chunk(plan, "embedded", *given)
-        for _ in range(2):  # the second time there is nothing to do
-            assert chunk.work(chunk.build(todo), todo) == chunk.Outcome()
+        found = [chunk.work(chunk.build(todo), todo) for _ in range(2)]
+        assert found[0] == chunk.Outcome(notes=("camera: made up", "lidar: made up"))
+        assert found[1] == chunk.Outcome()  # there was nothing to do
     chunk.close()
     opened = [(word, light) for light in ("midday", "night") for word in ("open", "close")]
     assert told == opened

@@ -206,7 +206,7 @@ ERRORS = {
     "no roads": ("<OpenDRIVE/>", {}, r"the map has no roads"),
     "no length": (GOOD.replace('length="50"', ""), {}, r"not OpenDRIVE: .*'length'"),
     "no number": (GOOD.replace('length="50"', 'length="x"'), {}, r"not OpenDRIVE: .*'x'"),
-    "unknown junction": (GOOD, {"junction": 3}, r"street.xodr: no junction 3; there are: 7$"),
+    "unknown junction": (GOOD, {"junction": 3}, r"street.xodr: no junction '3'; there are: 7$"),
     "far center": (
         GOOD,
         {"junction": None, "center": (500, 0)},

@@ -332,7 +332,7 @@ def test_other_bad_input(place, tmp_path):
         read_map(rilsa(), junction=7)
     with pytest.raises(InspeError, match=r"no junction within 35 m of .*; the nearest is 0 at 200"):
         read_map(rilsa(), center=(200, 0))
-    with pytest.raises(InspeError, match="either a junction or a center"):
+    with pytest.raises(InspeError, match="either a junction id or a center"):
         read_map(rilsa())
     with pytest.raises(InspeError, match="no such file"):
         list_junctions(tmp_path / "missing.net.xml")

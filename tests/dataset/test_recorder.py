@@ -14,7 +14,7 @@ from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.lidar import LidarNoise
-from inspe_jax.dataset.movers import Company, pose_things, things_of
+from inspe_jax.dataset.movers import Company, paints, pose_things, things_of
 from inspe_jax.dataset.recorder import EmbeddedRecorder, Recording, recorder_of
 from inspe_jax.dataset.statics import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.errors import InspeError
@@ -382,6 +382,40 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
             overlaps.append(pixels.intersection(hull).area / pixels.union(hull).area)
     assert len(overlaps) >= 5
     assert min(overlaps) >= 0.7
+
+
+@pytest.mark.parametrize("pose", [
+    [9.0, 9.0, 6.0, 0.0, -0.3, -2.3],
+    [0.0, -14.0, 4.0, 0.0, -0.3, 1.57],  # beside a truck that is partly behind it
+    [-14.0, 0.0, 1.5, 0.4, 0.1, 0.0],  # a car at its left, one behind
+])  # fmt: skip
+def test_nobody_is_overlooked(pose):
+    """Every pixel's ray, and every sunlit point's: as where only some are cast."""
+    truck, car = (8, 2.5, 3.4), (4.6, 1.9, 1.5)
+    boxes = [
+        (2.5, -14, 1.57, *truck), (-14.5, 2.0, 0.1, *car), (-20, 0, 1.0, *car),
+        (3, -2, 2.0, *truck), (-3, 6, 0.4, *car), (8, 4, 1.2, *car), (-30, -25, 0, *car),
+        (-2, -6, 0.0, 0.6, 0.6, 1.8), (20, 2, 0.5, *car),
+    ]  # fmt: skip
+    crowd = with_boxes(world(count=0, radius=40.0, voxel=2.0), *boxes)
+    for light in ("midday", "dusk"):
+        recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
+        (camera,) = recorder.sensors
+        company = Company(things_of(crowd.traffic, 0, 0), recorder.statics.center)
+        seen = camera._moment(company, paints(company.things, 0), 0.0)
+        movers, caster = company.at(0.0)
+        ground = camera.ground
+        hits = caster.cast(camera.origin, camera.directions, np.minimum(ground.distance, 1000.0))
+        thing = np.where(hits.face >= 0, movers.thing[hits.face], -1)
+        sunny = np.flatnonzero(ground.in_sun & (thing < 0))
+        sunny = sunny[np.abs(ground.point[sunny, :2]).max(1) < 150]
+        dark = sunny[camera._dark(caster, ground.point[sunny], np.array([0.0, 0.0, 1.0]))]
+        found = np.full(len(thing), -1)
+        found[seen.pixels] = seen.thing
+        assert np.array_equal(found, thing)
+        assert len(np.unique(thing)) > 2  # near ones hide those further off
+        assert np.array_equal(np.sort(seen.pixels[seen.thing < 0]), dark)
+        assert len(dark) > 100
 
 
 def test_light_falls_and_noise_rises_from_midday_to_night():

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.experimental
+import numpy as np
 
 Result = TypeVar("Result")
 
@@ -35,10 +36,10 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), "inspe_jax")
 
 
-def shared_out(rows: Any) -> list[Any]:
-    """Rows of an array in a part for each core; in one where those would not be equal."""
-    size = len(rows) // cores() if len(rows) % cores() == 0 else len(rows)
-    return [rows[begin : begin + size] for begin in range(0, len(rows), size)]
+def parts_of(rows: np.ndarray, size: int) -> list[np.ndarray]:
+    """Rows in parts of one size, for which code is compiled once; the last is filled up."""
+    filled = np.concatenate([rows, np.repeat(rows[-1:], -len(rows) % size, 0)])
+    return list(filled.reshape(-1, size, *rows.shape[1:]))
 
 
 def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:

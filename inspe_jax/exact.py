@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt
 
 from inspe_jax import masks, metrics, sharding
-from inspe_jax.cores import Job, run, shared_out
+from inspe_jax.cores import Job, parts_of, run
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Measures
 from inspe_jax.numerics import leave_one_out
@@ -345,6 +345,9 @@ def _one_each(crew: Crew, voxel: float, reference: str, visibility: str) -> Call
 
 # ── One sensor at many poses ────────────────────────────────────────────────
 
+TOGETHER = 8
+"""Poses in one compiled call: one shape for any number of them, and the same bits."""
+
 
 def see(
     grid: RayGrid,
@@ -359,12 +362,13 @@ def see(
     For a world of one share. With ``spare_own`` a vehicle does not hide its own voxels.
     """
     (share,) = world.shares
-    jobs: list[Job] = []
-    for part in shared_out(poses):
-        work = partial(_see, grid, half, part, share, spare_own=spare_own)
-        assert share.solid is not None  # it is not bare
-        jobs.append(((_see, grid, half, part.shape, share.solid.shape, spare_own), work))
-    views, seen = (np.concatenate(found) for found in zip(*run(jobs), strict=True))
+    assert share.solid is not None  # it is not bare
+    key = (_see, grid, half, share.solid.shape, spare_own)
+    jobs: list[Job] = [
+        (key, partial(_see, grid, half, part, share, spare_own=spare_own))
+        for part in parts_of(np.asarray(poses), TOGETHER)
+    ]
+    views, seen = (np.concatenate(found)[: len(poses)] for found in zip(*run(jobs), strict=True))
     return world.tiles.by_voxel(views), world.tiles.by_voxel(seen)
 
 

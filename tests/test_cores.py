@@ -4,6 +4,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 from inspe_jax import cores
@@ -13,6 +14,12 @@ def test_results_come_in_the_order_of_the_jobs():
     jobs = [("square", lambda n=n: n * n) for n in range(20)]
     assert cores.run(jobs) == [n * n for n in range(20)]
     assert cores.run([]) == []
+
+
+def test_parts_have_one_size_and_the_last_row_fills_up():
+    parts = cores.parts_of(np.arange(10).reshape(5, 2), 3)
+    assert [part[:, 0].tolist() for part in parts] == [[0, 2, 4], [6, 8, 8]]
+    assert [len(part) for part in cores.parts_of(np.zeros((6, 2)), 3)] == [3, 3]
 
 
 def test_of_jobs_that_need_the_same_code_one_goes_first(monkeypatch):

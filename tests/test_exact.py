@@ -62,8 +62,8 @@ def test_masks_count_what_numbers_add_up_to(name):
     assert_same(dense, counted)
 
 
-@pytest.mark.parametrize("reference", metrics.OCCLUSION_REFERENCES)
-@pytest.mark.parametrize("visibility", ["in_view", "line_of_sight"])
+@pytest.mark.parametrize("reference", slow_but(metrics.OCCLUSION_REFERENCES, "targets"))
+@pytest.mark.parametrize("visibility", slow_but(["in_view", "line_of_sight"], "line_of_sight"))
 @pytest.mark.parametrize(
     "failures",
     [pytest.param((), id="whole"), pytest.param(UNITS, id="failures", marks=pytest.mark.slow)],

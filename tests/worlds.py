@@ -38,7 +38,7 @@ def rilsa() -> Path:
     return home / "tools" / "sumolib" / "scenario" / "scenarios" / "RiLSA1" / "rilsa1.net.xml"
 
 
-def slow_but(names: Iterable[str], *quick: str) -> list[Any]:
+def slow_but(names: Iterable[Any], *quick: Any) -> list[Any]:
     """Parameters, marked as slow but for a few: with the oldest dependencies those will do."""
     return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.cores import parts_of
 from inspe_jax.placement.constraints import Space
 from inspe_jax.placement.coordinates import Coordinates
 from inspe_jax.placement.problem import Sample
@@ -54,9 +55,7 @@ def _mapped(space: Space) -> tuple[Any, Any]:
 
 def _in_parts(function: Any, x: np.ndarray, rows: int) -> np.ndarray:
     """A function of M layouts by parts of one shape, so that it is compiled once."""
-    filled = np.concatenate([x, np.repeat(x[-1:], -len(x) % rows, 0)])
-    parts = filled.reshape(-1, rows, x.shape[1])
-    done = [np.asarray(function(part), float) for part in parts]
+    done = [np.asarray(function(part), float) for part in parts_of(x, rows)]
     return np.concatenate(done)[: len(x)]
 
 

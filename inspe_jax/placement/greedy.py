@@ -179,8 +179,7 @@ def finer(
     best = int(gains.argmax())
     if gains[best] <= now + _LEAST:
         return x, rows
-    # Seen once more one by one, as after a checkpoint: of another batch a bit might differ.
-    return tried[best], rows | sights(problem, tally, tried[best], members)
+    return tried[best], rows | {s: new[s][best] for s in members}
 
 
 # ── The method ──────────────────────────────────────────────────────────────

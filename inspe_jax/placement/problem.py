@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
-from inspe_jax.cores import Job, run, shared_out
+from inspe_jax.cores import Job, parts_of, run
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.exact import measure_exactly, see
@@ -35,6 +35,9 @@ from inspe_jax.world import World, world_in_one_tile, world_of, world_of_sample
 
 COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
 """How the scores of several scenes become one."""
+
+TOGETHER = 4
+"""Layouts whose rough scores are one compiled call: one shape for any number of them."""
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """What a rough score costs beside an exact one: always, times the share of columns, and times that
@@ -278,12 +281,12 @@ class Problem:
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of many layouts, read hard on a sample."""
-        jobs: list[Job] = []
-        for part in shared_out(np.asarray(x, float)):
-            work = partial(self._rough, jnp.asarray(part, float), sample.worlds)
-            key = ("rough", part.shape, *(world.weight.shape for world in sample.worlds))
-            jobs.append((key, work))
-        return np.concatenate(run(jobs, self.known))
+        key = ("rough", *(world.weight.shape for world in sample.worlds))
+        jobs: list[Job] = [
+            (key, partial(self._rough, jnp.asarray(part, float), sample.worlds))
+            for part in parts_of(np.asarray(x), TOGETHER)
+        ]
+        return np.concatenate(run(jobs, self.known))[: len(x)]
 
     @cached_property
     def _rough(self) -> Any:

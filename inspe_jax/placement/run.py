@@ -155,10 +155,7 @@ class Run:
         return score
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """Hard scores of M layouts on a sample. Charges M · ``sample.share``; raises BudgetSpent.
-
-        Each M compiles once.
-        """
+        """Hard scores of layouts on a sample. Charges M · ``sample.share``; raises BudgetSpent."""
         self.charge(len(x) * sample.share)
         return self.problem.rough(np.asarray(x, float), sample)
 

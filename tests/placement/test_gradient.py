@@ -3,6 +3,7 @@
 import gc
 import io
 import weakref
+from functools import cache, partial
 from types import SimpleNamespace
 
 import jax
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from mounts import assert_mountable, lanes_of
+from worlds import slow_but
 
 from inspe_jax.measures import measure
 from inspe_jax.metrics import surrogate
@@ -25,6 +27,8 @@ from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import Layout
 
 METHODS = {method.name: method for method in GRADIENTS}
+WHERE = slow_but(METHODS, *(name for name in METHODS if name != "adam"))
+"""All of them; with the oldest dependencies Adam as a part of greedy-adam."""
 BUDGET = {"adam": 120, "greedy-adam": 1000, "lbfgsb": 150, "projected-gradient": 600}
 """Exact scores' work in which each takes several of its steps."""
 
@@ -59,12 +63,13 @@ def go(problem, name, seed=0, state=None, run=None, steps=10**9):
 
 @pytest.fixture(scope="module")
 def ran(problem):
-    return {name: go(problem, name) for name in METHODS}
+    """A method's run and states, of which those are worked out that are asked for."""
+    return cache(partial(go, problem))
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", WHERE)
 def test_it_climbs_to_a_layout_that_can_be_mounted(problem, ran, name):
-    run, _ = ran[name]
+    run, _ = ran(name)
     assert run.best > run.history[0].score + 0.05
     found = problem.space.layout(run.best_x)
     assert problem.exact_of(found) == pytest.approx(run.best, abs=1e-6)
@@ -74,7 +79,7 @@ def test_it_climbs_to_a_layout_that_can_be_mounted(problem, ran, name):
 
 def test_a_burst_of_gradients_gains_what_greedy_placement_left(ran):
     """Every exact score between the state of one burst and of the next is Adam's."""
-    _, states = ran["greedy-adam"]
+    _, states = ran("greedy-adam")
     bursts = [state for state in states if "line" in state]
     assert len(bursts) > 1
     assert any(state["vain"] == 0 and len(state["path"]) for state in bursts)
@@ -117,20 +122,22 @@ def test_a_soft_sample_is_every_vehicle_against_every_column(problem):
     assert value == pytest.approx(float(expected(problem.space.poses(x))), abs=2e-6)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", WHERE)
 def test_a_seed_repeats_and_another_does_not(problem, ran, name):
-    first = [row.score for row in ran[name][0].history]
+    first = [row.score for row in ran(name)[0].history]
     assert [row.score for row in go(problem, name)[0].history] == first
     assert [row.score for row in go(problem, name, seed=1)[0].history] != first
 
 
 @pytest.mark.parametrize(
     ("name", "at"),
-    [(name, 0.5) for name in METHODS] + [("greedy-adam", "before"), ("greedy-adam", "after")],
+    [pytest.param("adam", 0.5, marks=pytest.mark.slow)]
+    + [(name, 0.5) for name in METHODS if name != "adam"]
+    + [("greedy-adam", "before"), ("greedy-adam", "after")],
 )
 def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ran, name, at):
     """From half way, and about the draft's burst, through a file: no pickle, all as it was."""
-    whole, states = ran[name]
+    whole, states = ran(name)
     steps = len(states) // 2 if at == 0.5 else drafted(states) - (at == "before")
     part, (*_, state) = go(problem, name, steps=steps)
     file = io.BytesIO()
@@ -145,9 +152,10 @@ def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(problem, ra
     assert [row.score for row in again.history] == [row.score for row in whole.history]
 
 
+@pytest.mark.slow
 def test_with_a_larger_budget_it_goes_on_in_shares_of_that(problem, ran):
     """Adam looks at an exact score after each 0.15 of the budget, not of the one it had before."""
-    part, states = ran["adam"]
+    part, states = ran("adam")
     state = states[-1] or states[-2]
     again = Run(problem, part.start, seed=0, evaluations=5 * BUDGET["adam"])
     again.take_up(part.seconds, part.evaluations, part.history, part.path)
@@ -158,7 +166,7 @@ def test_with_a_larger_budget_it_goes_on_in_shares_of_that(problem, ran):
 
 def test_greedy_adam_goes_through_all_its_parts(ran):
     """Placement, gradient steps from there, and finer moves after them."""
-    _, states = ran["greedy-adam"]
+    _, states = ran("greedy-adam")
     parts = ["adam" if "line" in s else s["greedy phase"] for s in states if s]
     assert list(dict.fromkeys(parts)) == ["look", "place", "exchange", "adam", "move"]
 
@@ -170,7 +178,7 @@ def drafted(states):
 
 def test_the_first_draft_has_a_burst_of_its_own(ran):
     """It gains, and placement goes on where it stood."""
-    run, states = ran["greedy-adam"]
+    run, states = ran("greedy-adam")
     at = drafted(states)
     before, after = states[at - 1], states[at]
     _, draft, burst = run.history[:3]

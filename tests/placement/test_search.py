@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from worlds import CAMERA, LIDAR, random_traffic, slow_but, world
 
+from inspe_jax import exact
 from inspe_jax.placement import candidates, greedy, search
 from inspe_jax.placement import table as tables
 from inspe_jax.placement.constraints import Constraints, Space
@@ -387,6 +388,22 @@ def test_bits_add_up_to_the_score(scene, name):
     for m in range(3):
         both = rest | {s: bits[s][m] for s in (2, 3)}
         assert together[m] == pytest.approx(tally.value(both) - tally.value(rest), abs=1e-6)
+
+
+def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
+    """And what it gives of one does not depend on the others, to the last bit."""
+    sample = problem.sample(np.random.default_rng(3), candidates.COLUMNS, candidates.FRAMES)
+    x = problem.space.random(np.random.default_rng(4), 11)
+    poses = candidates.poses(problem.space, x)[:, 0]
+    rough, (views, seen) = problem.rough(x, sample), problem.views(0, poses, sample)
+    compiled = problem._rough._cache_size(), exact._see._cache_size()
+    assert len(rough) == len(views) == len(seen) == len(x)
+    for count in (1, 3):
+        np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
+        few = problem.views(0, poses[-count:], sample)
+        for part, whole in zip(few, (views, seen), strict=True):
+            np.testing.assert_array_equal(part, whole[-count:])
+    assert (problem._rough._cache_size(), exact._see._cache_size()) == compiled
 
 
 # ── Greedy ──────────────────────────────────────────────────────────────────

@@ -54,7 +54,7 @@ def test_in_view_of_large_voxels(name):
 
 
 @pytest.mark.parametrize("turn", [(0.8, 0.0), (-0.5, -1.2), (0.2, 0.4)])
-@pytest.mark.parametrize("fov", [80.0, 200.0, 340.0])
+@pytest.mark.parametrize("fov", slow_but([80.0, 200.0, 340.0], 200.0))
 def test_in_view_of_a_tilted_lidar_with_part_of_a_turn(fov, turn):
     """Also where the field of view reaches behind the planes of its edge columns."""
     spec = LidarSpec("part", LIDAR.elevations, int(4 * fov), np.radians(fov), 40.0)

@@ -1,0 +1,105 @@
+"""Claim: 18 scenarios of five seconds, of 8 cameras and 4 LiDARs, are recorded in under 10 minutes.
+
+Two intersections, three densities, three lights, the layout Cam-d1/L-d1, at 10 Hz: 900 frames on
+two cores. Records them, as `inspe generate` does, each light by itself; says what a frame takes in
+seconds and megabytes, and what the paper's 144 000 frames would; and draws what the set holds and
+one frame in each light. The set is thrown away unless --keep says where to leave it.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from common import command_line, write_results
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from inspe_jax.dataset import generate, load_generation, open, statistics
+from inspe_jax.dataset.light import LIGHTS
+from inspe_jax.report.dataset import statistics_view
+from inspe_jax.report.frames import frame_view
+
+PAPER = 144_000
+"""Frames of the paper's set."""
+STUDY = """
+scenes: [{{built_in: four_way}}, {{built_in: roundabout}}]
+layouts: [Cam-d1/L-d1]
+settings: {{density: {densities}, light: [{light}], seconds: {seconds}}}
+rate_hz: 10
+"""
+
+console = Console()
+
+
+@contextmanager
+def folder(keep: Path | None) -> Iterator[Path]:
+    """Where the set goes: a folder of its own, or one that is gone afterwards."""
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+        yield keep
+        return
+    with tempfile.TemporaryDirectory() as found:
+        yield Path(found)
+
+
+def record(light: str, quick: bool, into: Path, workers: int | None) -> dict[str, Any]:
+    """All scenarios in one light: frames, seconds and megabytes."""
+    study = into / f"{light}.yaml"
+    densities = "[low]" if quick else "[low, medium, high]"
+    study.write_text(STUDY.format(light=light, densities=densities, seconds=0.3 if quick else 5))
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(light)
+        made = generate(
+            load_generation(study), into / light, workers=workers,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )  # fmt: skip
+    assert not made.failures, made.failures
+    return dict(
+        light=light, scenarios=made.scenarios, frames=made.frames, seconds=made.seconds,
+        megabytes=made.size / 1e6,
+    )  # fmt: skip
+
+
+def row(name: str, found: dict[str, Any]) -> list[str]:
+    """What recording took, in all and a frame."""
+    frames, seconds, size = (found[key] for key in ("frames", "seconds", "megabytes"))
+    each = f"{seconds / frames:.2f}", f"{size / frames:.1f}"
+    whole = f"{PAPER * seconds / frames / 3600:.0f}", f"{PAPER * size / frames / 1e6:.2f}"
+    return [name, str(found["scenarios"]), str(frames), f"{seconds:.0f}", *each, *whole]
+
+
+def main() -> None:
+    """Record, print, draw and write."""
+    parser = command_line(__doc__)
+    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
+    parser.add_argument("--keep", type=Path, help="folder that the set stays in: 10 GB")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "generate_set.csv"
+    with folder(given.keep) as into:
+        rows = [record(light, given.quick, into, given.workers) for light in LIGHTS]
+        for found in rows:
+            scenario = open(into / found["light"]).scenarios[0]
+            view = frame_view(scenario, scenario.frames[-1])
+            view.savefig(path.with_name(f"generate_set_{found['light']}.png"), dpi=100)
+        statistics_view(statistics(open(into / "midday"))).savefig(
+            path.with_suffix(".png"), dpi=100
+        )
+    total = {key: sum(found[key] for found in rows) for key in rows[0] if key != "light"}
+    table = Table(
+        "", "scenarios", "frames", "seconds", "s each", "MB each", "[h]", "[TB]",
+        caption=f"in the last two columns what {PAPER} frames would take",
+    )  # fmt: skip
+    for found in rows:
+        table.add_row(*row(found["light"], found))
+    table.add_row(*row("all", total))
+    console.print(table)
+    write_results(path, rows, {"quick": given.quick, "workers": given.workers})
+    console.print(f"wrote {path}, .json and .png, and a frame in each light")
+
+
+if __name__ == "__main__":
+    main()

@@ -90,7 +90,7 @@ def main() -> None:
         )
     total = {key: sum(found[key] for found in rows) for key in rows[0] if key != "light"}
     table = Table(
-        "", "scenarios", "frames", "seconds", "s each", "MB each", "[h]", "[TB]",
+        "", "scenarios", "frames", "seconds", "s each", "MB each", "hours", "TB",
         caption=f"in the last two columns what {PAPER} frames would take",
     )  # fmt: skip
     for found in rows:

@@ -7,12 +7,12 @@ at anew that a road user or its shadow may fall on.
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
 from inspe_jax.dataset.embree import Caster
-from inspe_jax.dataset.light import developed
+from inspe_jax.dataset.light import developed, parts
 from inspe_jax.dataset.movers import Company, Movers, paints
 from inspe_jax.dataset.projection import corners, outlines
 from inspe_jax.dataset.record import Image, Thing
@@ -67,7 +67,7 @@ class Ground(NamedTuple):
     in_sun: Bool[np.ndarray, " R"]
     other: Float[np.ndarray, "R 3"]
     colour: Float[np.ndarray, "R 3"]
-    semantic: Int[np.ndarray, " R"]
+    semantic: UInt8[np.ndarray, " R"]
 
 
 class Cells:
@@ -139,24 +139,31 @@ class Camera:
 
     def _behind(self) -> Ground:
         hits = self.still_caster.cast(self.origin, self.directions, FAR)
-        met = hits.face >= 0
-        point = self._points(slice(None), np.where(met, hits.distance, 0))
-        albedo, semantic = _still_look(self.statics, hits.face, point, hits.normal)
-        other = self.shading.other(point, hits.normal, albedo)
-        other[~met] = self.shading.sky(self.directions[~met])
-        direct = self.shading.sunlight(hits.normal, albedo)
+        many = len(self.directions)
+        point, other, colour = (np.empty((many, 3), np.float32) for _ in range(3))
+        in_sun, semantic = np.empty(many, bool), np.empty(many, np.uint8)
+        for part in parts(many):
+            found = self._behind_part(part, *(x[part] for x in hits))
+            for whole, own in zip((point, in_sun, other, colour, semantic), found, strict=True):
+                whole[part] = own
+        return Ground(hits.distance, point, in_sun, other, colour, semantic)
+
+    def _behind_part(
+        self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """The look of some of the pixels, as in :class:`Ground` but for the distance."""
+        shading, met = self.shading, face >= 0
+        point = self._points(pixels, np.where(met, distance, 0))
+        albedo, semantic = _still_look(self.statics, face, point, normal)
+        other = shading.other(point, normal, albedo)
+        other[~met] = shading.sky(self.directions[pixels][~met])
+        direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0
         shaded = np.flatnonzero(in_sun)
-        shaded = shaded[self._dark(self.still_caster, point[shaded], hits.normal[shaded])]
+        shaded = shaded[self._dark(self.still_caster, point[shaded], normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
-        return Ground(
-            distance=hits.distance,
-            point=point,
-            in_sun=in_sun,
-            other=other,
-            colour=self.shading.through_air(direct + other, hits.distance),
-            semantic=np.where(met, semantic, SKY),
-        )
+        colour = shading.through_air(direct + other, distance)
+        return point, in_sun, other, colour, np.where(met, semantic, SKY)
 
     def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
         """What is seen at pixels, by how far away it is, about the centre."""
@@ -207,7 +214,7 @@ class Camera:
         return {
             "depth": (distance * self.ahead).astype(np.float32),
             "instance": instance,
-            "semantic": semantic.astype(np.uint8),
+            "semantic": semantic,
         }
 
     def _moment(self, company: Company, painted: np.ndarray, after: float) -> Seen:

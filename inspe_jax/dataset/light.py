@@ -1,5 +1,6 @@
 """Light: where the sun stands, how bright it and the sky are, and what a camera makes of it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,16 +89,25 @@ def developed(
     linear: Float[np.ndarray, "H W 3"], light: Light, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "H W 3"]:
     """What a camera makes of light: noise, gain, highlights that roll off, and sRGB's curve."""
-    value = np.maximum(np.asarray(linear, np.float32), 0.0)
-    deviation = np.sqrt(light.read**2 + light.shot**2 / light.gain * value)
-    value = (value + deviation * _normal(value.shape, rng)) * light.gain
-    step = np.clip(value * (_FINE / WHITE), 0, _FINE).astype(np.int16)
-    return np.take(_CURVE, step, mode="clip")  # clipped already: the faster way
+    given = np.asarray(linear, np.float32).ravel()
+    picture = np.empty(given.shape, np.uint8)
+    for part in parts(len(given)):
+        value = np.maximum(given[part], 0)
+        deviation = np.sqrt(light.read**2 + light.shot**2 / light.gain * value)
+        value = (value + deviation * _normal(len(value), rng)) * (light.gain * _FINE / WHITE)
+        step = np.clip(value, 0, _FINE).astype(np.int16)
+        picture[part] = np.take(_CURVE, step, mode="clip")  # clipped already: the faster way
+    return picture.reshape(np.shape(linear))
 
 
-def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "..."]:
+def parts(many: int) -> Iterator[slice]:
+    """So many in parts that stay in a core's cache while they are worked on."""
+    return (slice(k, k + AT_ONCE) for k in range(0, many, AT_ONCE))
+
+
+def _normal(many: int, rng: np.random.Generator) -> Float[np.ndarray, " N"]:
     """Standard normal numbers of 65 536 values, each as likely: many, and soon."""
-    return np.take(_QUANTILES, rng.integers(0, 2**16, shape, np.uint16))
+    return np.take(_QUANTILES, rng.integers(0, 2**16, many, np.uint16))
 
 
 def _curve() -> UInt8[np.ndarray, " N"]:
@@ -110,6 +120,8 @@ def _curve() -> UInt8[np.ndarray, " N"]:
 
 WHITE = 2.5
 """Brightness that is white in an image, after the gain."""
+AT_ONCE = 2**16
+"""Numbers, or points, that are worked on at once."""
 _FINE = 2**14
 _CURVE = _curve()
 _QUANTILES = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)

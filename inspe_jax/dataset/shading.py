@@ -3,15 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.dataset.light import LAMP, haze, light_of
+from inspe_jax.dataset.light import LAMP, haze, light_of, parts
 from inspe_jax.sensing.conditions import Conditions
 
 LAMP_ABOVE = 1.5
 """Street lamps hang so far above the tops of poles [m]."""
 FAR = 1000.0
 """Cameras see so far [m], but for haze; how far they perceive is the scores' business."""
-_AT_ONCE = 2**14
-"""Points that are lit at once: what is worked out between stays in a core's cache."""
 
 
 class Shading:
@@ -56,8 +54,7 @@ class Shading:
         """Σ cos θ / (r² + 1) over the lamps, which are not points: not more than 1 each."""
         found = np.empty(len(point), np.float32)
         own = (self.lamps**2).sum(1) + 1
-        for k in range(0, len(point), _AT_ONCE):
-            at = slice(k, k + _AT_ONCE)
+        for at in parts(len(point)):
             p, n = point[at], normal[at]
             squared = own + np.einsum("rk,rk->r", p, p)[:, None] - 2 * (p @ self.lamps.T)
             along = n @ self.lamps.T - np.einsum("rk,rk->r", p, n)[:, None]

@@ -1,6 +1,7 @@
 """Jobs done by processes: killed and taken up again, in part failing, the table stays the same."""
 
 import os
+import platform
 import signal
 import subprocess
 import time
@@ -18,6 +19,7 @@ from processes import inspe_process
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing.layout import load_layout
+from inspe_jax.study import cluster
 from inspe_jax.study.engine import _by_scene, _sent
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
@@ -87,6 +89,25 @@ def test_rows_are_what_a_score_says(undisturbed):
         for name in ("coverage", "occlusion", "information_gain", "surrogate"):
             assert float(row[name]) == pytest.approx(getattr(scores, name), abs=1e-6)
         assert int(row["sensors"]) == len(layout)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the settings are glibc's")
+def test_workers_keep_the_memory_that_they_free():
+    """Arrays of 16 MB, one after the other: pages are mapped for the first, not for all."""
+
+    def faults():
+        import resource
+
+        import numpy as np
+
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(50):
+            np.ones(2**21)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+    with cluster.client(None, 1) as client:
+        (found,) = client.run(faults).values()
+    assert found < 50 * 2**24 / 4096 / 5
 
 
 @pytest.mark.slow

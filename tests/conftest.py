@@ -52,16 +52,9 @@ def maps() -> Path:
     return MAPS
 
 
-def _many_memory_maps() -> bool:
-    """Of the 65,530 that Linux allows a third is in use; elsewhere nobody can tell."""
-    maps = Path("/proc/self/maps")
-    return not maps.is_file() or maps.read_bytes().count(b"\n") > 20_000
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _forget_what_was_compiled():
-    """Now and then after a file: all the tests' code together takes more maps than there are."""
+    """After each file: all the tests' code together takes more memory maps than Linux allows."""
     yield
-    if _many_memory_maps():
-        jax.clear_caches()
-        compiled.clear()
+    jax.clear_caches()
+    compiled.clear()

@@ -57,6 +57,7 @@ def record(light: str, quick: bool, into: Path, workers: int | None) -> dict[str
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     assert not made.failures, made.failures
+    assert made.recorded == made.frames, f"{into}: frames were there before; name another folder"
     return dict(
         light=light, scenarios=made.scenarios, frames=made.frames, seconds=made.seconds,
         megabytes=made.size / 1e6,

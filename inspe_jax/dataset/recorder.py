@@ -88,9 +88,10 @@ class Server:
         """Raise InspeError where nobody listens."""
         try:
             socket.create_connection((self.host, self.port), CONNECTING).close()
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter of a name that can be none
+            what = getattr(error, "strerror", None) or error
             raise InspeError(
-                f"no CARLA server at {self} ({error.strerror or error}): start one, CarlaUE4.sh "
+                f"no CARLA server at {self} ({what}): start one, CarlaUE4.sh "
                 f"-carla-rpc-port={self.port}, or say where it is: --server HOST:PORT"
             ) from error
 
@@ -181,10 +182,12 @@ def check_backend(backend: str) -> None:
 def server_of(backend: str, server: Server | None) -> Server | None:
     """The server that a backend records with: CARLA's usual one if none is given, or None.
 
-    Raises InspeError where one is given and the backend needs none.
+    Raises InspeError where one is given and the backend needs none, or its values are out of range.
     """
     if backend == "carla":
-        return server or Server()
+        server = server or Server()
+        server.check()
+        return server
     if server is not None:
         raise InspeError(f"server {server}: goes with backend carla, and this is {backend}")
     return None

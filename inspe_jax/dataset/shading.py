@@ -51,7 +51,8 @@ class Shading:
     def _lamplight(
         self, point: Float[np.ndarray, "R 3"], normal: Float[np.ndarray, "R 3"]
     ) -> Float[np.ndarray, " R"]:
-        """Σ cos θ / (r² + 1) over the lamps, which are not points: not more than 1 each."""
+        """Σ n·d / (|d|² + 1)^(3/2) over the ways d to the lamps [m]: cos θ / r² from afar, and not
+        more than 0.4 each, as they are no points."""
         found = np.empty(len(point), np.float32)
         own = (self.lamps**2).sum(1) + 1
         for at in parts(len(point)):

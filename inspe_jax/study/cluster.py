@@ -33,7 +33,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         return
     count = workers or cores()
     with (
-        dask.config.set({f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in MEMORY.items()}),
+        _kept_memory(),
         LocalCluster(
             n_workers=count,
             threads_per_worker=1,
@@ -53,6 +53,21 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         # Dask cannot end one that is just being started again.
         with suppress(TimeoutError):
             here.wait_for_workers(count, timeout=TIMEOUT)
+
+
+@contextmanager
+def _kept_memory() -> Iterator[None]:
+    """Workers that are started here keep memory by :data:`MEMORY`, and nobody else does."""
+    had = {name: os.environ.get(name) for name in MEMORY}
+    try:
+        with dask.config.set(
+            {f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in MEMORY.items()}
+        ):
+            yield
+    finally:  # Dask leaves them in the environment
+        for name, value in had.items():
+            os.environ.pop(name, None)
+            os.environ |= {} if value is None else {name: value}
 
 
 MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}

@@ -400,6 +400,10 @@ def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
     [
         (dict(workers=0), "workers 0: 1 or more"),
         (dict(backend="carla", workers=2), "workers 2: 1 with backend carla"),
+        (
+            dict(backend="carla", server=dataset.Server(port=70000)),
+            "port 70000 is out of range: 1 to 65534",
+        ),
         (dict(server=dataset.Server("sim")), "server sim:2000: goes with backend carla, and this"),
         (dict(backend="carl"), "backend 'carl': one of embedded, carla; did you mean carla"),
         (dict(folder="no/such"), "no/such: no such folder: no"),
@@ -412,6 +416,11 @@ def test_bad_options(tmp_path, monkeypatch, options, message):
     with pytest.raises(InspeError, match=message):
         generate(generation, **{"folder": "out", **options})
     assert not (tmp_path / "out").exists()
+
+
+def test_a_server_by_a_name_that_can_be_none():
+    with pytest.raises(InspeError, match=r"no CARLA server at a\.\.b:2000 .*--server HOST:PORT"):
+        dataset.Server("a..b").reach()
 
 
 def test_one_run_at_a_time(tmp_path):

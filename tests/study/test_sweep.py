@@ -92,7 +92,7 @@ def test_rows_are_what_a_score_says(undisturbed):
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the settings are glibc's")
-def test_workers_keep_the_memory_that_they_free():
+def test_workers_keep_the_memory_that_they_free(monkeypatch):
     """Arrays of 2 MB, one after the other: pages are mapped for the first, not for all."""
 
     def faults():
@@ -105,9 +105,12 @@ def test_workers_keep_the_memory_that_they_free():
             np.ones(2**18)  # numpy asks for huge pages from 4 MB on
         return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
+    for name in cluster.MEMORY:
+        monkeypatch.delenv(name, raising=False)
     with cluster.client(None, 1) as client:
         (found,) = client.run(faults).values()
     assert found < 200 * 2**21 / 4096 / 5
+    assert not set(cluster.MEMORY) & set(os.environ)
 
 
 @pytest.mark.slow

@@ -12,13 +12,9 @@ from jaxtyping import Float
 from inspe_jax.cores import parts_of
 from inspe_jax.placement.constraints import Space
 from inspe_jax.placement.coordinates import Coordinates
-from inspe_jax.placement.problem import Sample
-from inspe_jax.placement.run import Run
 
 COLUMNS, FRAMES = 768, 6
 """Size of a sample: that of one gradient of the gradient methods."""
-BATCH = 8
-"""Layouts in one compiled call: one shape for any number of layouts."""
 SPACING = 8.0
 """Distance of neighbouring feet on the coarsest lattice [m]."""
 FEET = 48
@@ -29,21 +25,16 @@ _FEW = 2  # layouts that are done sooner without
 _FAR = 1e3  # beyond any limit [m]
 
 
-def rough(run: Run, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-    """Rough scores of any number of layouts, in calls of :data:`BATCH` layouts."""
-    return _in_parts(lambda part: run.rough(part, sample), x, BATCH)
-
-
 def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N"]:
     """The nearest feasible layout to each."""
     if len(x) <= _FEW:
         return np.stack([space.project(row, np) for row in np.asarray(x, float)])
-    return _in_parts(_mapped(space)[0], x, _ROWS)
+    return _in_parts(_mapped(space)[0], x)
 
 
 def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S 6"]:
     """Poses about the scene's centre."""
-    return _in_parts(_mapped(space)[1], x, _ROWS)
+    return _in_parts(_mapped(space)[1], x)
 
 
 @lru_cache(maxsize=4)  # a space lives on in its own compiled functions: keep few
@@ -53,9 +44,9 @@ def _mapped(space: Space) -> tuple[Any, Any]:
     return project, poses
 
 
-def _in_parts(function: Any, x: np.ndarray, rows: int) -> np.ndarray:
+def _in_parts(function: Any, x: np.ndarray) -> np.ndarray:
     """A function of M layouts by parts of one shape, so that it is compiled once."""
-    done = [np.asarray(function(part), float) for part in parts_of(x, rows)]
+    done = [np.asarray(function(part), float) for part in parts_of(x, _ROWS)]
     return np.concatenate(done)[: len(x)]
 
 

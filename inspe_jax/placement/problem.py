@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
-from inspe_jax.cores import Job, parts_of, run
+from inspe_jax.cores import Job, run
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.exact import measure_exactly, see
@@ -35,9 +35,6 @@ from inspe_jax.world import World, world_in_one_tile, world_of, world_of_sample
 
 COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
 """How the scores of several scenes become one."""
-
-TOGETHER = 4
-"""Layouts whose rough scores are one compiled call: one shape for any number of them."""
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """What a rough score costs beside an exact one: always, times the share of columns, and times that
@@ -280,20 +277,19 @@ class Problem:
         return Sample(_take(self.fields, drawn), self.share(drawn))
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """The objective of many layouts, read hard on a sample."""
+        """The objective of many layouts, read hard on a sample; layouts side by side."""
         key = ("rough", *(world.weight.shape for world in sample.worlds))
         jobs: list[Job] = [
-            (key, partial(self._rough, jnp.asarray(part, float), sample.worlds))
-            for part in parts_of(np.asarray(x), TOGETHER)
+            (key, partial(self._rough, jnp.asarray(row, float), sample.worlds)) for row in x
         ]
-        return np.concatenate(run(jobs, self.known))[: len(x)]
+        return np.array(run(jobs, self.known), float)
 
     @cached_property
     def _rough(self) -> Any:
-        def one(row: Array, worlds: tuple[World, ...]) -> Array:
-            return self._combined(self._exactly(self.space.poses(row), worlds))
+        def one(x: Array, worlds: tuple[World, ...]) -> Array:
+            return self._combined(self._exactly(self.space.poses(x), worlds))
 
-        return jax.jit(lambda x, worlds: jax.lax.map(lambda row: one(row, worlds), x))
+        return jax.jit(one)
 
     def _exactly(self, poses: Float[Array, "S 6"], worlds: Sequence[World]) -> list[Measures]:
         return [

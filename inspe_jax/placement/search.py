@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import (
-    BATCH,
     COLUMNS,
     FRAMES,
     SPACING,
@@ -24,7 +23,6 @@ from inspe_jax.placement.candidates import (
     hang,
     lattice,
     project,
-    rough,
 )
 from inspe_jax.placement.constraints import Space
 from inspe_jax.placement.greedy import GREEDY
@@ -64,7 +62,7 @@ def step_random(run: Run, state: State) -> State:
     tried = problem.space.random(run.rng(0, count), CHUNK - 1)
     x = np.concatenate([state["x"][None], tried])
     sample = problem.sample(run.rng(1, count), COLUMNS, FRAMES)
-    best, value = _offer_better(run, x, rough(run, x, sample), state["value"])
+    best, value = _offer_better(run, x, run.rough(x, sample), state["value"])
     return {"count": count + 1, "x": x[best], "value": value}
 
 
@@ -105,7 +103,7 @@ def step_grid(run: Run, state: State) -> State | None:
     x = _grid(problem.space, state["x"], blocks[state["block"]], state["level"])
     done, key = len(state["scores"]), (state["sweep"], state["block"])
     sample = problem.sample(run.rng(*key), COLUMNS, FRAMES)
-    scores = np.append(state["scores"], rough(run, x[done : done + CHUNK], sample))
+    scores = np.append(state["scores"], run.rough(x[done : done + CHUNK], sample))
     if len(scores) < len(x):
         return state | {"scores": scores}
     best, value = _offer_better(run, x, scores, state["value"])
@@ -182,6 +180,8 @@ PULL = 2e-3
 """Score that a layout loses for each squared typical step outside the feasible set."""
 LOOK = 10
 """Generations from one exact score to the next."""
+FOLLOWED = 7
+"""The generation's best that are looked at then, beside the strategy's mean."""
 PATIENCE = 8
 """Exact scores without a better one after which a restart follows."""
 NARROW = 0.01
@@ -197,7 +197,7 @@ def begin_cma(run: Run) -> State:
     """The start, before the first generation."""
     free = max(len(run.problem.space.free), 1)
     size = 4 + int(3 * np.log(free))  # Hansen's
-    return _restart(run.start, 0, -(-size // BATCH) * BATCH)
+    return _restart(run.start, 0, size)
 
 
 def _restart(x: Float[np.ndarray, " N"], count: int, size: int) -> State:
@@ -231,12 +231,12 @@ def step_cma(run: Run, state: State) -> State | None:
     asked = np.array([strategy.ask() for _ in range(told.shape[1])])
     x, away = _layouts(run, state, asked)
     sample = problem.sample(run.rng(0, *key), COLUMNS, FRAMES)
-    loss = PULL * away - rough(run, x, sample)
+    loss = PULL * away - run.rough(x, sample)
     strategy.tell(list(zip(asked, loss.tolist(), strict=True)))
     state = state | {"told": np.concatenate([told, loss[None]])}
     if (key[1] + 1) % LOOK == 0:
         mean = _layouts(run, state, strategy.mean[None])[0]
-        state |= _look(run, state, np.concatenate([mean, x[np.argsort(loss)]])[:BATCH])
+        state |= _look(run, state, np.concatenate([mean, x[np.argsort(loss)[:FOLLOWED]]]))
     narrow = asked.std(0).max() < NARROW
     if state["waited"] >= PATIENCE or narrow or strategy.should_stop():
         return _begin_again(run, state)
@@ -246,7 +246,7 @@ def step_cma(run: Run, state: State) -> State | None:
 
 def _look(run: Run, state: State, x: Float[np.ndarray, "M N"]) -> State:
     sample = run.problem.sample(run.rng(1, state["restart"], len(state["told"])), COLUMNS, FRAMES)
-    value = run.offer(x[np.argmax(rough(run, x, sample))])
+    value = run.offer(x[np.argmax(run.rough(x, sample))])
     better = value > state["best"]
     return {"best": max(value, state["best"]), "waited": 0 if better else state["waited"] + 1}
 
@@ -255,7 +255,7 @@ def _begin_again(run: Run, state: State) -> State:
     count = state["restart"] + 1
     x = run.problem.space.random(run.rng(2, count), SCREENED)
     sample = run.problem.sample(run.rng(3, count), COLUMNS, FRAMES)
-    return _restart(x[np.argmax(rough(run, x, sample))], count, 2 * state["told"].shape[1])
+    return _restart(x[np.argmax(run.rough(x, sample))], count, 2 * state["told"].shape[1])
 
 
 def _layouts(

@@ -17,7 +17,7 @@ from inspe_jax.placement.checkpoint import FORMAT, digest, load_checkpoint, save
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
 from inspe_jax.placement.problem import Case, Objective, Problem
-from inspe_jax.placement.run import BudgetSpent, Method, Run
+from inspe_jax.placement.run import AT_ONCE, BudgetSpent, Method, Run
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural import built_in
 from inspe_jax.scene.scene import build_scene
@@ -76,6 +76,16 @@ def test_a_run_counts_work_in_exact_scores():
     run.charge(0.5)
     assert run.evaluations == 1 + 8 * 0.25 + 0.5
     assert run.left == pytest.approx(0.65)
+
+
+def test_a_run_looks_at_its_budget_within_a_large_generation():
+    run = run_of(evaluations=AT_ONCE * 0.25 * 2)
+    with pytest.raises(BudgetSpent):
+        run.rough(np.ones((3 * AT_ONCE, 2)), Sample())
+    assert run.evaluations == AT_ONCE * 0.25 * 2
+    run = run_of(evaluations=AT_ONCE)
+    x = np.linspace(0, 1, 2 * (AT_ONCE + 3)).reshape(-1, 2)
+    np.testing.assert_array_equal(run.rough(x, Sample()), run.problem.rough(x, Sample()))
 
 
 def test_a_run_keeps_the_best_and_a_copy_of_it():

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from inspe_jax.cores import cores
 from inspe_jax.dataset import generate, load_generation, open, statistics
 from inspe_jax.dataset.light import LIGHTS
 from inspe_jax.report.dataset import statistics_view
@@ -98,7 +99,7 @@ def main() -> None:
         table.add_row(*row(found["light"], found))
     table.add_row(*row("all", total))
     console.print(table)
-    write_results(path, rows, {"quick": given.quick, "workers": given.workers})
+    write_results(path, rows, {"quick": given.quick, "workers": given.workers or cores()})
     console.print(f"wrote {path}, .json and .png, and a frame in each light")
 
 

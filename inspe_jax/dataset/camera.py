@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
+from scipy.ndimage import minimum_filter
 
 from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.light import developed, parts
@@ -35,6 +36,10 @@ from inspe_jax.sensing.sensors import CameraSpec
 
 SHADOWED = 150.0
 """Shadows of road users are looked for so far from the centre [m]."""
+LONGEST = 200.0
+"""… and so far from what throws them."""
+ASIDE = 8.0
+"""What a road user reaches from its centre, at most [m]."""
 SKY = 11
 SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
 """CARLA's labels (0.9.14 and later) of the classes."""
@@ -82,6 +87,13 @@ class Cells:
         order = np.argsort(number, kind="stable")
         self.pixels = pixels[order]
         self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
+        lowest = np.full(self.size**2, np.inf, np.float32)
+        np.minimum.at(lowest, number, point[pixels, 2])
+        around = 2 * int(ASIDE) + 1
+        lowest = minimum_filter(
+            lowest.reshape(self.size, self.size), around, mode="constant", cval=np.inf
+        )
+        self._lowest = lowest  # point within ASIDE of each square
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
         """Those over the squares that a rectangle touches."""
@@ -90,6 +102,20 @@ class Cells:
         rows = np.arange(y0, y1 + 1) * self.size
         runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
         return np.concatenate([self.pixels[a:b] for a, b in runs])
+
+    def ends(
+        self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, " B"]:
+        """How far in plan one may go from each top along a sinking direction until no point is
+        beneath any more [m]: on ground that sinks with it, further than on level ground."""
+        far = np.arange(0, LONGEST)
+        unit = along / np.hypot(*along[:2])
+        at = top[:, None] + far[:, None] * unit
+        x, y = np.moveaxis(np.floor(at[..., :2] + self.reach).astype(int), -1, 0)
+        here = (np.minimum(x, y) >= 0) & (np.maximum(x, y) < self.size)
+        x, y = np.clip((x, y), 0, self.size - 1)
+        beneath = here & (self._lowest[y, x] < at[..., 2])
+        return np.where(beneath, far + 1, 0).max(-1)
 
 
 class Seen(NamedTuple):
@@ -142,9 +168,10 @@ class Camera:
         many = len(self.directions)
         point, other, colour = (np.empty((many, 3), np.float32) for _ in range(3))
         in_sun, semantic = np.empty(many, bool), np.empty(many, np.uint8)
+        wholes: tuple[np.ndarray, ...] = (point, in_sun, other, colour, semantic)
         for part in parts(many):
             found = self._behind_part(part, *(x[part] for x in hits))
-            for whole, own in zip((point, in_sun, other, colour, semantic), found, strict=True):
+            for whole, own in zip(wholes, found, strict=True):
                 whole[part] = own
         return Ground(hits.distance, point, in_sun, other, colour, semantic)
 
@@ -173,7 +200,7 @@ class Camera:
         self, caster: Caster, point: np.ndarray, normal: np.ndarray
     ) -> Bool[np.ndarray, " R"]:
         """Whether something stands between points and the sun."""
-        return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, 200.0)
+        return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 
     # ── A frame ─────────────────────────────────────────────────────────────
 
@@ -270,17 +297,18 @@ class Camera:
         self, caster: Caster, things: tuple[Thing, ...], after: float
     ) -> Int[np.ndarray, " P"]:
         """The pixels of what stands still, in the sun but for the shadow of a road user."""
-        if not self.light.has_sun:
+        if not (self.light.has_sun and things):
             return np.zeros(0, int)
-        sun = self.light.to_sun
         near = np.zeros(len(self.directions), bool)
-        for thing in things:
-            at = thing.center + after * thing.velocity - self.statics.center
-            reach = np.hypot(*thing.size[:2]) / 2
-            long = min(thing.size[2] / max(np.tan(self.light.elevation), 0.05), 60.0)
-            end = at[:2] - sun[:2] / np.hypot(*sun[:2]) * long
-            low, high = np.minimum(at[:2], end) - reach, np.maximum(at[:2], end) + reach
-            near[self.sunny.within(low, high)] = True
+        at = np.array([t.center + after * t.velocity for t in things]) - self.statics.center
+        size = np.array([t.size for t in things])
+        away = -self.light.to_sun
+        long = self.sunny.ends(at + [0, 0, 0.5] * size, away)
+        end = at[:, :2] + long[:, None] * away[:2] / np.hypot(*away[:2])
+        reach = np.hypot(size[:, :1], size[:, 1:2]) / 2
+        low, high = np.minimum(at[:, :2], end) - reach, np.maximum(at[:, :2], end) + reach
+        for corners_of_one in zip(low, high, strict=True):
+            near[self.sunny.within(*corners_of_one)] = True
         pixels = np.flatnonzero(near)
         up = np.array([0, 0, 1], np.float32)
         return pixels[self._dark(caster, self.ground.point[pixels], up)]

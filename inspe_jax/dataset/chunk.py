@@ -100,7 +100,7 @@ class _Desk:
             given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
             self.left = ExitStack()
             self.recorder = self.left.enter_context(recorder_of(chunk.backend, *given))
-            self.notes = getattr(self.recorder, "notes", ())
+            self.notes = self.recorder.notes
             self.protocol = protocol_of(plan, content, chunk.backend, self.notes)
         except Exception as e:
             self.error = told(e)

@@ -97,7 +97,12 @@ class Server:
 
 
 class Recorder(Protocol):
-    """What records a scene, whichever way; the same frame is the same however often it is asked."""
+    """What records a scene, whichever way; the same frame is the same however often it is asked.
+
+    ``notes`` tell what it cannot record as asked.
+    """
+
+    notes: tuple[str, ...]
 
     def frame(self, t: int) -> Frame:
         """Frame t of the scene's traffic, as every station recorded it."""
@@ -106,6 +111,8 @@ class Recorder(Protocol):
 
 class EmbeddedRecorder:
     """The sensors in a world of triangles, by Embree: no simulator needed."""
+
+    notes: tuple[str, ...] = ()
 
     def __init__(
         self,

@@ -14,8 +14,9 @@ from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.lidar import LidarNoise
+from inspe_jax.dataset.light import LIGHTS
 from inspe_jax.dataset.movers import Company, paints, pose_things, things_of
-from inspe_jax.dataset.recorder import EmbeddedRecorder, Recording, recorder_of
+from inspe_jax.dataset.recorder import LAYERS, EmbeddedRecorder, Recording, recorder_of
 from inspe_jax.dataset.statics import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import rotation
@@ -384,12 +385,14 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     assert min(overlaps) >= 0.7
 
 
-@pytest.mark.parametrize("pose", [
-    [9.0, 9.0, 6.0, 0.0, -0.3, -2.3],
-    [0.0, -14.0, 4.0, 0.0, -0.3, 1.57],  # beside a truck that is partly behind it
-    [-14.0, 0.0, 1.5, 0.4, 0.1, 0.0],  # a car at its left, one behind
+@pytest.mark.parametrize(("pose", "slope"), [
+    ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0),
+    ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0),  # beside a truck that is partly behind it
+    ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0),  # a car at its left, one behind
+    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08),  # at dusk the ground falls as shadows do
+    ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08),
 ])  # fmt: skip
-def test_nobody_is_overlooked(pose):
+def test_nobody_is_overlooked(pose, slope):
     """Every pixel's ray, and every sunlit point's: as where only some are cast."""
     truck, car = (8, 2.5, 3.4), (4.6, 1.9, 1.5)
     boxes = [
@@ -397,7 +400,7 @@ def test_nobody_is_overlooked(pose):
         (3, -2, 2.0, *truck), (-3, 6, 0.4, *car), (8, 4, 1.2, *car), (-30, -25, 0, *car),
         (-2, -6, 0.0, 0.6, 0.6, 1.8), (20, 2, 0.5, *car),
     ]  # fmt: skip
-    crowd = with_boxes(world(count=0, radius=40.0, voxel=2.0), *boxes)
+    crowd = with_boxes(world(count=0, radius=40.0, voxel=2.0, slope=slope), *boxes)
     for light in ("midday", "dusk"):
         recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
         (camera,) = recorder.sensors
@@ -464,18 +467,22 @@ def test_fog_hides_what_is_far():
 # ---- all of it ------------------------------------------------------------------------------
 
 
-def test_the_same_seed_gives_the_same_frames_in_any_order(scene):
+@pytest.mark.parametrize("light", LIGHTS)
+def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
     layout = place_sensors(
         (SMALL, [9.0, 9.0, 6.0, 0.0, -0.3, -2.3]), (COARSE, [9.0, 9.0, 6.0, 0.0, 0.0, 0.0])
     )
-    one, two = EmbeddedRecorder(scene, layout), EmbeddedRecorder(scene, layout)
+    given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
+    one, two = EmbeddedRecorder(*given), EmbeddedRecorder(*given)
     first = [one.frame(t) for t in (0, 1)]
     again = [two.frame(t) for t in (1, 0)][::-1]
-    other = EmbeddedRecorder(scene, layout, seed=1).frame(0)
+    other = EmbeddedRecorder(*given, seed=1).frame(0)
     for a, b in zip(first, again, strict=True):
         for s, t in zip(a.stations, b.stations, strict=True):
             for i, j in zip(s.images, t.images, strict=True):
                 assert np.array_equal(i.rgb, j.rgb)
+                for name in LAYERS:
+                    assert np.array_equal(getattr(i, name), getattr(j, name))
             for i, j in zip(s.scans, t.scans, strict=True):
                 assert np.array_equal(i.points, j.points)
     assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
@@ -489,6 +496,26 @@ def test_things_keep_their_looks(scene):
             assert thing.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
     assert len(set(names.values())) > 4
     assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_with_nobody_there_the_layers_are_of_what_stands_still(light):
+    """And without a pole no street lamp: what the sky gives at night is all there is."""
+    scene = world(count=0, radius=20.0, voxel=1.0)
+    layout = place_sensors((SMALL, [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]))  # over the road: no mast
+    given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
+    recorder = EmbeddedRecorder(*given)
+    assert not len(recorder.statics.poles)
+    (image,) = recorder.frame(0).stations[0].images
+    camera = recorder.sensors[0]
+    assert not image.instance.any()
+    distance = image.depth.ravel() / camera.ahead
+    assert np.allclose(
+        distance[np.isfinite(distance)], camera.ground.distance[np.isfinite(distance)]
+    )
+    assert np.array_equal(image.semantic.ravel(), camera.ground.semantic)
+    assert len(np.unique(image.semantic)) > 2
+    assert image.rgb.std() > 1
 
 
 def test_slopes_and_empty_roads_are_recorded():

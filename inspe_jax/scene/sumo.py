@@ -67,7 +67,7 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     for node in streets.road.net.getNodes():
         if not _is_junction(node):
             continue
-        x, y, z = (float(v) for v in streets.node(node.getID()))
+        x, y, z = (float(v) for v in _middle(streets, node.getID()))
         outline = streets.road.world(node.getShape())[:, :2].reshape(-1, 2)
         size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
         arms, _ = arms_of(_legs(streets, {node.getID()}))

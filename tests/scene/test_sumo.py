@@ -42,8 +42,11 @@ def traffic(place):
 def test_the_junction_is_what_its_file_says(place):
     (info,) = list_junctions(rilsa())
     assert (info.id, info.arms, info.crosswalks, info.signals) == ("0", 4, 4, 4)
-    assert np.allclose(info.center, 0, atol=0.01)  # 500, 500 less the 500, 500 it was moved by
-    assert np.allclose(place.center, 0, atol=0.5)
+    assert np.allclose(place.center, 0, atol=0.5)  # 500, 500 less the 500, 500 it was moved by
+    assert np.array_equal(info.center[:2], place.center[:2])
+    assert read_map(rilsa(), center=info.center[:2], radius=20).name.endswith(
+        f"at ({info.center[0]:g}, {info.center[1]:g})"
+    )
     bearings = [arm.bearing for arm in place.arms]
     assert np.allclose(bearings, np.radians([-90, 0, 90, 180]), atol=0.02)
     # Two lanes in, one out, all of 3.2 m.

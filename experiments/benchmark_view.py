@@ -1,4 +1,6 @@
-"""Claim: a sensor let go has scores in 0.3 s, of all frames in 2 s, and the page answers meanwhile.
+"""Claim: a sensor let go has scores in 0.3 s, of all frames in 2 s; the page answers in 0.3 s.
+
+All in the median; the page also while it scores and searches, unless it draws in 3-D by software.
 
 W1 of `benchmark_speed.py`: 152 520 voxels, 12 sensors, 100 frames of 40 road users. Once without a
 browser and, where there is Chromium, with one on the same cores: twice, since without a graphics

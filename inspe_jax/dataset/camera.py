@@ -37,9 +37,9 @@ from inspe_jax.sensing.sensors import CameraSpec
 SHADOWED = 150.0
 """Shadows of road users are looked for so far from the centre [m]."""
 LONGEST = 200.0
-"""… and so far from what throws them."""
+"""… and anybody's so far from what throws them [m]."""
 ASIDE = 8.0
-"""What a road user reaches from its centre, at most [m]."""
+"""What a road user reaches from its centre in plan, at most [m]."""
 SKY = 11
 SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
 """CARLA's labels (0.9.14 and later) of the classes."""
@@ -83,17 +83,16 @@ class Cells:
         x, y = np.abs(point[:, :2].T)
         pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
         cell = np.floor(point[pixels, :2] + reach).astype(int)
+        cell = np.minimum(cell, self.size - 1)  # sums in single precision round up to the rim
         number = cell[:, 1] * self.size + cell[:, 0]
         order = np.argsort(number, kind="stable")
         self.pixels = pixels[order]
         self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
         lowest = np.full(self.size**2, np.inf, np.float32)
         np.minimum.at(lowest, number, point[pixels, 2])
-        around = 2 * int(ASIDE) + 1
-        lowest = minimum_filter(
-            lowest.reshape(self.size, self.size), around, mode="constant", cval=np.inf
-        )
-        self._lowest = lowest  # point within ASIDE of each square
+        lowest = lowest.reshape(self.size, self.size)
+        around = 2 * (int(ASIDE) + 1) + 1  # and a metre more: that from step to step in ``ends``
+        self._lowest = minimum_filter(lowest, around, mode="constant", cval=np.inf)
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
         """Those over the squares that a rectangle touches."""
@@ -112,7 +111,7 @@ class Cells:
         unit = along / np.hypot(*along[:2])
         at = top[:, None] + far[:, None] * unit
         x, y = np.moveaxis(np.floor(at[..., :2] + self.reach).astype(int), -1, 0)
-        here = (np.minimum(x, y) >= 0) & (np.maximum(x, y) < self.size)
+        here = (np.minimum(x, y) >= -ASIDE) & (np.maximum(x, y) < self.size + ASIDE)
         x, y = np.clip((x, y), 0, self.size - 1)
         beneath = here & (self._lowest[y, x] < at[..., 2])
         return np.where(beneath, far + 1, 0).max(-1)

@@ -23,7 +23,7 @@ GRADIENT_COST = 3.4
 samples of 384 columns and 3 frames, at three places and with 4 LiDARs, 8 cameras and both: a value
 and its gradient take as long as 2.9 to 4.3 of them, 3.4 on average."""
 AT_ONCE = 32
-"""Rough scores from one look at the budget to the next: half a second's at most, for all cores."""
+"""Rough scores from one look at the budget to the next: some tenths of a second's, mostly."""
 
 
 class BudgetSpent(Exception):
@@ -157,7 +157,11 @@ class Run:
         return score
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on a sample. Charges M · ``sample.share``; raises BudgetSpent."""
+        """Hard scores of layouts on a sample. Charges M · ``sample.share``.
+
+        Raises BudgetSpent, also after the first :data:`AT_ONCE` layouts or some more: what those
+        scored is lost then.
+        """
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):
             part = np.asarray(x[first : first + AT_ONCE], float)

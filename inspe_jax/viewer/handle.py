@@ -58,6 +58,6 @@ class Handle:
         self, pose: Float[np.ndarray, "6"], shift: Float[np.ndarray, "3"], *, visible: bool
     ) -> None:
         """Put it on a world pose, upright."""
-        self.gizmo.position = pose[:3] - shift
         self.gizmo.wxyz = quaternion(rotation(np.array([0.0, 0.0, pose[5]]), np))
+        self.gizmo.position = pose[:3] - shift
         self.gizmo.visible = visible

@@ -12,6 +12,7 @@ from worlds import CAMERA, crossing, place_sensors, with_boxes, world
 import inspe_jax
 from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
+from inspe_jax.dataset.camera import SHADOWED, Cells
 from inspe_jax.dataset.embree import Caster
 from inspe_jax.dataset.lidar import LidarNoise
 from inspe_jax.dataset.light import LIGHTS
@@ -20,6 +21,7 @@ from inspe_jax.dataset.recorder import LAYERS, EmbeddedRecorder, Recording, reco
 from inspe_jax.dataset.statics import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.errors import InspeError
 from inspe_jax.geometry import rotation
+from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scene.traffic import CLASSES
 from inspe_jax.sensing import raycast
@@ -453,6 +455,16 @@ def test_the_sun_throws_shadows_away_from_itself():
     assert north < 0.7 * south
 
 
+def test_points_at_the_rim_are_in_the_last_squares():
+    """Their sums with half the width, in single precision, are the width."""
+    rim = np.nextafter(np.float32(SHADOWED), np.float32(0))
+    assert rim + np.float32(SHADOWED) == 2 * SHADOWED
+    point = np.array([[rim, 0.5, 0], [0.5, rim, 0], [-rim, 0.5, 0]], np.float32)
+    cells = Cells(point, np.ones(3, bool), SHADOWED)
+    for k, (x, y) in enumerate(point[:, :2]):
+        assert cells.within(np.array([x, y]), np.array([x, y])).tolist() == [k]
+
+
 def test_fog_hides_what_is_far():
     layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-10), 0.0]))
     scene = world(count=0, radius=40.0, voxel=2.0)
@@ -482,6 +494,7 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
             for i, j in zip(s.images, t.images, strict=True):
                 assert np.array_equal(i.rgb, j.rgb)
                 for name in LAYERS:
+                    assert getattr(i, name).shape == i.rgb.shape[:2]
                     assert np.array_equal(getattr(i, name), getattr(j, name))
             for i, j in zip(s.scans, t.scans, strict=True):
                 assert np.array_equal(i.points, j.points)
@@ -500,22 +513,26 @@ def test_things_keep_their_looks(scene):
 
 @pytest.mark.parametrize("light", LIGHTS)
 def test_with_nobody_there_the_layers_are_of_what_stands_still(light):
-    """And without a pole no street lamp: what the sky gives at night is all there is."""
+    """The road where rays meet its plane; without a lamp by night, lit by the sky alone."""
     scene = world(count=0, radius=20.0, voxel=1.0)
-    layout = place_sensors((SMALL, [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]))  # over the road: no mast
+    pose = np.array([0.0, 0.0, 6.0, 0.0, -0.3, -2.3])  # over the road: no mast
+    layout = place_sensors((SMALL, pose.tolist()))
     given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
     recorder = EmbeddedRecorder(*given)
     assert not len(recorder.statics.poles)
     (image,) = recorder.frame(0).stations[0].images
-    camera = recorder.sensors[0]
     assert not image.instance.any()
-    distance = image.depth.ravel() / camera.ahead
-    assert np.allclose(
-        distance[np.isfinite(distance)], camera.ground.distance[np.isfinite(distance)]
-    )
-    assert np.array_equal(image.semantic.ravel(), camera.ground.semantic)
-    assert len(np.unique(image.semantic)) > 2
-    assert image.rgb.std() > 1
+    u, v = np.meshgrid(np.arange(SMALL.width) + 0.5, np.arange(SMALL.height) + 0.5)
+    (cx, cy), f = SMALL.principal, SMALL.focal
+    rays = np.stack([np.ones_like(u), (cx - u) / f, (cy - v) / f], -1) @ rotation(pose[3:], np).T
+    depth = pose[2] / np.maximum(-rays[..., 2], 1e-9)  # of the plane z = 0
+    at = pose[:2] + depth[..., None] * rays[..., :2]
+    road = scene.intersection.regions[Region.DRIVEWAY].buffer(-0.5)
+    on_road = shapely.contains_xy(road, *np.moveaxis(at, -1, 0)) & (depth < 15)
+    assert on_road.mean() > 0.1
+    np.testing.assert_allclose(image.depth[on_road], depth[on_road], atol=1e-3)
+    assert set(np.unique(image.semantic[on_road])) <= {1, 24}  # CARLA's road, and its markings
+    assert recorder.sensors[0].ground.other[on_road.ravel()].min() > 0
 
 
 def test_slopes_and_empty_roads_are_recorded():

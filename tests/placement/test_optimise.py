@@ -111,7 +111,7 @@ def test_a_run_keeps_the_best_and_a_copy_of_it():
 
 @pytest.mark.parametrize("work", ["offer", "rough", "charge"])
 def test_no_work_begins_after_the_budget(work):
-    """Of evaluations, and of seconds by the clock; what began within it is finished."""
+    """Of evaluations, and of seconds by the clock; a piece of work that began is finished."""
     for limit in ("evaluations", "seconds"):
         clock = Clock()
         run = run_of(**{limit: 2.0}, clock=clock)

@@ -126,6 +126,13 @@ def test_cma_restarts_with_twice_the_population_and_finds_the_higher_summit():
     assert run.best == pytest.approx(height(np.full((1, 4), 2.0))[0], abs=0.02)
 
 
+@pytest.mark.parametrize(("free", "size"), [(4, 8), (7, 9), (47, 15)])
+def test_cma_begins_with_the_population_of_the_tutorial(free, size):
+    """4 + ⌊3 ln n⌋, table 1 of Hansen's (arXiv 1604.00772)."""
+    run = Heard(Bowl(Box(free + 1), lambda x: -x.sum(1)), np.zeros(free + 1), evaluations=1)
+    assert METHODS["cma-es"].begin(run)["told"].shape[1] == size
+
+
 def test_random_finds_the_summit_as_nearly_as_its_draws_do():
     """Of n even draws the nearest in a box of 4 dimensions is about n^(−1/4) of its width away."""
     summit = np.array([1.0, -2.0, 0.5, 2.0])

@@ -44,9 +44,11 @@ def test_the_junction_is_what_its_file_says(place):
     assert (info.id, info.arms, info.crosswalks, info.signals) == ("0", 4, 4, 4)
     assert np.allclose(place.center, 0, atol=0.5)  # 500, 500 less the 500, 500 it was moved by
     assert np.array_equal(info.center[:2], place.center[:2])
-    assert read_map(rilsa(), center=info.center[:2], radius=20).name.endswith(
-        f"at ({info.center[0]:g}, {info.center[1]:g})"
-    )
+    root = ET.parse(rilsa()).getroot()
+    (node,) = (node for node in root.iter("junction") if node.get("id") == "0")
+    outline = np.array([p.split(",")[:2] for p in node.attrib["shape"].split()], float)
+    moved = np.array(root.find("location").attrib["netOffset"].split(","), float)
+    assert np.allclose(info.center[:2], (outline.min(0) + outline.max(0)) / 2 - moved, atol=1e-6)
     bearings = [arm.bearing for arm in place.arms]
     assert np.allclose(bearings, np.radians([-90, 0, 90, 180]), atol=0.02)
     # Two lanes in, one out, all of 3.2 m.

@@ -90,9 +90,9 @@ class Cells:
         self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
         lowest = np.full(self.size**2, np.inf, np.float32)
         np.minimum.at(lowest, number, point[pixels, 2])
-        lowest = lowest.reshape(self.size, self.size)
+        square = lowest.reshape(self.size, self.size)
         around = 2 * (int(ASIDE) + 1) + 1  # and a metre more: that from step to step in ``ends``
-        self._lowest = minimum_filter(lowest, around, mode="constant", cval=np.inf)
+        self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
         """Those over the squares that a rectangle touches."""

@@ -92,7 +92,7 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
     viewer._hear_pull(Pull("end", at + away, turn))
     while len(heard) < 2:
         time.sleep(0.002)
-        scored = viewer._scored
+        scored = viewer.display.scored
         if viewer.layout is before or scored is None or scored.layout is not viewer.layout:
             continue
         assert scored.scores is not None

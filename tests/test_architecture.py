@@ -14,6 +14,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LADDER = [
     ("errors",),
     ("files", "numerics", "masks", "cores", "sharding"),
+    ("compiling",),
     ("geometry", "carla_frame"),
     ("scene",),
     ("sensing",),
@@ -36,6 +37,8 @@ ROOMS = {
     "PIL": ("dataset/",),
     "matplotlib": ("report/",),
     "viser": ("report/", "viewer/"),
+    "websockets": ("report/server.py",),
+    "msgspec": ("report/server.py",),
     "jinja2": ("report/",),
     "typer": ("cli/",),
     "distributed": ("study/",),

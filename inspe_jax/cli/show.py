@@ -143,6 +143,13 @@ def view(
         str,
         typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in."),
     ] = "127.0.0.1",
+    token: Annotated[
+        bool,
+        typer.Option(
+            help="A random token in the page's address: only who has the address can open it. "
+            "On this machine alone it can be left out."
+        ),
+    ] = True,
     weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
@@ -150,8 +157,10 @@ def view(
     """Serve a page on which sensors are dragged and the scores follow.
 
     Sensors snap to where they can be mounted. Add, copy, remove and exchange them, search from
-    where they are, undo, save, write a report. What is not saved is kept beside the file. A layout
-    that breaks a rule of mounting opens, too, in red and with the reason. Ctrl-C ends.
+    where they are, undo, save, write a report. What is not saved is kept beside the file, and no
+    file of an earlier run is replaced unasked. A layout that breaks a rule of mounting opens, too,
+    in red and with the reason. The address that is printed has a secret in it: who knows it can do
+    all this. Ctrl-C ends.
 
     Examples:
 
@@ -159,8 +168,10 @@ def view(
     - `inspe view j189.npz layout.yaml --out better.yaml --light night`
     - `inspe view roundabout Cam-d1/L-d1 --port 9000 --host 0.0.0.0`
     """
+    from inspe_jax.errors import InspeError
     from inspe_jax.files import check_output
     from inspe_jax.placement.problem import Case
+    from inspe_jax.report.server import Door
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.viewer.app import Viewer
@@ -170,18 +181,24 @@ def view(
     with busy(f"reading {source}"):
         world = load_scene(source)
         layout = layout_on(world, sensors, unit_rule=False)
-    viewer = Viewer(Case(world, conditions), layout, path, weights=weights, host=host, port=port)
-    kept = viewer.store.unsaved
+    door = Door(host) if token else Door(host, token="")
+    if not (token or door.local):
+        raise InspeError(f"--no-token: only on this machine, and --host {host} lets others in")
+    viewer = Viewer(Case(world, conditions), layout, path, weights=weights, door=door, port=port)
     try:
         if port not in (0, viewer.port):
             note([f"port {port} cannot be had: this is {viewer.port}"])
         out.print(f"open {viewer.url}", highlight=False, soft_wrap=True)
-        if host == "localhost" or host.startswith("127.") or host == "::1":
+        if door.local:
             out.print("only this machine can; --host 0.0.0.0 lets others in", highlight=False)
-        else:
-            note(["anyone who reaches this machine can look, change and save"])
-        if kept.exists():
-            note([f"{kept} is of another time; open it to go on from it, or a change replaces it"])
+        for url in viewer.other_urls:
+            out.print(f"from other machines {url}", highlight=False, soft_wrap=True)
+        if not door.local:
+            note(["who has the address can look, change and save; it is not encrypted"])
+        for earlier in viewer.store.earlier:
+            note(
+                [f"{earlier.path} is of another time: the page offers it, and does not replace it"]
+            )
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         out.print("Ctrl-C ends", highlight=False)
         while True:
@@ -192,4 +209,5 @@ def view(
         with busy("ending"):
             viewer.close()
     if not viewer.store.holds(viewer.layout):
+        kept = viewer.store.unsaved
         out.print(f"not saved: {kept} has the layout", highlight=False, soft_wrap=True)

@@ -66,6 +66,7 @@ def optimise(
     progress: Callable[[float, float], None] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     found: Callable[[Layout, float], None] | None = None,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Result:
     """Better places for the sensors of a layout, under constraints, within a budget.
 
@@ -77,7 +78,7 @@ def optimise(
     ``evaluations`` (exact scores and their equivalents), or both; with ``evaluations`` alone a
     ``seed`` repeats on the same machine. ``progress`` is called with the share of the budget that
     is spent and the best score so far; ``found`` with every layout that is the best so far, and its
-    score.
+    score. ``clock`` counts the seconds of the budget.
 
     ``checkpoint`` names an ``.npz`` file that is written every 10 s and at the end. If it is there
     already, the search goes on from it: to the same end as if it had not been stopped, or further
@@ -89,7 +90,7 @@ def optimise(
     where an option is unknown or out of range, a unit has nowhere to stand, or the checkpoint is
     of another search.
     """
-    began = time.monotonic()
+    began = clock()
     row = _method(method)
     seconds = _seconds(seconds, evaluations)
     check_seed(seed)
@@ -103,6 +104,7 @@ def optimise(
         seed=seed,
         seconds=seconds,
         evaluations=evaluations,
+        clock=clock,
         began=began,
         progress=progress,
         found=None if found is None else lambda x, best: found(problem.space.layout(x), best),
@@ -248,7 +250,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
 
     after = scores(found)
     return Result(
-        layout=replace(found, name=f"{found.name.removesuffix(_SUFFIX)}{_SUFFIX}"),
+        layout=named_optimised(found),
         start=start,
         scores_before=scores(start),
         scores=after,
@@ -272,6 +274,11 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
 
 
 _SUFFIX = ", optimised"
+
+
+def named_optimised(layout: Layout) -> Layout:
+    """A layout that a search found, by a name that says so."""
+    return replace(layout, name=f"{layout.name.removesuffix(_SUFFIX)}{_SUFFIX}")
 
 
 def _settings(problem: Problem) -> dict[str, Any]:

@@ -4,11 +4,7 @@ Drawn with viser, for a browser. World metres about the scene's centre, since gr
 single precision.
 """
 
-import errno
-import io
-import socket
 from collections.abc import Iterable
-from contextlib import AbstractContextManager, redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -18,10 +14,10 @@ from jaxtyping import Float, Int
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
-from inspe_jax.errors import InspeError
 from inspe_jax.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS, view_outline
 from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.server import Door, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic import CLASSES
@@ -39,6 +35,8 @@ BROKEN_COLOR = "#ff1744"
 """Of sensors that break a rule of mounting, which have a ! beside their number, too."""
 OPACITY = {Sight.OUT_OF_VIEW: 0.45, Sight.HIDDEN: 0.6, Sight.SEEN: 0.12}
 """Of the voxels that are drawn."""
+FAINT = 0.3
+"""Share of that for voxels that are out of date."""
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera's frame in the body's: right, down and forward are −y, −z and x."""
 MOUNTING_COLOR = "#303030"
@@ -46,8 +44,6 @@ MOUNTING_COLOR = "#303030"
 POLE = 4.0
 ABOVE = 0.8
 """Numbers stand so far above a unit's highest sensor [m]."""
-PORTS = 100
-"""How many are tried."""
 LIFT = 0.05
 """Lines on the ground are drawn so much above it [m]."""
 
@@ -107,8 +103,13 @@ class Stage:
             center = traffic.center[frame, who] - self.shift
             self._boxes(f"road users/{name}", center, traffic.size[frame, who], USER_COLOR, turn)
 
-    def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Iterable[Sight]) -> None:
-        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Sight`."""
+    def draw_voxels(
+        self, sight: Int[np.ndarray, " V"], shown: Iterable[Sight], *, faint: bool = False
+    ) -> None:
+        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Sight`.
+
+        ``faint`` where that was so before a change.
+        """
         grid = self.scene.voxels
         by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
         for kind, opacity in OPACITY.items():
@@ -122,6 +123,7 @@ class Stage:
             center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
             wide = np.full(len(column), 0.94 * grid.size)
             size = np.column_stack([wide, wide, tall])
+            opacity = FAINT * opacity if faint else opacity
             self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
 
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
@@ -303,39 +305,9 @@ def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
 
 
-def quiet() -> AbstractContextManager[Any]:
-    """Without what viser prints of its own: addresses, and that it has stopped."""
-    return redirect_stdout(io.StringIO())
-
-
-def serve(host: str, port: int) -> viser.ViserServer:
-    """A server for browsers, at the port or the next that can be had; any at port 0.
-
-    Raises InspeError where the host is none of this machine's, or no port can be had.
-    """
-    try:
-        kind, _, _, _, at = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except OSError as e:
-        raise InspeError(f"host {host}: nothing can be served there ({e.strerror})") from None
-    wrong = OSError()
-    for free in range(port, min(port + PORTS, 65536)):
-        try:
-            with socket.socket(kind, socket.SOCK_STREAM) as trial:
-                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                trial.bind((at[0], free, *at[2:]))
-        except OSError as e:
-            wrong = e
-            if e.errno not in (errno.EADDRINUSE, errno.EACCES):
-                break
-        else:
-            with quiet():
-                return viser.ViserServer(host=host, port=free, verbose=False)
-    raise InspeError(f"host {host}, port {port}: nothing can be served there ({wrong.strerror})")
-
-
 def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
     """A page of its own: one frame of a scene, and what a layout sees of it, to turn and zoom."""
-    server = serve("127.0.0.1", 0)
+    server = serve(Door("127.0.0.1", browsers=0), 0)  # nobody looks: the page is a file
     try:
         stage = Stage(server.scene, scene)
         stage.draw_users(frame)

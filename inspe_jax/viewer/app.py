@@ -1,6 +1,6 @@
 """The page: the scene in three dimensions, a handle on its sensors, scores that follow.
 
-What changes is the session's, what is scored the scorer's, what is drawn the stage's. Browsers
+What changes is the session's, what is scored the scorer's, what is shown the display's. Browsers
 share all of it, and what they ask for is done in turn on one thread, the desk's.
 """
 
@@ -13,34 +13,37 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt
 
+from inspe_jax.compiling import usual_seconds, waiting_words
 from inspe_jax.errors import InspeError
 from inspe_jax.metrics import WEIGHTS
-from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
-from inspe_jax.placement.result import STATUSES, Result
-from inspe_jax.report.stage import Stage, look_from, quiet, serve
+from inspe_jax.report.server import Door, quiet, serve
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.board import board
 from inspe_jax.viewer.desk import Desk, Later
+from inspe_jax.viewer.display import Display
 from inspe_jax.viewer.handle import Handle, Pull
 from inspe_jax.viewer.panel import POSE, Panel, put
 from inspe_jax.viewer.scorer import Scored, Scorer
-from inspe_jax.viewer.searcher import Heard, Searcher
+from inspe_jax.viewer.searcher import Ending, Heard, Searcher
 from inspe_jax.viewer.session import Session
-from inspe_jax.viewer.store import Store
+from inspe_jax.viewer.store import Earlier, Store
 
 NARROW = 0.8
 """A window's width to its height, below which it is one of a telephone."""
 PLAYED = 0.25
 """Between two frames that are played, at least [s]."""
 TYPED = 0.7
-"""A number that is typed counts when nothing was typed for so long [s]."""
+"""A number that is typed counts when nothing was typed for so long, or something else is done
+[s]."""
+SEARCH_COMPILES = 40.0
+"""How long compiling a search takes, roughly [s]."""
 
 
 class Viewer:
     """A layout on a scene, served to browsers.
 
-    ``layout`` is the one in hand, ``url`` and ``port`` where to look at it.
+    ``layout`` is the one in hand, ``url`` and ``port`` where to look at it, ``other_urls`` where
+    other machines may.
     """
 
     def __init__(
@@ -50,49 +53,46 @@ class Viewer:
         path: Path,
         *,
         weights: tuple[float, float, float] = WEIGHTS,
-        host: str = "127.0.0.1",
+        door: Door | None = None,
         port: int = 8080,
     ) -> None:
         """Serve at once. ``path`` is where the layout is saved. Where the port is taken, the next.
 
-        Raises InspeError where nothing can be served there.
+        ``door`` says where to listen and who is let in: this machine, and who has the token, if
+        not given. Raises InspeError where nothing can be served there.
         """
-        self.case, self.weights, self.store = case, weights, Store(path, layout)
+        self.case, self.weights = case, weights
+        self.store = Store(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
         self.session = Session(case.scene, layout)
-        self._opened, self._picked = layout, 0
+        self._picked = 0
         self._grip: tuple[int, Layout, bool] | None = None  # which, of what, whether it was pulled
         self._searching, self._best = False, layout
-        self._shown, self._faults = layout, list[Fault]()
-        self._scored: Scored | None = None
-        self._first: dict[int, float] = {}  # scores of the opened layout, by frames
-        self._sight: tuple[int, UInt[np.ndarray, " V"]] | None = None
-        self._drawn_frame, self._began = -1, 0.0
         self.desk = Desk(self._failed)
         self._typing, self._playing = {key: Later() for key in POSE}, Later()
-        self.server = serve(host, port)
+        self.door = Door("127.0.0.1") if door is None else door
+        self.server = serve(self.door, port)
         self.port = self.server.get_port()
-        named = f"[{host}]" if ":" in host else host
-        self.url = f"http://{'localhost' if host == '0.0.0.0' else named}:{self.port}"
+        self.url, *self.other_urls = self.door.urls(self.port)
         self.server.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
         )
         self.server.gui.set_panel_label(f"{layout.name} at {case.scene.name}")
-        self.stage = Stage(self.server.scene, case.scene)
-        self.stage.draw_mounting()
-        look_from(self.server.initial_camera, case.scene, back=1.25)
         self.server.on_client_connect(self._greet)
         self.server.gui.main_panel.dock_right()
         self.panel = Panel(self.server.gui, self, self.frames)
+        self.display = Display(self.server, case, layout, self.panel, self.desk, self.select)
+        self.stage = self.display.stage
         self.scorer = Scorer(case, weights, self._hear_scores, self._hear_sight)
         self.searcher = Searcher(
             case,
             weights,
             self.session.constraints,
-            Heard(self._hear_progress, self._hear_better, self._hear_end),
+            Heard(self._hear_progress, self._hear_better, self._hear_compiling, self._hear_end),
         )
         self.handle = Handle(self.server.scene, self._hear_pull)
-        self.desk.ask(lambda: self._draw_users(0))
+        self.panel.offer_earlier([earlier.words for earlier in self.store.earlier])
+        self.desk.ask(lambda: self.display.draw_users(0))
         self.desk.ask(self._show)
 
     @property
@@ -103,7 +103,7 @@ class Viewer:
     @property
     def _frame(self) -> int:
         """That the slider says; of one frame alone it has two places."""
-        return min(int(self.panel.frame.value), self.frames - 1)
+        return min(max(int(self.panel.frame.value), 0), self.frames - 1)
 
     def _greet(self, client: Any) -> None:
         """On a narrow screen the controls lie over the lower part: look at the scene above them."""
@@ -113,17 +113,27 @@ class Viewer:
             client.camera.look_at = (0.0, -1.5 * radius, 0.0)
 
     def close(self) -> None:
-        """End the search with its best, finish a report, and stop serving."""
-        for waiting in (*self._typing.values(), self._playing):
-            waiting.cancel()
+        """Count what is typed, end the search with its best, finish a report, and stop serving."""
+        self.settle()
+        self._playing.cancel()
         self.searcher.close()
         self.scorer.close()
         self.store.close()
+        self.display.close()
         self.desk.close()
         with quiet():
             self.server.stop()
 
     # ── What a browser asks for: each says of which sensor ──
+
+    def settle(self) -> None:
+        """Let the numbers count that are typed, before anything else is done."""
+        for waiting in self._typing.values():
+            waiting.now()
+
+    def restore(self) -> None:
+        """Show the controls as they are: a browser set one to what it cannot be."""
+        self.desk.ask(self._show_controls)
 
     def select(self, s: int) -> None:
         """Take another sensor in hand."""
@@ -156,6 +166,7 @@ class Viewer:
                 pose[2] += value - self.session.height(s)
             elif key in ("x", "y"):
                 pose["xy".index(key)] = value
+                pose[:2] = self._inside(pose[:2])
             else:
                 pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
             self.session.move(s, pose)
@@ -189,7 +200,7 @@ class Viewer:
 
     def show_voxels(self) -> None:
         """Show those kinds of voxels that are ticked."""
-        self.desk.ask(self._draw_sight, key="ticks")
+        self.desk.ask(self.display.draw_voxels, key="ticks")
 
     def optimise(self) -> None:
         """Search from here."""
@@ -202,38 +213,57 @@ class Viewer:
             self._began = time.monotonic()
             self.panel.searching(True)
             put(self.panel.bar, 0.0)
-            self.panel.course.content = "compiling …"
+            self.panel.course.content = "starting …"
             self._show_handle()
             self.searcher.start(self.layout, method, seconds)
 
         self.desk.ask(job)
 
     def stop(self) -> None:
-        """End the search."""
-
-        def job() -> None:
-            self.panel.course.content = "stopping …"
-            self.searcher.stop()
-
-        self.desk.ask(job)
+        """End the search, with its best so far."""
+        self.desk.ask(self.searcher.stop)
 
     def save(self) -> None:
-        """Write the layout's file."""
+        """Write the layout's file; ask first where that would replace an earlier run's."""
 
         def job() -> None:
-            self.store.save(self.layout)
-            self._show_file()
-            self._tell("Saved", str(self.store.path), "green")
+            if self.store.would_replace():
+                self.panel.ask_replace(self.store.path.name, self.store.beside.name)
+            else:
+                self._save(None)
 
         self._alone(job)
+
+    def replace(self) -> None:
+        """Write the layout's file in place of what is there."""
+        self._alone(lambda: self._save(None))
+
+    def save_beside(self) -> None:
+        """Write the layout to a file of a new name, and from now on to that one."""
+        self._alone(lambda: self._save(self.store.beside))
+
+    def _save(self, path: Path | None) -> None:
+        self.store.save(self.layout, path)
+        self._show_file()
+        self._tell("Saved", str(self.store.path), "green")
+
+    def open_earlier(self, number: int) -> None:
+        """Go on from a layout that an earlier run has left."""
+
+        def change() -> None:
+            earlier: Earlier = self.store.earlier[number]
+            self.session.take(self.store.open(earlier))
+            self._tell("Opened", earlier.path.name, None)
+
+        self._change(change)
 
     def write_report(self) -> None:
         """Write a page on the layout beside its file; one at a time."""
 
-        def ended(wrong: Exception | None) -> None:
+        def ended(page: Path, wrong: Exception | None) -> None:
             self.panel.report.disabled = self._searching
             if wrong is None:
-                self._tell("Report", f"wrote {self.store.page}", "green")
+                self._tell("Report", f"wrote {page}", "green")
             else:
                 self._failed(wrong)
 
@@ -267,7 +297,7 @@ class Viewer:
         if pull.phase == "update":
             self._grip = s, of, True
             where, _ = self.session.moved(s, self._pulled(s, pull))
-            self._draw(where)
+            self.display.draw(where)
             self.scorer.score(where, whole=False)
         elif pull.phase == "end":
             self._grip = None
@@ -289,18 +319,11 @@ class Viewer:
     # ── What the scorer and the search tell, from their threads ──
 
     def _hear_scores(self, scored: Scored) -> None:
-        def job() -> None:
-            self._scored = scored
-            if scored.layout is self._opened and scored.scores is not None:
-                self._first[scored.frames] = scored.scores.surrogate
-            self._show_board()
+        self.desk.ask(lambda: self.display.hear_scores(scored), key="scores")
 
-        self.desk.ask(job, key="scores")
-
-    def _hear_sight(self, frame: int, sight: UInt[np.ndarray, " V"]) -> None:
+    def _hear_sight(self, layout: Layout, frame: int, sight: UInt[np.ndarray, " V"]) -> None:
         def job() -> None:
-            self._sight = frame, sight
-            self._draw_sight()
+            self.display.hear_sight(layout, frame, sight)
             if self.panel.play.value:
                 self._playing.do(PLAYED, self._next)
 
@@ -312,37 +335,45 @@ class Viewer:
             self.watch()
 
     def _hear_progress(self, done: float, best: float) -> None:
-        spent = time.monotonic() - self._began
-        left = f", {spent * (1 - done) / done:.0f} s left" if done > 0.02 else ""
-
         def job() -> None:
+            if not self._searching:
+                return
+            left = (1 - done) * float(self.panel.seconds.value)
             put(self.panel.bar, 100.0 * done)
-            self.panel.course.content = f"best {best:.4f}{left}"
+            self.panel.course.content = f"best {best:.4f}, {left:.0f} s left"
+
+        self.desk.ask(job, key="progress")
+
+    def _hear_compiling(self, seconds: float) -> None:
+        def job() -> None:
+            if self._searching:
+                what = f"search by {self.panel.method.value}"
+                words = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
+                self.panel.course.content = f"{words}; the search's time stands still"
 
         self.desk.ask(job, key="progress")
 
     def _hear_better(self, layout: Layout, score: float) -> None:
         def job() -> None:
+            if not self._searching:
+                return
             self._best = layout
-            self._draw(layout)
+            self.display.draw(layout)
             self.scorer.score(layout, whole=False)
             self.store.keep(layout)  # whatever becomes of the page
 
         self.desk.ask(job, key="better")
 
-    def _hear_end(self, result: Result | None, wrong: str) -> None:
+    def _hear_end(self, ending: Ending) -> None:
         def job() -> None:
             self._searching = False
             self.panel.searching(False)
-            if result is not None:
-                self.session.take(result.layout, result.notes)
-                gain = result.objective - result.objective_before
-                words = f"{gain:+.4f}: {STATUSES[result.status]}"
-                self._tell("Search", words, "green" if gain > 0 else None)
+            if ending.layout is None:
+                self._tell("Search", ending.words, "red" if ending.failed else None)
             else:
-                if self._best is not self.layout:  # found before it failed
-                    self.session.take(self._best)
-                self._tell("Search", wrong, "red")
+                self.session.take(ending.layout, ending.notes)
+                color = "red" if ending.failed else "green" if ending.gain > 0 else None
+                self._tell("Search", f"{ending.gain:+.4f}: {ending.words}", color)
             self._after_change()
 
         self.desk.ask(job)
@@ -370,26 +401,10 @@ class Viewer:
 
     def _show(self) -> None:
         self._picked = min(self._picked, len(self.layout) - 1)
-        self._faults = self.session.faults()
-        self._draw(self.layout)
+        self.display.draw(self.layout, self.session.faults(), self.session.notes)
         self._show_controls()
         self._show_file()
         self.scorer.score(self.layout, whole=True)
-
-    def _draw(self, layout: Layout) -> None:
-        """Show a layout: the one in hand, with what is wrong with it, or one that it may become."""
-        self._shown = layout
-        faults = self._faults if layout is self.layout else []
-        broken = {s for fault in faults for s in fault.sensors}
-        shown = self.case.conditions.layout(layout)
-        for s, body in self.stage.draw_layout(shown, broken).items():
-            self._bind_body(s, body)
-        self._show_board()
-
-    def _bind_body(self, s: int, body: Any) -> None:
-        @body.on_click
-        async def _(_: Any) -> None:
-            self.select(s)
 
     def _show_controls(self) -> None:
         s, layout = self._picked, self.layout
@@ -408,32 +423,6 @@ class Viewer:
 
     def _show_file(self) -> None:
         self.panel.file.content = self.store.words(self.layout)
-
-    def _show_board(self) -> None:
-        in_hand = self._shown is self.layout
-        scored = self._scored
-        self.panel.board.content = board(
-            self._shown,
-            scored,
-            frames=self.frames,
-            opened=None if scored is None else self._first.get(scored.frames),
-            faults=[fault.words for fault in self._faults] if in_hand else [],
-            notes=self.session.notes if in_hand else (),
-        )
-
-    def _draw_users(self, frame: int) -> None:
-        if frame != self._drawn_frame:
-            self.stage.draw_users(frame)
-            self._drawn_frame = frame
-
-    def _draw_sight(self) -> None:
-        if self._sight is None:
-            return
-        frame, sight = self._sight
-        with self.server.atomic():
-            self._draw_users(frame)
-            boxes = self.panel.shown.items()
-            self.stage.draw_voxels(sight, [kind for kind, box in boxes if box.value])
 
     def _tell(self, title: str, words: str, color: Any) -> None:
         for client in self.server.get_clients().values():

@@ -37,13 +37,16 @@ def board(
     opened: float | None = None,
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
+    waiting: str = "scoring …",
+    faded: bool = False,
 ) -> str:
     """A layout's scores as HTML.
 
     ``scored`` is the last that was scored, None while there is none; of another layout it stands
     there, in grey, until there are new ones. ``frames`` of the whole traffic; ``opened``, the score
     of the layout that was opened; ``faults``, why it cannot be mounted; ``notes``, what mounting
-    made of the last change.
+    made of the last change; ``waiting``, what is done while there are no scores; ``faded``, whether
+    those of another layout fade.
     """
     scores = None if scored is None else scored.scores
     new = scored if scored is not None and scored.layout is layout else None
@@ -52,8 +55,9 @@ def board(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change=None if scores is None or opened is None else scores.surrogate - opened,
-        state="scoring …" if new is None else _state(new, frames),
+        state=waiting if new is None else _state(new, frames),
         new=new is not None,
+        faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
         notes=notes,

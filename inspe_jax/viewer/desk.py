@@ -53,16 +53,41 @@ class Later:
     """One thing to do after a while; another one takes its place."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._timer: threading.Timer | None = None
+        self._job: Job | None = None
 
     def do(self, seconds: float, job: Job) -> None:
         """Do this so many seconds from now, and what waited not at all."""
-        self.cancel()
-        self._timer = threading.Timer(seconds, job)
-        self._timer.daemon = True
-        self._timer.start()
+        with self._lock:
+            self._forget()
+            timer = threading.Timer(seconds, lambda: self._do(timer))
+            timer.daemon = True
+            self._job, self._timer = job, timer
+            timer.start()
+
+    def now(self) -> None:
+        """Do what waits now, if anything does."""
+        with self._lock:
+            job = self._job
+            self._forget()
+        if job is not None:
+            job()
 
     def cancel(self) -> None:
         """Do not do what waits."""
+        with self._lock:
+            self._forget()
+
+    def _do(self, timer: threading.Timer) -> None:
+        with self._lock:
+            if timer is not self._timer:  # another took its place, or it is done
+                return
+            job, self._job, self._timer = self._job, None, None
+        if job is not None:
+            job()
+
+    def _forget(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
+        self._job = self._timer = None

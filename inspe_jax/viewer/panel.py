@@ -32,6 +32,9 @@ class Panel:
     def __init__(self, gui: viser.GuiApi, asked: Any, frames: int) -> None:
         """``asked`` has a method for each: see what is bound below."""
         known = list(devices())
+        self._gui, self._asked = gui, asked
+        self._question: Any = None
+        self.earlier = gui.add_folder("Earlier work", visible=False)
         self.board = gui.add_html("")
         self.edit = gui.add_button_group("Change", ("Undo", "Redo"))
         with gui.add_folder("Sensor"):
@@ -62,33 +65,82 @@ class Panel:
             self.save = gui.add_button("Save layout")
             self.report = gui.add_button("Write report")
 
-        self._bind(self.edit.on_click, lambda: asked.undo_or_redo(self.edit.value))
-        self._bind(self.sensor.on_update, lambda: asked.select(self.chosen))
-        self._bind(self.device.on_update, lambda: asked.swap(self.chosen, self.device.value))
+        self._bind(self.edit, lambda: asked.undo_or_redo(self.edit.value))
+        self._bind(self.sensor, lambda: asked.select(self.chosen))
+        self._bind(self.device, lambda: asked.swap(self.chosen, self.device.value))
         for key, number in self.pose.items():
-            self._bind(number.on_update, partial(self._typed, asked, key))
+            self._bind(number, partial(self._typed, asked, key), settle=False)
         which = {"Duplicate": asked.duplicate, "Remove": asked.remove}
-        self._bind(self.existing.on_click, lambda: which[self.existing.value](self.chosen))
-        self._bind(self.optimise.on_click, asked.optimise)
-        self._bind(self.stop.on_click, asked.stop)
-        self._bind(self.frame.on_update, asked.watch)
-        self._bind(self.play.on_update, asked.watch)
+        self._bind(self.existing, lambda: which[self.existing.value](self.chosen))
+        for choice in (self.new, self.method):
+            self._bind(choice, lambda: None)
+        self._bind(self.optimise, asked.optimise)
+        self._bind(self.stop, asked.stop)
+        self._bind(self.frame, asked.watch)
+        self._bind(self.play, asked.watch)
         for box in self.shown.values():
-            self._bind(box.on_update, asked.show_voxels)
-        self._bind(self.save.on_click, asked.save)
-        self._bind(self.report.on_click, asked.write_report)
+            self._bind(box, asked.show_voxels)
+        self._bind(self.save, asked.save)
+        self._bind(self.report, asked.write_report)
 
         @self.add.on_click
         async def _(event: Any) -> None:
+            asked.settle()
             asked.add(self.new.value, event.client)
+
+    def offer_earlier(self, words: Sequence[str]) -> None:
+        """Offer layouts that an earlier run has left; until one is opened, or none is wanted."""
+        if not words:
+            return
+        self.earlier.visible = True
+        with self.earlier:
+            self._gui.add_markdown(
+                f"An earlier run has left {' and '.join(words)}. "
+                "Nothing here replaces that unasked."
+            )
+            for number, one in enumerate(words):
+                name = one.split("`")[1]
+                self._bind(self._gui.add_button(f"Open {name}"), partial(self._open, number))
+            self._bind(self._gui.add_button("Leave them"), self._leave)
+
+    def _open(self, number: int) -> None:
+        self._leave()
+        self._asked.open_earlier(number)
+
+    def _leave(self) -> None:
+        self.earlier.visible = False
+
+    def ask_replace(self, name: str, other: str) -> None:
+        """Ask whether a file of an earlier run is to be replaced."""
+        self._end_question()
+        self._question = self._gui.add_modal("Replace it?")
+        with self._question:
+            self._gui.add_markdown(f"`{name}` was not written by this run of the viewer.")
+            answers = {
+                f"Save as {other}": self._asked.save_beside,
+                f"Replace {name}": self._asked.replace,
+                "Cancel": lambda: None,
+            }
+            for answer, then in answers.items():
+                self._bind(self._gui.add_button(answer), partial(self._answer, then))
+
+    def _answer(self, then: Callable[[], None]) -> None:
+        self._end_question()
+        then()
+
+    def _end_question(self) -> None:
+        if self._question is not None:
+            self._question.close()
+            self._question = None
 
     def _typed(self, asked: Any, key: str) -> None:
         asked.type_number(self.chosen, key, float(self.pose[key].value))
 
     @property
     def chosen(self) -> int:
-        """The place in the layout of the sensor that is chosen."""
-        return int(self.sensor.value.split()[0]) - 1
+        """The place in the layout of the sensor that is chosen; 0 where none of them is."""
+        value, options = self.sensor.value, self.sensor.options
+        return options.index(value) if value in options else 0
 
     def list_sensors(self, names: Sequence[str], chosen: int) -> None:
         """Offer these sensors, numbered, and choose one."""
@@ -111,14 +163,26 @@ class Panel:
         for control in (*others, *self.pose.values(), self.report):
             control.disabled = on
 
-    @staticmethod
-    def _bind(register: Callable[[Any], Any], ask: Callable[[], None]) -> None:
-        """Ask where a browser did it: on the event loop, so that things stay in order."""
+    def _bind(self, control: Any, ask: Callable[[], None], *, settle: bool = True) -> None:
+        """Ask where a browser did it: on the event loop, so that things stay in order.
+
+        What is typed counts before (``settle``). A value that is none of the options asks nothing.
+        """
 
         async def called(event: Any) -> None:
-            if event.client is not None:
-                ask()
+            if event.client is None:
+                return
+            options = getattr(control, "options", None)
+            if options is not None and control.value not in options:
+                if control in (self.new, self.method):
+                    put(control, options[0])
+                self._asked.restore()
+                return
+            if settle:
+                self._asked.settle()
+            ask()
 
+        register = getattr(control, "on_click", None) or control.on_update
         register(called)
 
 

@@ -45,10 +45,10 @@ class Scorer:
         case: Case,
         weights: tuple[float, float, float],
         scored: Callable[[Scored], None],
-        sighted: Callable[[int, UInt[np.ndarray, " V"]], None],
+        sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
     ) -> None:
-        """``scored`` and ``sighted``, with a frame and its voxels, are called from the scorer's
-        thread."""
+        """``scored``, and ``sighted`` with a layout, a frame and its voxels, are called from the
+        scorer's thread."""
         self.case, self.weights = case, weights
         self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
@@ -116,4 +116,4 @@ class Scorer:
             sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
         except Exception:  # of which the scores tell
             return
-        self._sighted(frame, sight)
+        self._sighted(layout, frame, sight)

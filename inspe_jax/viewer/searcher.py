@@ -1,34 +1,59 @@
-"""A search beside the page: it can be stopped, and what it has found so far is told at once."""
+"""A search beside the page: stopped at once, and what it has found so far is told at once."""
 
+import contextlib
+import pickle
+import signal
+import subprocess
+import sys
 import threading
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from inspe_jax.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.optimise import optimise
+from inspe_jax.placement.optimise import named_optimised
 from inspe_jax.placement.problem import Case, Objective
-from inspe_jax.placement.result import Result
+from inspe_jax.placement.result import STATUSES
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.search_process import Task
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a search ended: its best ``layout`` so far, or None; what it gained by its objective.
+
+    ``words`` say how it came to its end, and whether it ``failed``; ``notes`` are those of its
+    result.
+    """
+
+    layout: Layout | None
+    gain: float
+    words: str
+    failed: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Heard:
-    """What a search tells, from its thread.
+    """What a search tells, from a thread of its own.
 
     ``progress`` with the share of the budget spent and the best score; ``found`` with every
-    layout that is the best so far and its score; ``ended`` with the result, or with None and why
-    there is none.
+    layout that is the best so far and its score; ``compiling`` while it compiles, with how long it
+    has so far [s]; ``ended`` once.
     """
 
     progress: Callable[[float, float], None]
     found: Callable[[Layout, float], None]
-    ended: Callable[[Result | None, str], None]
+    compiling: Callable[[float], None]
+    ended: Callable[[Ending], None]
 
 
 class Searcher:
-    """One search at a time; ``running`` until its end is told."""
+    """One search at a time; ``running`` until its end is told.
+
+    Searches run in a process beside this one, which is kept from one to the next: what is compiled
+    for one serves the others.
+    """
 
     def __init__(
         self,
@@ -38,56 +63,121 @@ class Searcher:
         heard: Heard,
     ) -> None:
         self.case, self.weights, self.constraints = case, weights, constraints
-        self._heard = heard
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._heard, self._lock = heard, threading.RLock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closed = False
+        self._best: tuple[Layout, float] | None = None
+        self._first = 0.0  # the start's score
         self.running = False
+
+    def warm(self) -> None:
+        """Start the process, so that a search need not wait for it."""
+        with self._lock:
+            if self._process is not None or self._closed:
+                return
+            command = [sys.executable, "-m", "inspe_jax.viewer.search_process"]
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=-1
+            )
+            threading.Thread(
+                target=self._listen, args=(self._process,), name="search", daemon=True
+            ).start()
 
     def start(self, layout: Layout, method: str, seconds: float) -> None:
         """Search from a layout; nothing where a search is under way."""
-        if self.running:
-            return
-        self.running = True
-        self._stop.clear()
-        self._thread = threading.Thread(
-            target=self._search, args=(layout, method, seconds), name="search", daemon=True
-        )
-        self._thread.start()
+        with self._lock:
+            if self.running or self._closed:
+                return
+            self.running, self._best = True, None
+            self.warm()
+            assert self._process is not None
+            assert self._process.stdin is not None
+            objective = Objective(weights=self.weights)
+            task = Task(self.case, layout, method, seconds, objective, self.constraints)
+            with contextlib.suppress(BrokenPipeError):  # its end is told by who listens
+                pickle.dump(task, self._process.stdin)
+                self._process.stdin.flush()
 
     def stop(self) -> None:
-        """End the search with the best so far, at its next report."""
-        self._stop.set()
+        """End the search now, with the best so far, whatever it is at."""
+        with self._lock:
+            if not self.running:
+                return
+            self._end_process()
+            self._end(STATUSES["interrupted"])
+        self.warm()  # for the next
 
     def close(self) -> None:
-        """Stop, and wait for the end."""
-        self.stop()
-        if self._thread is not None:
-            self._thread.join()
+        """Stop, and end the process."""
+        with self._lock:
+            self._closed = True
+            self._end_process()
+            if self.running:
+                self._end(STATUSES["interrupted"])
 
-    def _search(self, layout: Layout, method: str, seconds: float) -> None:
-        def progress(done: float, best: float) -> None:
-            self._heard.progress(done, best)
-            if self._stop.is_set():
-                raise KeyboardInterrupt  # as by hand: the search ends with the best so far
+    def _end_process(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            _release(process)
 
-        result, wrong = None, ""
-        try:
-            result = optimise(
-                self.case,
-                layout,
-                method,
-                seconds,
-                objective=Objective(weights=self.weights),
-                constraints=self.constraints,
-                progress=progress,
-                found=self._heard.found,
-            )
-        except KeyboardInterrupt:
-            wrong = "stopped before there was a score"
-        except InspeError as e:
-            wrong = str(e)
-        except Exception as e:
-            traceback.print_exception(e)
-            wrong = f"the search failed: {e!r}"
+    def _end(self, words: str, *, failed: bool = False) -> None:
+        """Tell the end of a search that has no result."""
         self.running = False
-        self._heard.ended(result, wrong)
+        if self._best is None:
+            words = words if failed else "stopped before there was a score"
+            self._heard.ended(Ending(None, 0.0, words, failed=True))
+        else:
+            layout, score = self._best
+            self._heard.ended(Ending(named_optimised(layout), score - self._first, words, failed))
+
+    def _listen(self, process: "subprocess.Popen[bytes]") -> None:
+        assert process.stdout is not None
+        with process.stdout as source:
+            while True:
+                try:
+                    message = pickle.load(source)
+                except (EOFError, OSError, ValueError, pickle.UnpicklingError):
+                    break
+                with self._lock:
+                    if process is self._process and self.running:  # and it was not ended meanwhile
+                        self._hear(*message)
+        with self._lock:
+            if process is not self._process:
+                return
+            self._process, status = None, _release(process)
+            if self.running:
+                self._end(f"the search's process ended by itself ({_reason(status)})", failed=True)
+
+    def _hear(self, word: str, *told: Any) -> None:
+        if word == "progress":
+            self._heard.progress(*told)
+        elif word == "compiling":
+            self._heard.compiling(*told)
+        elif word == "found":
+            if self._best is None:
+                self._first = told[1]
+            self._best = told
+            self._heard.found(*told)
+        elif word == "failed":
+            self._end(told[0], failed=True)
+        elif word == "ended":
+            result, self.running = told[0], False
+            gain = result.objective - result.objective_before
+            words = STATUSES[result.status]
+            self._heard.ended(Ending(result.layout, gain, words, notes=result.notes))
+
+
+def _release(process: "subprocess.Popen[bytes]") -> int:
+    """Wait for a process that is ending, and give its status."""
+    assert process.stdin is not None
+    with contextlib.suppress(BrokenPipeError):  # what it has not read is lost
+        process.stdin.close()
+    return process.wait()
+
+
+def _reason(status: int) -> str:
+    """What a process's status says."""
+    if status == -signal.SIGKILL:
+        return "killed, as it is where memory runs out"
+    return f"status {status}"

@@ -2,6 +2,7 @@
 
 import re
 import socket
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +10,11 @@ import pytest
 from browser import browser, errors_of, needs_browser
 from worlds import world
 
-from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import evaluate
 from inspe_jax.placement.constraints import Space
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.stage import turn_of
-from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import LENGTH
 from inspe_jax.viewer.panel import put
@@ -301,6 +301,71 @@ def test_where_the_port_is_taken_the_next_one_serves(scene, layout, tmp_path):
             viewer.close()
 
 
-def test_a_host_that_is_not_here_is_said(scene, layout, tmp_path):
-    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1, port 0: nothing can be served"):
-        Viewer(Case(scene), layout, tmp_path / "x.yaml", host="203.0.113.1", port=0)
+def test_what_is_typed_is_saved_and_searched_from(tab, viewer, layout):
+    """The button is pressed as soon as the last digit is there."""
+    tab.get_by_label("yaw [°]").click()
+    tab.keyboard.press("Control+A")
+    tab.keyboard.type("-121")
+    press(tab, "Save layout")
+    tab.get_by_text("Saved", exact=True).wait_for()
+    assert np.degrees(load_layout(viewer.store.path).poses[0, 5]) == pytest.approx(-121)
+    tab.get_by_label("pitch [°]").click()
+    tab.keyboard.press("Control+A")
+    tab.keyboard.type("-9.5")
+    press(tab, "Optimise from here")
+    wait_until(tab, lambda: viewer.searcher.running)
+    press(tab, "Stop")
+    wait_until(tab, lambda: not viewer._searching)
+    viewer.undo_or_redo("Undo")
+    wait_until(tab, lambda: np.degrees(viewer.layout.poses[0, 4]) == pytest.approx(-9.5))
+
+
+def test_what_an_earlier_run_saved_is_offered_and_asked_about(chromium, scene, layout, tmp_path):
+    """Start, save, end, start again, as in a day's work; then save to a name of its own."""
+    path, better = tmp_path / "moved.yaml", np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0]
+    save_layout(replace(layout, poses=better), path)
+    for answer in ("Open moved.yaml", "Save as moved-2.yaml", "Cancel", "Replace moved.yaml"):
+        viewer = Viewer(Case(scene), layout, path, port=0)
+        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
+        try:
+            wrong = errors_of(tab)
+            tab.goto(viewer.url)
+            tab.get_by_text("An earlier run has left").wait_for()
+            if answer.startswith("Open"):
+                press(tab, answer)
+                wait_until(tab, lambda v=viewer: np.allclose(v.layout.poses, better, atol=1e-8))
+                tab.get_by_text("An earlier run has left").wait_for(state="hidden")
+                press(tab, "Save layout")
+                tab.get_by_text("Saved", exact=True).wait_for()
+                continue
+            press(tab, "Leave them")
+            tab.get_by_label("height [m]").fill("9")
+            press(tab, "Save layout")
+            tab.get_by_text("was not written by this run").wait_for()
+            np.testing.assert_allclose(load_layout(path).poses, better, atol=1e-8)
+            press(tab, answer)
+            tab.get_by_text("was not written by this run").wait_for(state="hidden")
+            if answer != "Cancel":
+                tab.get_by_text("Saved", exact=True).wait_for()
+            saved = {"Cancel": None, "Replace moved.yaml": "moved.yaml"}.get(answer, "moved-2.yaml")
+            if saved:
+                assert load_layout(tmp_path / saved).poses[0, 2] == pytest.approx(9.0, abs=1e-6)
+            assert wrong == []
+        finally:
+            tab.close()
+            viewer.close()
+
+
+def test_while_a_change_is_not_scored_yet_what_was_is_faint(tab, viewer, monkeypatch):
+    """A score that is long in coming: bars and voxels of the layout before are no longer its."""
+    held, real = threading.Event(), viewer.scorer._score
+    monkeypatch.setattr(viewer.scorer, "_score", lambda *told: (held.wait(60), real(*told)))
+    monkeypatch.setattr(viewer.scorer, "_see", lambda *_: None)
+    strong = viewer.stage.drawn["voxels/hidden"].opacity
+    press(tab, "Duplicate")
+    tab.get_by_text("scoring …").wait_for()
+    wait_until(tab, lambda: viewer.stage.drawn["voxels/hidden"].opacity < strong / 2)
+    assert tab.locator("table").evaluate("table => table.style.opacity") == "0.3"
+    held.set()
+    settled(tab)
+    assert tab.locator("table").evaluate("table => table.style.opacity") == ""

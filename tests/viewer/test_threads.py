@@ -11,6 +11,7 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 from inspe_jax.evaluation import evaluate
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.placement.problem import Case
+from inspe_jax.placement.result import STATUSES
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer.board import board, cost_of
@@ -58,6 +59,18 @@ def test_of_what_is_to_be_done_later_only_the_last_is_done():
     later.do(60, lambda: done.append("never"))
     later.cancel()
     assert done == [2]
+
+
+def test_what_is_to_be_done_later_is_done_once_and_can_be_done_now():
+    done, later = [], Later()
+    later.do(60, lambda: done.append("now"))
+    later.now()
+    later.now()
+    assert done == ["now"]
+    later.do(0.02, lambda: done.append("later"))
+    time.sleep(0.2)
+    later.now()
+    assert done == ["now", "later"]
 
 
 def test_a_job_that_fails_does_not_end_the_others():
@@ -112,7 +125,8 @@ def test_a_few_frames_first_then_all_as_evaluate_has_them(scene, layout, listeni
     part = replace(scene, traffic=type(scene.traffic)(*(
         getattr(scene.traffic, f)[::3] for f in scene.traffic.__dataclass_fields__)))  # fmt: skip
     assert few.scores.surrogate == evaluate(part, layout, conditions=night).surrogate
-    frame, sight = sights.wait(lambda heard: heard)[-1]
+    of, frame, sight = sights.wait(lambda heard: heard)[-1]
+    assert of is layout
     assert frame == 3
     np.testing.assert_array_equal(sight, sight_in(scene, layout, 3, conditions=night))
 
@@ -179,38 +193,109 @@ def test_a_fault_of_ours_does_not_end_the_scorer(layout, listening, monkeypatch)
 # ── The search ──
 
 
-def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout):
-    progress, found, ended = Ear(), Ear(), Ear()
-    searcher = Searcher(Case(scene), WEIGHTS, Constraints(), Heard(progress, found, ended))
+@pytest.fixture
+def heard():
+    return Heard(Ear(), Ear(), Ear(), Ear())
+
+
+@pytest.fixture
+def searcher(scene, heard):
+    found = Searcher(Case(scene), WEIGHTS, Constraints(), heard)
+    yield found
+    found.close()
+
+
+def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher, heard):
     searcher.start(layout, "random", 600.0)
-    found.wait(lambda heard: len(heard) >= 2)
+    heard.found.wait(lambda told: len(told) >= 2)
     assert searcher.running
     searcher.start(layout, "random", 600.0)  # one at a time
+    began = time.monotonic()
     searcher.stop()
-    ((result, wrong),) = ended.wait(lambda heard: heard)
-    assert (wrong, result.status) == ("", "interrupted")
-    scores = [score for _, score in found.heard]
+    ((ending,),) = heard.ended.wait(lambda told: told)
+    assert time.monotonic() - began < 2
+    assert (ending.words, ending.failed) == (STATUSES["interrupted"], False)
+    scores = [score for _, score in heard.found.heard]
     assert scores == sorted(scores)
-    assert result.objective == scores[-1]
-    np.testing.assert_array_equal(result.layout.poses, found.heard[-1][0].poses)
-    np.testing.assert_array_equal(result.path, [at.poses for at, _ in found.heard])
-    assert Space(scene, layout).violations(result.layout) == []
-    searcher.close()
-    assert not searcher.running
-    assert len(ended.heard) == 1
-
-
-def test_a_search_that_cannot_begin_says_why(scene, layout):
-    ended = Ear()
-    nowhere = Constraints(places="poles")  # there is none
-    searcher = Searcher(
-        Case(scene), WEIGHTS, nowhere, Heard(lambda *_: None, lambda *_: None, ended)
+    assert ending.gain == scores[-1] - scores[0]
+    assert ending.gain == pytest.approx(
+        evaluate(scene, ending.layout).surrogate - scores[0], abs=1e-6
     )
+    np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
+    assert ending.layout.name.endswith(", optimised")
+    assert Space(scene, layout).violations(ending.layout) == []
+    assert not searcher.running
+    searcher.stop()
+    assert len(heard.ended.heard) == 1
+
+
+def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(layout, searcher, heard):
+    searcher.start(layout, "random", 2.0)
+    ((first,),) = heard.ended.wait(lambda told: told)
+    assert first.words == STATUSES["budget spent"]
+    assert not first.failed
+    assert first.gain >= 0
+    process, compiled = searcher._process, len(heard.compiling.heard)
+    searcher.start(layout, "random", 2.0)
+    _, (second,) = heard.ended.wait(lambda told: len(told) == 2)
+    assert searcher._process is process
+    assert len(heard.compiling.heard) <= compiled + 4  # hardly any: a second's
+    assert second.layout is not None
+
+
+def test_the_time_stands_still_while_a_search_compiles(layout, searcher, heard):
+    """A budget of 3 s, of which compiling may take many: what is told of the budget says so."""
+    searcher.start(layout, "adam", 3.0)
+    heard.ended.wait(lambda told: told)
+    shares = [share for share, _ in heard.progress.heard]
+    assert min(shares) < 0.5
+    assert max(shares) >= 0.9
+    if heard.compiling.heard:
+        assert max(heard.compiling.heard)[0] > 0
+
+
+@pytest.mark.parametrize("after", [0.0, 0.5, 4.0])
+def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, heard, after):
+    """As it starts, while it compiles, while it searches."""
+    searcher.start(layout, "greedy-adam", 600.0)
+    time.sleep(after)
+    process, began = searcher._process, time.monotonic()
+    searcher.stop()
+    heard.ended.wait(lambda told: told)
+    assert time.monotonic() - began < 2
+    assert process.poll() is not None  # and takes up no core
+
+
+def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
+    nowhere = Constraints(places="poles")  # there is none
+    searcher = Searcher(Case(scene), WEIGHTS, nowhere, heard)
     searcher.start(layout, "random", 5.0)
-    ((result, wrong),) = ended.wait(lambda heard: heard)
-    assert result is None
-    assert "nowhere to stand" in wrong
+    ((ending,),) = heard.ended.wait(lambda told: told)
+    assert ending.layout is None
+    assert ending.failed
+    assert "nowhere to stand" in ending.words
     searcher.close()
+
+
+def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
+    searcher.start(layout, "random", 600.0)
+    heard.found.wait(lambda told: len(told) >= 2)
+    searcher._process.kill()
+    ((ending,),) = heard.ended.wait(lambda told: told)
+    assert ending.failed
+    assert "memory runs out" in ending.words
+    np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
+    searcher.start(layout, "random", 1.0)  # in a new process
+    assert not heard.ended.wait(lambda told: len(told) == 2)[1][0].failed
+
+
+def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
+    """Were it to, it would go on for all its time."""
+    searcher.start(layout, "random", 600.0)
+    heard.found.wait(lambda told: told)
+    process = searcher._process
+    process.stdin.close()
+    assert process.wait(30) == 0
 
 
 # ── The board ──
@@ -233,6 +318,11 @@ def test_the_board_says_scores_faults_and_cost(scene, layout):
     assert "scoring" in later  # what is known is of another layout
     assert "all frames" not in later
     assert "floats" in later
+    waits = board(replace(layout, name="moved"), scored, frames=50, waiting="compiling: 3 s")
+    assert "compiling: 3 s" in waits
+    assert "opacity" not in waits
+    assert "opacity:.3" in board(replace(layout, name="moved"), scored, frames=50, faded=True)
+    assert "opacity" not in board(layout, scored, frames=50, faded=True)  # it is this one's
     failed = replace(scored, scores=None, wrong="no <traffic>")
     assert "no &lt;traffic&gt;" in board(layout, failed, frames=50)
 

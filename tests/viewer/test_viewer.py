@@ -16,6 +16,7 @@ from inspe_jax.sensing.layout import load_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import Pull
 from inspe_jax.viewer.panel import put
+from inspe_jax.viewer.searcher import Ending
 
 AHEAD, LEFT, UP = np.eye(3)
 YAW = np.radians(-100)
@@ -120,24 +121,42 @@ def test_where_nothing_can_be_kept_the_page_goes_on(viewer):
     viewer.store.path = viewer.store.path.parent / "gone" / "layout.yaml"
     pull(viewer, (0, 0, 1.0))
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
-    done(viewer, lambda: viewer._scored and viewer._scored.layout is viewer.layout)
+    done(viewer, lambda: viewer.display.scored and viewer.display.scored.layout is viewer.layout)
     assert viewer.told[-1][0] == "That did not work"
     assert "gone" in viewer.told[-1][1]
 
 
 def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     better = replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0])
-
-    def failing(case, begun, method, seconds, *, found, **_):
-        found(better, 0.9)
-        raise MemoryError("too large")
-
-    monkeypatch.setattr("inspe_jax.viewer.searcher.optimise", failing)
+    monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
-    done(viewer, lambda: viewer.layout is not layout and not viewer._searching)
+    done(viewer, lambda: viewer._searching)
+    viewer._hear_better(better, 0.9)
+    viewer._hear_end(Ending(better, 0.1, "too large", failed=True))
+    done(viewer, lambda: not viewer._searching)
     assert viewer.layout is better
-    assert any("too large" in words for _, words, _ in viewer.told)
+    assert any("too large" in words and color == "red" for _, words, color in viewer.told)
     np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
+
+
+def test_stop_gives_the_best_so_far_at_once(viewer, layout):
+    put(viewer.panel.method, "random")
+    viewer.optimise()
+    done(viewer, lambda: viewer._best is not layout)
+    best, began = viewer._best, time.monotonic()
+    viewer.stop()
+    done(viewer, lambda: not viewer._searching)
+    assert time.monotonic() - began < 2
+    np.testing.assert_array_equal(viewer.layout.poses, best.poses)
+    assert any("stopped by hand" in words for _, words, _ in viewer.told)
+
+
+def test_stop_before_there_is_a_score_leaves_the_layout(viewer, layout):
+    viewer.optimise()
+    viewer.stop()
+    done(viewer, lambda: not viewer._searching)
+    assert viewer.layout is layout
+    assert viewer.told[-1][:2] == ("Search", "stopped before there was a score")
 
 
 def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
@@ -184,6 +203,31 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
     wanted = np.array(layout.poses)
     wanted[0, 2], wanted[0, 5] = 10.0, np.radians(-90)
     np.testing.assert_allclose(viewer.layout.poses, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("then", ["save", "optimise", "duplicate", "select", "write_report"])
+def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeypatch):
+    """Nobody waits the moment for which more may be typed: the button's click is what counts."""
+    monkeypatch.setattr(viewer.searcher, "start", lambda *told: begun.append(told))
+    begun = []
+    put(viewer.panel.pose["yaw"], -90.0)
+    viewer.type_number(0, "yaw", -90.0)
+    viewer.settle()  # what the panel does before each of them
+    getattr(viewer, then)(*[1][: then in ("duplicate", "select")])
+    done(viewer)
+    assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
+    if then == "save":
+        assert np.degrees(load_layout(viewer.store.path).poses[0, 5]) == pytest.approx(-90.0)
+    if then == "optimise":
+        assert np.degrees(begun[0][0].poses[0, 5]) == pytest.approx(-90.0)
+
+
+def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):
+    viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
+    viewer.type_number(0, "yaw", -90.0)
+    viewer.close()
+    kept = load_layout(viewer.store.unsaved)
+    assert np.degrees(kept.poses[0, 5]) == pytest.approx(-90.0)
 
 
 def test_a_new_sensor_stands_where_one_looks(viewer, scene):

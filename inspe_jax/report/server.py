@@ -1,0 +1,370 @@
+"""A web server that checks who speaks to it, for viser's pages.
+
+viser serves whoever connects and acts on whatever they send. Here each request is checked before
+its handshake, and each message before it is handed on:
+
+- The address holds a random token, which no other page can know. A page that does not have it can
+  load nothing, and open no connection.
+- The ``Host`` of a request must be a name of this machine, so that no foreign domain can be made to
+  point here (DNS rebinding). Its ``Origin`` must be the page itself.
+- Messages are of the few kinds that the page sends, have the fields and types of their kind, no
+  number that is not finite, and at most :data:`MESSAGE` bytes. There are at most :data:`BROWSERS`.
+
+What is refused is logged, a line each.
+"""
+
+import asyncio
+import errno
+import io
+import ipaddress
+import logging
+import math
+import secrets
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager, redirect_stdout
+from dataclasses import dataclass, field, replace
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import ifaddr
+import msgspec
+import viser
+import viser._messages as kinds
+import websockets.asyncio.server
+from viser.infra import Message
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosedOK
+from websockets.http11 import Request, Response
+
+from inspe_jax.errors import InspeError
+
+PORTS = 100
+"""How many ports are tried."""
+BROWSERS = 16
+"""Pages that may be open at the same time."""
+SOCKETS = 128
+"""Connections that may be open at the same time, also before they have said what they are."""
+SILENCE = 5.0
+"""How long a connection may take to say what it is [s]."""
+MESSAGE = 2**16
+"""Length of a message that is read [byte]; those of a page have some hundred."""
+LARGEST = 1e9
+"""The largest number in a message: with larger ones, geometry in single precision overflows."""
+TOKEN = 16
+"""Length of the token [byte]."""
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'; object-src 'none'; base-uri 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+"""Of every answer: no other page shows this one in a frame, and none learns its address."""
+
+UPLOADS = (kinds.FileTransferStartUpload, kinds.FileTransferPart)
+SENT: tuple[type[Message], ...] = (
+    kinds.GuiUpdateMessage,
+    kinds.SceneNodeClickMessage,
+    kinds.TransformControlsDragEndMessage,
+    kinds.TransformControlsDragStartMessage,
+    kinds.TransformControlsUpdateMessage,
+    kinds.ViewerCameraMessage,
+)
+"""What the page sends. Other messages of viser's are dropped: its share tunnel, uploads, forms."""
+
+_KINDS = {kind.__name__: kind for kind in SENT}
+_KNOWN = {kind.__name__ for kind in kinds.Message.get_subclasses()}
+_serving = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Door:
+    """Who is let in at a server that listens on ``host``: those who know the ``token``.
+
+    Without a token, every page of this server's own; ``browsers`` at the same time at most.
+    """
+
+    host: str
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN))
+    browsers: int = BROWSERS
+
+    @property
+    def local(self) -> bool:
+        """Whether only this machine can reach it."""
+        return _is_loopback(self.host)
+
+    def urls(self, port: int) -> list[str]:
+        """Addresses to open, the one for this machine first."""
+        hosts = [self.host]
+        if _is_everywhere(self.host):
+            both = ipaddress.ip_address(self.host).version == 6
+            ips = [ip for adapter in ifaddr.get_adapters() for ip in adapter.ips]
+            found = [str(ip.ip) for ip in ips if ip.is_IPv4]
+            found += [ip.ip[0] for ip in ips if ip.is_IPv6 and both]
+            there = map(ipaddress.ip_address, found)
+            outward = [ip for ip in there if not (ip.is_loopback or ip.is_link_local)]
+            hosts = ["localhost", *map(str, outward)]
+        path = f"/{self.token}/" if self.token else "/"
+        return [f"http://{f'[{host}]' if ':' in host else host}:{port}{path}" for host in hosts]
+
+    def refusal(self, request: Request) -> str:
+        """Why a request is refused; empty where it is let in."""
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+        connects = bool(request.headers.get_all("Upgrade"))
+        if len(hosts) != 1 or not self._is_ours(hosts[0]):
+            return f"it asked for host {_short(hosts)}, which is not this machine"
+        own = [f"{scheme}://{hosts[0]}".lower() for scheme in ("http", "https")]
+        if (connects or origins) and not (len(origins) == 1 and origins[0].lower() in own):
+            return f"a page of {_short(origins)} asked, not this one"
+        path, _, query = request.path.partition("?")
+        first = path.split("/")[1] if path.startswith("/") else ""
+        if self.token and not secrets.compare_digest(first.encode(), self.token.encode()):
+            return "it does not have the token of the address that was printed"
+        # viser's page names the server that it is connected to in its address, and would connect to
+        # any other that is named there.
+        servers = [f"ws{url.removeprefix('http')}{path.rstrip('/')}" for url in own]
+        if query and parse_qsl(query, keep_blank_values=True) not in [
+            [("websocket", server)] for server in servers
+        ]:
+            return "its address names another server"
+        return ""
+
+    def rest(self, path: str) -> str:
+        """A path without the token."""
+        return path.removeprefix(f"/{self.token}") if self.token else path
+
+    def _is_ours(self, header: str) -> bool:
+        """Whether a ``Host`` names this machine. An address by number is of no domain: where others
+        may connect, it may be that of a router or a container in between."""
+        try:
+            url = urlsplit(f"//{header}")
+            name = url.hostname or ""
+            if url.username is not None or url.path or url.query or url.port == 0:
+                return False
+        except ValueError:
+            return False
+        if self.local:
+            return name == self.host.lower() or _is_loopback(name)
+        own = {socket.gethostname().lower(), socket.getfqdn().lower(), self.host.lower()}
+        return name in own | {f"{n}.local" for n in own} or _is_loopback(name) or _is_number(name)
+
+
+def fault_of(raw: Any) -> tuple[str, bool]:
+    """(What is wrong with a message of a browser's, whether it can be none of the page's).
+
+    Empty where nothing is. The page itself may send a number that is not finite, as of a window
+    without a size, and messages that nothing here asks for: those are dropped.
+    """
+    if not isinstance(raw, bytes):
+        return "a message is text", True
+    try:
+        content = msgspec.msgpack.decode(raw)
+        name = content.pop("type")
+        if name not in _KINDS:
+            return f"a message of kind {_short(name)}", name not in _KNOWN
+        message = msgspec.convert(content, _KINDS[name], strict=False)
+        if not set(content) <= set(message.__dict__):
+            return f"a {name} has other fields than it should", True
+    except Exception as e:  # nested too deep, too, and none that is a mapping
+        return f"a message cannot be read ({type(e).__name__})", True
+    if not _is_finite(content):
+        return f"a {name} has a number that is not finite, or too large", False
+    if isinstance(message, kinds.GuiUpdateMessage):
+        value = message.updates.get("value")
+        if set(message.updates) != {"value"} or not isinstance(value, bool | int | float | str):
+            return f"a {name} sets something other than a value", True
+    return "", False
+
+
+def serve(door: Door, port: int) -> viser.ViserServer:
+    """A server for browsers, at the port or the next that can be had; any at port 0.
+
+    Raises InspeError where the host is none of this machine's, or no port can be had.
+    """
+    host = door.host
+    try:
+        kind, _, _, _, at = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except OSError as e:
+        raise InspeError(f"host {host}: nothing can be served there ({e.strerror})") from None
+    wrong = OSError()
+    for free in range(port, min(port + PORTS, 65536)):
+        try:
+            with socket.socket(kind, socket.SOCK_STREAM) as trial:
+                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                trial.bind((at[0], free, *at[2:]))
+        except OSError as e:
+            wrong = e
+            if e.errno not in (errno.EADDRINUSE, errno.EACCES):
+                break
+        else:
+            return _guarded(door, free)
+    raise InspeError(f"host {host}, port {port}: nothing can be served there ({wrong.strerror})")
+
+
+def quiet() -> AbstractContextManager[Any]:
+    """Without what viser prints of its own: addresses, and that it has stopped."""
+    return redirect_stdout(io.StringIO())
+
+
+def _guarded(door: Door, port: int) -> viser.ViserServer:
+    """viser's server behind a door.
+
+    viser has no option for any of it, and opens its port by ``websockets.asyncio.server.serve``:
+    that gets more options here, for as long as it takes to open.
+    """
+    module, real, opened = websockets.asyncio.server, websockets.asyncio.server.serve, []
+
+    def serve_behind(handler: Any, *args: Any, **options: Any) -> Any:
+        opened.append(port)
+        guard = _Guard(door, handler, options["process_request"])
+        return real(guard.handle, *args, **options | guard.options)
+
+    with _serving, quiet():
+        try:
+            module.serve = serve_behind  # type: ignore[assignment, misc]
+            server = viser.ViserServer(host=door.host, port=port, verbose=False)
+        finally:
+            module.serve = real  # type: ignore[misc]
+        if not opened:
+            server.stop()
+            raise RuntimeError("this version of viser opens its port otherwise: nothing guards it")
+    # Nobody who connects may ask for a tunnel to the outside.
+    for message in (kinds.ShareUrlRequest, kinds.ShareUrlDisconnect):
+        server._websock_server.unregister_handler(message)
+    return server
+
+
+class _Guard:
+    """What stands between the connections of one server and viser's ``handler`` and ``files``."""
+
+    def __init__(self, door: Door, handler: Any, files: Callable[..., Any]) -> None:
+        self.door, self.sockets, self.pages = door, 0, 0
+        self._handler, self._files = handler, files
+        self.log = logging.Logger("inspe_jax.server")
+        self.log.parent = logging.getLogger("inspe_jax")
+        self.log.addFilter(_in_one_line)
+        asyncio.get_running_loop().set_exception_handler(self._failed)
+        guard = self
+
+        class Connection(ServerConnection):
+            """A connection whose messages are checked."""
+
+            def connection_made(self, transport: Any) -> None:
+                guard.sockets += 1
+                super().connection_made(transport)
+                if guard.sockets > SOCKETS:
+                    transport.abort()
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                guard.sockets -= 1
+                super().connection_lost(exc)
+
+            async def recv(self, decode: bool | None = None) -> Any:
+                return await guard.checked(self, lambda: super(Connection, self).recv(decode))
+
+        self.options = dict(
+            process_request=self.answer,
+            max_size=MESSAGE,
+            open_timeout=SILENCE,
+            logger=self.log,
+            create_connection=Connection,
+            server_header=None,
+        )
+
+    def answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Of a request: a refusal, a file, or None to go on to the handshake."""
+        why, status = self.door.refusal(request), 403
+        if not why and request.headers.get_all("Upgrade") and self.pages >= self.door.browsers:
+            why, status = f"{self.pages} pages are open already, as many as may be", 503
+        if why:
+            self._refused(connection, why)
+            words = f"This is refused: {why}.\nOpen the address that was printed.\n"
+            response: Response | None = connection.respond(status, words)
+        else:
+            path = self.door.rest(request.path)
+            response = self._files(connection, replace(request, path=path))
+        if response is not None:
+            for name, value in HEADERS.items():
+                response.headers[name] = value
+        return response
+
+    async def handle(self, connection: ServerConnection) -> None:
+        """Hand a connection on to viser, unless there are too many."""
+        if self.pages >= self.door.browsers:
+            self._refused(connection, "too many pages are open")
+            await connection.close(1013, "too many pages are open")
+            return
+        self.pages += 1
+        try:
+            await self._handler(connection)
+        finally:
+            self.pages -= 1
+
+    async def checked(self, connection: ServerConnection, receive: Callable[[], Any]) -> Any:
+        """The next message that may be handed on. What can be none of a page's ends it."""
+        told: set[str] = connection.__dict__.setdefault("told", set())
+        while True:
+            raw = await receive()
+            why, hostile = fault_of(raw)
+            if not why:
+                return raw
+            if why not in told:
+                told.add(why)
+                self._refused(connection, why)
+            if hostile:
+                await connection.close(1008, why)
+                raise ConnectionClosedOK(None, None)
+
+    def _refused(self, connection: ServerConnection, why: str) -> None:
+        address = connection.remote_address or ("?",)
+        self.log.warning("refused %s: %s", address[0], why)
+
+    def _failed(self, _: Any, context: dict[str, Any]) -> None:
+        """What else a browser may bring about: a line of it."""
+        wrong = context.get("exception")
+        self.log.warning("%s: %r", context.get("message"), wrong)
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """A record without its traceback."""
+    if record.exc_info:
+        wrong = record.exc_info[1]
+        record.msg, record.args = f"{record.getMessage()}: {_short(str(wrong))}", ()
+        record.exc_info = record.exc_text = None
+    return True
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
+    if isinstance(value, int | float):
+        return math.isfinite(value) and abs(value) <= LARGEST
+    return True
+
+
+def _short(value: Any) -> str:
+    """A value of somebody else's for a line of a log, without ends of lines."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:80]}…"
+
+
+def _is_number(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_loopback(name: str) -> bool:
+    return name.lower() == "localhost" or (
+        _is_number(name) and ipaddress.ip_address(name).is_loopback
+    )
+
+
+def _is_everywhere(name: str) -> bool:
+    return _is_number(name) and ipaddress.ip_address(name).is_unspecified

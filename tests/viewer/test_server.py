@@ -1,0 +1,475 @@
+"""Who speaks to the page's server: each attack is tried over the socket, and fails."""
+
+import http.server
+import logging
+import math
+import socket
+import threading
+import time
+from contextlib import suppress
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+import msgspec
+import numpy as np
+import pytest
+import viser
+import viser._messages as kinds
+import viser._viser
+from browser import CHROMIUM, OPTIONS, needs_browser
+from page_socket import CAMERA, ended_by, enter, pull, send, set_value, socket_of
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from worlds import world
+
+from inspe_jax.errors import InspeError
+from inspe_jax.placement.problem import Case
+from inspe_jax.report.server import BROWSERS, MESSAGE, SOCKETS, Door, fault_of, serve
+from inspe_jax.viewer.app import Viewer
+
+EVIL = "http://evil.example"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=14.0, voxel=2.0, frames=2, count=2)
+
+
+@pytest.fixture
+def viewer(scene, layout, tmp_path):
+    found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
+    yield found
+    found.close()
+
+
+def wait_until(true, seconds=60):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it does not come to that"
+        time.sleep(0.02)
+
+
+def still_works(viewer):
+    """A page that is let in can do something, and it is done."""
+    before = viewer.layout
+    with socket_of(viewer.url) as page:
+        enter(page)
+        wait_until(lambda: viewer.server.get_clients())
+        set_value(page, viewer.panel.pose["yaw"], 12.5)
+        wait_until(lambda: viewer.layout is not before)
+        assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(12.5)
+        assert np.isfinite(viewer.layout.poses).all()
+
+
+# ── Who is let in ──
+
+
+def one_letter_off(token):
+    return ("a" if token[0] != "a" else "b") + token[1:]
+
+
+REFUSED = {
+    "a page of another origin": dict(origin=EVIL),
+    "no origin": dict(origin=""),
+    "a page of this machine's other port": dict(origin="http://127.0.0.1:1"),
+    "a page without an origin of its own": dict(origin="null"),
+    "a domain that points here": dict(origin=f"{EVIL}:{{port}}", host="evil.example:{port}"),
+    "another host": dict(host="evil.example:{port}"),
+    "no token": dict(path="/"),
+    "another token": dict(path="/{wrong}/"),
+    "the token in the query": dict(path="/?token={token}"),
+    "the token after something": dict(path="/x/{token}/"),
+}
+
+
+@pytest.mark.parametrize("attack", REFUSED)
+def test_the_socket_is_open_to_nobody_else(viewer, attack, caplog):
+    there = urlsplit(viewer.url)
+    fill = dict(port=there.port, token=viewer.door.token, wrong=one_letter_off(viewer.door.token))
+    given = {key: value.format(**fill) for key, value in REFUSED[attack].items()}
+    url = f"http://{there.netloc}{given.pop('path', there.path)}"
+    with pytest.raises(InvalidStatus) as refused, socket_of(url, **given):
+        pass
+    assert refused.value.response.status_code == 403
+    (line,) = caplog.messages
+    assert line.startswith("refused 127.0.0.1: ")
+    assert viewer.door.token not in line
+    assert not viewer.server.get_clients()
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/", {}),
+        ("/{wrong}/", {}),
+        ("/{token}", {"Host": "evil.example:{port}"}),
+        ("/{token}", {"Host": "127.0.0.1:{port}@evil.example"}),
+        ("/{token}", {"Host": "127.0.0.1.evil.example:{port}"}),
+        ("/{token}", {"Origin": EVIL}),
+        ("/{token}?websocket=ws://evil.example", {}),
+        ("/{token}?websocket=ws://{host}/{token}&websocket=ws://evil.example", {}),
+    ],
+)
+def test_the_page_is_open_to_nobody_else(viewer, path, headers):
+    there = urlsplit(viewer.url)
+    fill = dict(
+        port=there.port,
+        host=there.netloc,
+        token=viewer.door.token,
+        wrong=one_letter_off(viewer.door.token),
+    )
+    asked = Request(
+        f"http://{there.netloc}{path.format(**fill)}",
+        headers={key: value.format(**fill) for key, value in headers.items()},
+    )
+    with pytest.raises(HTTPError) as refused:
+        urlopen(asked)
+    with refused.value as answer:
+        words = answer.read().decode()
+    assert refused.value.code == 403
+    assert "Open the address that was printed" in words
+    assert viewer.door.token not in words
+
+
+def test_the_page_comes_with_headers_that_keep_it_to_itself(viewer):
+    there = urlsplit(viewer.url)
+    again = f"{viewer.url}?websocket=ws://{there.netloc}{there.path.rstrip('/')}"  # as viser has it
+    for url in (viewer.url, viewer.url.rstrip("/"), again):
+        with urlopen(url) as page:
+            assert b"<html" in page.read()
+            assert page.headers["X-Frame-Options"] == "DENY"
+            assert page.headers["Referrer-Policy"] == "no-referrer"
+            assert "frame-ancestors 'none'" in page.headers["Content-Security-Policy"]
+    with pytest.raises(HTTPError) as missing:
+        urlopen(f"{viewer.url}..%2f..%2f_viser.py")
+    assert missing.value.code == 404
+    missing.value.close()
+
+
+def test_without_a_token_other_origins_stay_out(scene, layout, tmp_path):
+    open_door = Door("127.0.0.1", token="")
+    viewer = Viewer(Case(scene), layout, tmp_path / "x.yaml", door=open_door, port=0)
+    try:
+        assert urlsplit(viewer.url).path == "/"
+        for given in (dict(origin=EVIL), dict(host="evil.example"), dict(origin="")):
+            with pytest.raises(InvalidStatus), socket_of(viewer.url, **given):
+                pass
+        with pytest.raises(HTTPError) as refused:
+            urlopen(f"{viewer.url}?websocket=ws://evil.example")
+        refused.value.close()
+        still_works(viewer)
+    finally:
+        viewer.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "local", "own", "foreign"),
+    [
+        ("127.0.0.1", True, ["127.0.0.1:1", "localhost:9", "[::1]:2"], ["192.0.2.1", "a.example"]),
+        ("localhost", True, ["localhost"], ["localhost.evil.example", "x@localhost", ""]),
+        ("::1", True, ["[::1]:8"], ["[2001:db8::1]:8"]),
+        ("0.0.0.0", False, ["192.0.2.7:80", socket.gethostname()], ["evil.example", "a/b"]),
+        ("192.0.2.7", False, ["192.0.2.7", "localhost"], ["evil.example:8080"]),
+    ],
+)
+def test_hosts_are_names_of_this_machine(host, local, own, foreign):
+    door = Door(host)
+    assert door.local is local
+    assert [name for name in own if not door._is_ours(name)] == []
+    assert [name for name in foreign if door._is_ours(name)] == []
+
+
+def test_addresses_are_those_that_others_can_use():
+    door = Door("0.0.0.0")
+    first, *others = door.urls(8080)
+    assert first == f"http://localhost:8080/{door.token}/"
+    assert not any("0.0.0.0" in url or "127.0.0.1" in url for url in others)
+    own = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    outward = {ip for ip in own if not ip.startswith("127.")}
+    assert outward <= {urlsplit(url).hostname for url in others}
+    assert Door("::1").urls(1) != Door("::1").urls(1)  # a token of its own each
+    assert Door("::1", token="").urls(1) == ["http://[::1]:1/"]
+    assert len(door.token) >= 20
+
+
+def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatch):
+    """There nothing would guard it."""
+
+    class Other:
+        def __init__(self, **_):
+            self.stopped = False
+
+        def stop(self):
+            stopped.append(self)
+
+    stopped = []
+    monkeypatch.setattr("inspe_jax.report.server.viser.ViserServer", Other)
+    with pytest.raises(RuntimeError, match="nothing guards it"):
+        serve(Door("127.0.0.1"), 0)
+    assert stopped
+
+
+def test_a_host_that_is_not_here_is_said():
+    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1, port 0: nothing can be served"):
+        serve(Door("203.0.113.1"), 0)
+
+
+# ── What is sent ──
+
+
+def test_nobody_can_ask_for_a_tunnel_to_the_outside(viewer, monkeypatch, caplog):
+    asked = []
+    monkeypatch.setattr(viser._viser, "ViserTunnel", lambda *_: asked.append(1))
+    monkeypatch.setattr(type(viewer.server), "request_share_url", lambda *_: asked.append(2))
+    handlers = viewer.server._websock_server._incoming_handlers
+    assert not {kinds.ShareUrlRequest, kinds.ShareUrlDisconnect} & set(handlers)
+    with socket_of(viewer.url) as page:
+        enter(page)
+        send(page, type="ShareUrlRequest")
+        send(page, type="ShareUrlRequest")
+        wait_until(lambda: caplog.messages)
+        time.sleep(0.2)
+    assert asked == []
+    assert caplog.messages == ["refused 127.0.0.1: a message of kind 'ShareUrlRequest'"]
+    still_works(viewer)
+
+
+WRONG_NUMBERS = [math.nan, math.inf, -math.inf, 1e300]
+
+
+@pytest.mark.parametrize("number", WRONG_NUMBERS)
+def test_numbers_that_are_none_poison_nothing(viewer, layout, number, caplog):
+    """And what the same page sends after them is done: a window without a size sends such, too."""
+    with socket_of(viewer.url) as page:
+        send(page, **CAMERA | dict(position=[0.0, number, 0.0]))
+        enter(page)
+        wait_until(lambda: viewer.server.get_clients())
+        for control in viewer.panel.pose.values():
+            set_value(page, control, number)
+        set_value(page, viewer.panel.seconds, number)
+        pull(page, None, "Start")
+        pull(page, [0.0, number, 5.0])
+        pull(page, [number] * 3)
+        pull(page, None, "End")
+        set_value(page, viewer.panel.pose["pitch"], -7.0)
+        wait_until(lambda: viewer.layout is not layout)
+        (client,) = viewer.server.get_clients().values()
+        assert np.isfinite(client.camera.position).all()
+    changed = np.array(layout.poses)
+    changed[0, 4] = np.radians(-7.0)
+    np.testing.assert_allclose(viewer.layout.poses, changed, atol=1e-6)
+    assert viewer.panel.seconds.value == 60.0
+    assert all("not finite, or too large" in line for line in caplog.messages)
+    assert len(caplog.messages) == 3  # one for each kind of message
+
+
+@pytest.mark.parametrize("number", [1e9, -1e9])
+def test_numbers_that_are_far_off_are_brought_back(viewer, scene, number):
+    with socket_of(viewer.url) as page:
+        enter(page)
+        wait_until(lambda: viewer.server.get_clients())
+        for control in viewer.panel.pose.values():
+            before = viewer.layout
+            set_value(page, control, number)
+            viewer.settle()
+            wait_until(lambda before=before: viewer.layout is not before, 10)
+    assert np.isfinite(viewer.layout.poses).all()
+    assert viewer.session.faults() == []
+    assert np.hypot(*viewer.layout.poses[0, :2]) <= scene.voxels.radius + 1e-3
+
+
+HOSTILE = {
+    "no message at all": b"\xff\xfe\x00GET / HTTP",
+    "nothing": b"",
+    "text": "hello",
+    "a list": msgspec.msgpack.encode([1, 2]),
+    "a number": msgspec.msgpack.encode(7),
+    "no type": msgspec.msgpack.encode({"uuid": "x"}),
+    "a type that is none": msgspec.msgpack.encode({"type": ["x"]}),
+    "a type that nobody knows": msgspec.msgpack.encode({"type": "Rm"}),
+    "nested 10 000 deep": b"\x91" * 10_000,
+    "nested 10 000 deep, within": b"\x82\xa4type\xb0GuiUpdateMessage\xa1x" + b"\x91" * 10_000,
+    "fields missing": msgspec.msgpack.encode({"type": "ViewerCameraMessage"}),
+    "fields of another type": msgspec.msgpack.encode(CAMERA | {"position": "here"}),
+    "too few numbers": msgspec.msgpack.encode(CAMERA | {"position": [1.0]}),
+    "other fields": msgspec.msgpack.encode(CAMERA | {"excluded_self_client": 1}),
+    "another property": msgspec.msgpack.encode(
+        {"type": "GuiUpdateMessage", "uuid": "x", "updates": {"update_cb": 1}}
+    ),
+    "a value that is none": msgspec.msgpack.encode(
+        {"type": "GuiUpdateMessage", "uuid": "x", "updates": {"value": {"a": 1}}}
+    ),
+}
+
+
+@pytest.mark.parametrize("attack", HOSTILE)
+def test_what_is_no_message_ends_its_connection_in_one_line(viewer, attack, caplog, capfd):
+    caplog.set_level(logging.INFO)
+    with socket_of(viewer.url) as page:
+        page.send(HOSTILE[attack])
+        assert ended_by(page) == 1008
+    (line,) = [line for line in caplog.messages if "refused" in line]
+    assert "\n" not in line
+    still_works(viewer)
+    assert "Traceback" not in caplog.text + capfd.readouterr().err
+
+
+def test_a_message_of_60_mb_is_not_read(viewer, caplog, capfd):
+    with socket_of(viewer.url) as page:
+        with suppress(ConnectionClosed):  # while it is still being sent
+            page.send(bytes(60_000_000))
+        assert ended_by(page) == 1009
+    still_works(viewer)
+    assert "Traceback" not in caplog.text + capfd.readouterr().err
+    assert fault_of(b"x" * MESSAGE)[0]
+
+
+def test_of_200_connections_few_are_let_in_and_the_page_goes_on(viewer, caplog):
+    held, refused = [], 0
+    with socket_of(viewer.url) as page:
+        enter(page)
+        wait_until(lambda: viewer.server.get_clients())
+        for _ in range(200):
+            made = socket_of(viewer.url)
+            try:
+                made.__enter__()
+                held.append(made)
+            except (InvalidStatus, ConnectionClosed, EOFError, OSError):
+                refused += 1
+        assert len(held) == BROWSERS - 1
+        assert refused == 200 - len(held)
+        before = viewer.layout
+        set_value(page, viewer.panel.pose["yaw"], 33.0)
+        wait_until(lambda: viewer.layout is not before)
+    for made in held:
+        made.__exit__(None, None, None)
+    wait_until(lambda: not viewer.server._websock_server._live_connections)
+    still_works(viewer)
+
+
+def test_probes_of_the_port_leave_a_line_at_most(viewer, caplog, capfd):
+    """Bare connections that say nothing, or something else; and 200 of them that are held."""
+    there = urlsplit(viewer.url)
+    for words in (
+        b"",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01",
+        b"GET / HTTP/1.1\r\nHost",
+        b"\n" * 5000,
+    ):
+        with socket.create_connection((there.hostname, there.port)) as probe:
+            probe.sendall(words)
+    held = []
+    for _ in range(200):
+        held.append(socket.create_connection((there.hostname, there.port)))
+    time.sleep(0.5)
+
+    def is_open(probe):
+        probe.setblocking(False)
+        try:
+            return probe.recv(1) != b""
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+
+    assert sum(map(is_open, held)) <= SOCKETS
+    for probe in held:
+        probe.close()
+    wait_until(lambda: not any("\n" in line for line in caplog.messages))
+    still_works(viewer)
+    said = caplog.text + capfd.readouterr().err
+    assert "Traceback" not in said
+
+
+def test_values_that_are_no_option_ask_for_nothing(viewer, layout, capfd):
+    panel = viewer.panel
+    with socket_of(viewer.url) as page:
+        enter(page)
+        wait_until(lambda: viewer.server.get_clients())
+        for control in (panel.sensor, panel.device, panel.new, panel.method, panel.edit):
+            set_value(page, control, "-3  nobody")
+        set_value(page, panel.frame, -5)
+        set_value(page, panel.frame, 10_000)
+        set_value(page, panel.pose["yaw"], "north")
+        set_value(page, panel.pose["yaw"], 5.0)
+        wait_until(lambda: viewer.layout is not layout)
+    wait_until(lambda: panel.sensor.value in panel.sensor.options)
+    assert panel.chosen == 0
+    assert panel.method.value in panel.method.options
+    assert panel.new.value in panel.new.options
+    assert 0 <= viewer._frame < viewer.frames
+    assert "Traceback" not in capfd.readouterr().err
+
+
+# ── A page of another origin, in a real browser ──
+
+ATTACK = """
+const told = {};
+const url = "%s", port = %d, version = "%s";
+async function socket(name, address) {
+    told[name] = await new Promise(done => {
+        const s = new WebSocket(address, ["viser-v" + version]);
+        s.onopen = () => done("open");
+        s.onerror = () => done("refused");
+    });
+}
+async function get(name, address) {
+    try { const r = await fetch(address); told[name] = r.status + " " + (await r.text()).length; }
+    catch (e) { told[name] = "refused"; }
+}
+(async () => {
+    await socket("socket without token", `ws://127.0.0.1:${port}`);
+    await socket("socket with token", url.replace("http", "ws").replace(/[/]$/, ""));
+    await get("page without token", `http://127.0.0.1:${port}/`);
+    await get("page with token", url);
+    const frame = document.createElement("iframe");
+    frame.src = url;
+    document.body.appendChild(frame);
+    await new Promise(done => { frame.onload = done; setTimeout(done, 5000); });
+    try { told.frame = frame.contentDocument ? frame.contentDocument.title : "closed"; }
+    catch (e) { told.frame = "closed"; }
+    window.told = told;
+})();
+"""
+
+
+@pytest.mark.slow
+@needs_browser
+def test_a_page_of_another_origin_gets_nowhere(viewer, layout):
+    """It even has the token; and a domain that points to this machine serves it the page."""
+    port = urlsplit(viewer.url).port
+    script = ATTACK % (viewer.url, port, viser.__version__)
+
+    class Evil(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(f"<body><script>{script}</script></body>".encode())
+
+        def log_message(self, *_):
+            pass
+
+    evil = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Evil)
+    threading.Thread(target=evil.serve_forever, daemon=True).start()
+    sync = pytest.importorskip("playwright.sync_api")
+    options = [*OPTIONS, "--host-resolver-rules=MAP evil.example 127.0.0.1"]
+    try:
+        with sync.sync_playwright() as play:
+            chromium = play.chromium.launch(executable_path=CHROMIUM, args=options)
+            tab = chromium.new_page()
+            for origin in (f"{EVIL}:{evil.server_port}", f"http://localhost:{evil.server_port}"):
+                tab.goto(origin)
+                tab.wait_for_function("() => window.told", timeout=60_000)
+                told = tab.evaluate("() => window.told")
+                assert told.pop("frame") in ("closed", "")
+                assert set(told.values()) == {"refused"}, told
+            # The domain of a page that was loaded elsewhere now points here: same origin, for it.
+            rebound = tab.goto(f"{EVIL}:{port}/{viewer.door.token}/")
+            assert rebound.status == 403
+            assert tab.goto(viewer.url).status == 200  # and the browser can open it
+            chromium.close()
+    finally:
+        evil.shutdown()
+        evil.server_close()
+    assert viewer.layout is layout

@@ -1,6 +1,7 @@
 """Claim: a sensor let go has scores in 0.3 s, of all frames in 2 s; the page answers in 0.3 s.
 
 All in the median; the page also while it scores and searches, unless it draws in 3-D by software.
+A search stops in 0.5 s, in the midst of compiling, too.
 
 W1 of `benchmark_speed.py`: 152 520 voxels, 12 sensors, 100 frames of 40 road users. Once without a
 browser and, where there is Chromium, with one on the same cores: twice, since without a graphics
@@ -16,6 +17,11 @@ are scored over and over, and while a search runs, from its button on, with all 
 With a browser, timed in the page, from a click in the list of sensors to the picture in which all
 five numbers of the pose are the chosen sensor's, which the server tells. Without one, from an event
 handed to the server's loop to the end of what it asks of the desk.
+
+Stops: half of them while a search compiles, some seconds after it was begun, half while it
+searches. Timed from the button to the end of the search, with its best layout in hand.
+
+The first scores, once: from the start of the page, with nothing compiled, and what it says.
 """
 
 import tempfile
@@ -35,6 +41,7 @@ from rich.console import Console
 from rich.table import Table
 
 from inspe_jax.geometry import rotation
+from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import Pull
@@ -54,6 +61,9 @@ LONG = 600.0
 BROWSERS = ("no browser", "a browser, nothing in 3-D", "a browser, 3-D in software")
 SCORES = {"few": "20 frames", "all": "all frames"}
 ANSWERS = ("at rest", "while it scores", "while it searches")
+STOPS = ("stop, compiling", "stop, searching")
+BEGUN = (10.0, 4.0)
+"""A search is stopped so long after its start, or after its first better layout, at most [s]."""
 
 LOOK = """wanted => {
     const labels = [...document.querySelectorAll('label')];
@@ -213,11 +223,44 @@ def measured(
                 yield dict(timed=name, after=time.monotonic() - began, seconds=seconds)
 
 
+def stopped(
+    viewer: Viewer, tab: Any, counts: dict[str, int], rng: np.random.Generator
+) -> Iterator[dict[str, Any]]:
+    """Searches that are stopped while they compile, and while they search."""
+    began = time.monotonic()
+    for name, method, most in zip(STOPS, (DEFAULT_METHOD, "random"), BEGUN, strict=True):
+        put(viewer.panel.method, method)
+        for _ in range(counts[name]):
+            with searching(viewer, tab):
+                if name == STOPS[1]:
+                    wait_until(lambda: viewer.searcher.gain > 0)
+                time.sleep(rng.uniform(0, most))
+                pressed = time.monotonic()
+                if tab is None:
+                    viewer.stop()
+                else:
+                    tab.get_by_role("button", name="Stop").click()
+                wait_until(lambda: not viewer._searching)
+            yield dict(timed=name, after=pressed - began, seconds=time.monotonic() - pressed)
+
+
+def first_scores(viewer: Viewer) -> tuple[float, list[str]]:
+    """Seconds until a page that was just started has scores, and what it says till then."""
+    began, said = time.monotonic(), list[str]()
+    while viewer.display.scored is None:
+        state = viewer.panel.board.content.partition('data-board="')[2].partition('"')[0]
+        if state and state not in said:
+            said.append(state)
+        time.sleep(0.05)
+    return time.monotonic() - began, said
+
+
 def figure(rows: list[dict[str, Any]]) -> Figure:
     """Every time: of scores, of answers."""
     fig, found = Figure(figsize=(8.0, 5.6), layout="constrained"), times_of(rows)
-    scores, answered = fig.subplots(2, 1, height_ratios=(len(SCORES), len(ANSWERS)))
-    for ax, names in ((scores, tuple(SCORES.values())), (answered, ANSWERS)):
+    others = (*ANSWERS, *STOPS)
+    scores, answered = fig.subplots(2, 1, height_ratios=(len(SCORES), len(others)))
+    for ax, names in ((scores, tuple(SCORES.values())), (answered, others)):
         lines = [line for name in names for line in found if line[0] == name]
         for y, line in enumerate(lines):
             ax.plot(found[line], np.full(len(found[line]), y), "|", ms=9, color="#0072b2")
@@ -227,7 +270,7 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
         ax.grid(axis="x", lw=0.4, color="#d0d0d0")
         ax.set_axisbelow(True)
     scores.set(xlabel="from the end of a drag to its scores [s]", xlim=(0, None))
-    answered.set(xlabel="from a choice to its answer [s]", xscale="log")
+    answered.set(xlabel="from a choice, or from Stop, to its answer [s]", xscale="log")
     answered.xaxis.set_major_formatter("{x:g}")
     return fig
 
@@ -245,8 +288,8 @@ def main() -> None:
     given = arguments(__doc__)
     scene = workload("quick" if given.quick else "W1", given.seed)
     layout = sensors(scene)
-    many = (3, 3, 3, 3) if given.quick else (30, 20, 20, 40)  # a search compiles for long
-    counts = dict(zip(("drags", *ANSWERS), many, strict=True))
+    many = (3, 3, 3, 3, 2, 2) if given.quick else (30, 20, 20, 40, 10, 10)  # searches compile long
+    counts = dict(zip(("drags", *ANSWERS, *STOPS), many, strict=True))
     rows: list[dict[str, Any]] = []
     looked = BROWSERS[:1] if CHROMIUM is None or given.quick else BROWSERS
     if looked != BROWSERS:
@@ -256,15 +299,25 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             viewer = Viewer(Case(scene), layout, Path(folder) / "w1.yaml", port=0)
             try:
+                if not rows:
+                    seconds, said = first_scores(viewer)
+                    rows.append(
+                        dict(browser=browser, timed="first scores", after=0.0, seconds=seconds)
+                    )
+                    console.print(f"first scores after {seconds:.1f} s; until then the page says:")
+                    console.print(
+                        *(f"  {words}" for words in said[:: max(1, len(said) // 8)]), sep="\n"
+                    )
                 looking, drawn = browser != BROWSERS[0], browser == BROWSERS[2]
                 with browser_on(viewer.url, drawn=drawn) if looking else nullcontext() as tab:
-                    for row in measured(viewer, tab, counts, rng):
-                        rows.append({"browser": browser, **row})
+                    for timed in (measured, stopped):
+                        for row in timed(viewer, tab, counts, rng):
+                            rows.append({"browser": browser, **row})
             finally:
                 viewer.close()
     table = Table("", *looked, title="median (most), in seconds")
     found = times_of(rows)
-    for name in (*SCORES.values(), *ANSWERS):
+    for name in (*SCORES.values(), *ANSWERS, *STOPS):
         times = [found[name, browser] for browser in looked]
         table.add_row(name, *(f"{np.median(of):.3f} ({max(of):.3f})" for of in times))
     console.print(table)

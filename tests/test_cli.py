@@ -11,6 +11,8 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import jax
@@ -119,14 +121,19 @@ def test_view_serves_until_it_is_stopped(files, stop):
             assert "Ctrl-C ends" in served.stdout.readline()
             with urlopen(url) as page:
                 assert b"<html" in page.read()
+            with pytest.raises(HTTPError) as refused:
+                urlopen(f"http://{urlsplit(url).netloc}/")
+            refused.value.close()
             served.send_signal(stop)
             words, said = served.communicate(timeout=120)
         finally:
             served.kill()
     assert served.returncode == 0
     assert url.startswith("http://127.0.0.1:")
-    assert not url.endswith(f":{port}")
+    assert not url.startswith(f"http://127.0.0.1:{port}/")
+    assert len(urlsplit(url).path) > 20  # a token
     assert f"port {port} cannot be had" in said
+    assert "refused 127.0.0.1: it does not have the token" in said
     assert "not saved" not in words  # nothing was changed
     assert "Traceback" not in said
     assert not (files / "moved.yaml").exists()
@@ -449,6 +456,10 @@ BAD = [
     (
         ("view", "s.npz", "--host", "203.0.113.1"),
         "host 203.0.113.1, port 8080: nothing can be served",
+    ),
+    (
+        ("view", "s.npz", "--host", "0.0.0.0", "--no-token"),
+        "--no-token: only on this machine, and --host 0.0.0.0 lets others in",
     ),
     (("view", "s.npz", "layout.yaml", "--light", "noon"), "light"),
     (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),

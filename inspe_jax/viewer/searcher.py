@@ -70,6 +70,12 @@ class Searcher:
         self._first = 0.0  # the start's score
         self.running = False
 
+    @property
+    def gain(self) -> float:
+        """What the search has gained so far, by its objective."""
+        best = self._best
+        return 0.0 if best is None else best[1] - self._first
+
     def warm(self) -> None:
         """Start the process, so that a search need not wait for it."""
         with self._lock:
@@ -90,13 +96,10 @@ class Searcher:
                 return
             self.running, self._best = True, None
             self.warm()
-            assert self._process is not None
-            assert self._process.stdin is not None
             objective = Objective(weights=self.weights)
             task = Task(self.case, layout, method, seconds, objective, self.constraints)
-            with contextlib.suppress(BrokenPipeError):  # its end is told by who listens
-                pickle.dump(task, self._process.stdin)
-                self._process.stdin.flush()
+            # The process reads once it has started, for which nobody should wait.
+            threading.Thread(target=_send, args=(self._process, task), daemon=True).start()
 
     def stop(self) -> None:
         """End the search now, with the best so far, whatever it is at."""
@@ -128,8 +131,8 @@ class Searcher:
             words = words if failed else "stopped before there was a score"
             self._heard.ended(Ending(None, 0.0, words, failed=True))
         else:
-            layout, score = self._best
-            self._heard.ended(Ending(named_optimised(layout), score - self._first, words, failed))
+            ending = Ending(named_optimised(self._best[0]), self.gain, words, failed)
+            self._heard.ended(ending)
 
     def _listen(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stdout is not None
@@ -166,6 +169,14 @@ class Searcher:
             gain = result.objective - result.objective_before
             words = STATUSES[result.status]
             self._heard.ended(Ending(result.layout, gain, words, notes=result.notes))
+
+
+def _send(process: "subprocess.Popen[bytes]", task: Task) -> None:
+    """Hand a search to its process. Where that has ended, who listens to it tells."""
+    assert process.stdin is not None
+    with contextlib.suppress(BrokenPipeError, ValueError):  # ended, closed
+        pickle.dump(task, process.stdin)
+        process.stdin.flush()
 
 
 def _release(process: "subprocess.Popen[bytes]") -> int:

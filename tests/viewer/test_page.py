@@ -204,6 +204,7 @@ def test_a_search_begins_from_here_is_stopped_and_taken_back(tab, viewer, scene,
     tab.get_by_text(re.compile(r"best 0\.\d+, \d+ s left")).wait_for(timeout=WAIT)
     assert tab.get_by_role("button", name="Add").is_disabled()
     assert not tab.get_by_role("button", name="Undo").is_visible()
+    wait_until(tab, lambda: viewer.searcher.gain > 0)
     press(tab, "Stop")
     tab.get_by_role("button", name="Optimise from here").wait_for(timeout=WAIT)
     second = settled(tab, first)
@@ -258,7 +259,7 @@ def test_two_browsers_follow_and_a_closed_one_loses_nothing(chromium, tab, viewe
     wait_until(tab, lambda: viewer.searcher.running)
     other.close()
     tab.goto("about:blank")  # nobody looks
-    wait_until(tab, lambda: viewer._best is not before)
+    wait_until(tab, lambda: viewer.searcher.gain > 0)
     viewer.stop()
     wait_until(tab, lambda: viewer.layout is not before)
     kept = load_layout(viewer.store.unsaved, scene)
@@ -360,12 +361,13 @@ def test_while_a_change_is_not_scored_yet_what_was_is_faint(tab, viewer, monkeyp
     """A score that is long in coming: bars and voxels of the layout before are no longer its."""
     held, real = threading.Event(), viewer.scorer._score
     monkeypatch.setattr(viewer.scorer, "_score", lambda *told: (held.wait(60), real(*told)))
-    monkeypatch.setattr(viewer.scorer, "_see", lambda *_: None)
     strong = viewer.stage.drawn["voxels/hidden"].opacity
     press(tab, "Duplicate")
     tab.get_by_text("scoring …").wait_for()
     wait_until(tab, lambda: viewer.stage.drawn["voxels/hidden"].opacity < strong / 2)
-    assert tab.locator("table").evaluate("table => table.style.opacity") == "0.3"
+    faint = "wanted => document.querySelector('[data-board] table').style.opacity === wanted"
+    tab.wait_for_function(faint, arg="0.3")
     held.set()
     settled(tab)
-    assert tab.locator("table").evaluate("table => table.style.opacity") == ""
+    tab.wait_for_function(faint, arg="")
+    wait_until(tab, lambda: viewer.stage.drawn["voxels/hidden"].opacity == strong)

@@ -113,16 +113,18 @@ class Panel:
     def ask_replace(self, name: str, other: str) -> None:
         """Ask whether a file of an earlier run is to be replaced."""
         self._end_question()
-        self._question = self._gui.add_modal("Replace it?")
+        self._question = self._gui.add_modal(f"Replace {name}?")
         with self._question:
-            self._gui.add_markdown(f"`{name}` was not written by this run of the viewer.")
-            answers = {
-                f"Save as {other}": self._asked.save_beside,
-                f"Replace {name}": self._asked.replace,
-                "Cancel": lambda: None,
-            }
-            for answer, then in answers.items():
-                self._bind(self._gui.add_button(answer), partial(self._answer, then))
+            self._gui.add_markdown(
+                f"`{name}` was not written by this run of the viewer, and may hold other work."
+            )
+            beside, instead = f"Save as {other}", f"Replace {name}"
+            for answer, color, then in (
+                (beside, None, self._asked.save_beside),
+                (instead, "red", self._asked.replace),
+                ("Cancel", "gray", lambda: None),
+            ):
+                self._bind(self._gui.add_button(answer, color=color), partial(self._answer, then))
 
     def _answer(self, then: Callable[[], None]) -> None:
         self._end_question()

@@ -129,7 +129,7 @@ class Searcher:
         self.running = False
         if self._best is None:
             words = words if failed else "stopped before there was a score"
-            self._heard.ended(Ending(None, 0.0, words, failed=True))
+            self._heard.ended(Ending(None, 0.0, words, failed))
         else:
             ending = Ending(named_optimised(self._best[0]), self.gain, words, failed)
             self._heard.ended(ending)

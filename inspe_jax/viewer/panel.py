@@ -118,13 +118,12 @@ class Panel:
             self._gui.add_markdown(
                 f"`{name}` was not written by this run of the viewer, and may hold other work."
             )
-            beside, instead = f"Save as {other}", f"Replace {name}"
-            for answer, color, then in (
-                (beside, None, self._asked.save_beside),
-                (instead, "red", self._asked.replace),
-                ("Cancel", "gray", lambda: None),
+            for answer, then in (
+                (self._gui.add_button(f"Save as {other}"), self._asked.save_beside),
+                (self._gui.add_button(f"Replace {name}", color="red"), self._asked.replace),
+                (self._gui.add_button("Cancel", color="gray"), lambda: None),
             ):
-                self._bind(self._gui.add_button(answer, color=color), partial(self._answer, then))
+                self._bind(answer, partial(self._answer, then))
 
     def _answer(self, then: Callable[[], None]) -> None:
         self._end_question()

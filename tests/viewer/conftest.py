@@ -5,7 +5,7 @@ import pytest
 from worlds import CAMERA, LIDAR, place_sensors
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def layout():
     """A camera in the north-east that looks south, and a LiDAR in the south-west."""
     return place_sensors(

@@ -36,10 +36,26 @@ def scene():
 
 
 @pytest.fixture
-def viewer(scene, layout, tmp_path):
+def fresh(scene, layout, tmp_path):
+    """A page that nobody has changed."""
     found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     yield found
     found.close()
+
+
+@pytest.fixture(scope="module")
+def served(scene, layout, tmp_path_factory):
+    path = tmp_path_factory.mktemp("served") / "layout.yaml"
+    found = Viewer(Case(scene), layout, path, port=0)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def viewer(served):
+    """A page that others have used, and nobody looks at now."""
+    wait_until(lambda: not served.server.get_clients())
+    return served
 
 
 def wait_until(true, seconds=60):
@@ -52,12 +68,13 @@ def wait_until(true, seconds=60):
 def still_works(viewer):
     """A page that is let in can do something, and it is done."""
     before = viewer.layout
+    yaw = 12.5 if np.degrees(before.poses[0, 5]) < 12 else -12.5
     with socket_of(viewer.url) as page:
         enter(page)
         wait_until(lambda: viewer.server.get_clients())
-        set_value(page, viewer.panel.pose["yaw"], 12.5)
+        set_value(page, viewer.panel.pose["yaw"], yaw)
         wait_until(lambda: viewer.layout is not before)
-        assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(12.5)
+        assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(yaw)
         assert np.isfinite(viewer.layout.poses).all()
 
 
@@ -238,44 +255,44 @@ WRONG_NUMBERS = [math.nan, math.inf, -math.inf, 1e300]
 
 
 @pytest.mark.parametrize("number", WRONG_NUMBERS)
-def test_numbers_that_are_none_poison_nothing(viewer, layout, number, caplog):
+def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
     """And what the same page sends after them is done: a window without a size sends such, too."""
-    with socket_of(viewer.url) as page:
+    with socket_of(fresh.url) as page:
         send(page, **CAMERA | dict(position=[0.0, number, 0.0]))
         enter(page)
-        wait_until(lambda: viewer.server.get_clients())
-        for control in viewer.panel.pose.values():
+        wait_until(lambda: fresh.server.get_clients())
+        for control in fresh.panel.pose.values():
             set_value(page, control, number)
-        set_value(page, viewer.panel.seconds, number)
+        set_value(page, fresh.panel.seconds, number)
         pull(page, None, "Start")
         pull(page, [0.0, number, 5.0])
         pull(page, [number] * 3)
         pull(page, None, "End")
-        set_value(page, viewer.panel.pose["pitch"], -7.0)
-        wait_until(lambda: viewer.layout is not layout)
-        (client,) = viewer.server.get_clients().values()
+        set_value(page, fresh.panel.pose["pitch"], -7.0)
+        wait_until(lambda: fresh.layout is not layout)
+        (client,) = fresh.server.get_clients().values()
         assert np.isfinite(client.camera.position).all()
     changed = np.array(layout.poses)
     changed[0, 4] = np.radians(-7.0)
-    np.testing.assert_allclose(viewer.layout.poses, changed, atol=1e-6)
-    assert viewer.panel.seconds.value == 60.0
+    np.testing.assert_allclose(fresh.layout.poses, changed, atol=1e-6)
+    assert fresh.panel.seconds.value == 60.0
     assert all("not finite, or too large" in line for line in caplog.messages)
     assert len(caplog.messages) == 3  # one for each kind of message
 
 
 @pytest.mark.parametrize("number", [1e9, -1e9])
-def test_numbers_that_are_far_off_are_brought_back(viewer, scene, number):
-    with socket_of(viewer.url) as page:
+def test_numbers_that_are_far_off_are_brought_back(fresh, scene, number):
+    with socket_of(fresh.url) as page:
         enter(page)
-        wait_until(lambda: viewer.server.get_clients())
-        for control in viewer.panel.pose.values():
-            before = viewer.layout
+        wait_until(lambda: fresh.server.get_clients())
+        for control in fresh.panel.pose.values():
+            before = fresh.layout
             set_value(page, control, number)
-            viewer.settle()
-            wait_until(lambda before=before: viewer.layout is not before, 10)
-    assert np.isfinite(viewer.layout.poses).all()
-    assert viewer.session.faults() == []
-    assert np.hypot(*viewer.layout.poses[0, :2]) <= scene.voxels.radius + 1e-3
+            fresh.settle()
+            wait_until(lambda before=before: fresh.layout is not before, 10)
+    assert np.isfinite(fresh.layout.poses).all()
+    assert fresh.session.faults() == []
+    assert np.hypot(*fresh.layout.poses[0, :2]) <= scene.voxels.radius + 1e-3
 
 
 HOSTILE = {
@@ -324,13 +341,13 @@ def test_a_message_of_60_mb_is_not_read(viewer, caplog, capfd):
     assert fault_of(b"x" * MESSAGE)[0]
 
 
-def test_of_200_connections_few_are_let_in_and_the_page_goes_on(viewer, caplog):
+def test_of_200_connections_few_are_let_in_and_the_page_goes_on(fresh, caplog):
     held, refused = [], 0
-    with socket_of(viewer.url) as page:
+    with socket_of(fresh.url) as page:
         enter(page)
-        wait_until(lambda: viewer.server.get_clients())
+        wait_until(lambda: fresh.server.get_clients())
         for _ in range(200):
-            made = socket_of(viewer.url)
+            made = socket_of(fresh.url)
             try:
                 made.__enter__()
                 held.append(made)
@@ -338,13 +355,13 @@ def test_of_200_connections_few_are_let_in_and_the_page_goes_on(viewer, caplog):
                 refused += 1
         assert len(held) == BROWSERS - 1
         assert refused == 200 - len(held)
-        before = viewer.layout
-        set_value(page, viewer.panel.pose["yaw"], 33.0)
-        wait_until(lambda: viewer.layout is not before)
+        before = fresh.layout
+        set_value(page, fresh.panel.pose["yaw"], 33.0)
+        wait_until(lambda: fresh.layout is not before)
     for made in held:
         made.__exit__(None, None, None)
-    wait_until(lambda: not viewer.server._websock_server._live_connections)
-    still_works(viewer)
+    wait_until(lambda: not fresh.server._websock_server._live_connections)
+    still_works(fresh)
 
 
 def test_probes_of_the_port_leave_a_line_at_most(viewer, caplog, capfd):
@@ -381,23 +398,23 @@ def test_probes_of_the_port_leave_a_line_at_most(viewer, caplog, capfd):
     assert "Traceback" not in said
 
 
-def test_values_that_are_no_option_ask_for_nothing(viewer, layout, capfd):
-    panel = viewer.panel
-    with socket_of(viewer.url) as page:
+def test_values_that_are_no_option_ask_for_nothing(fresh, layout, capfd):
+    panel = fresh.panel
+    with socket_of(fresh.url) as page:
         enter(page)
-        wait_until(lambda: viewer.server.get_clients())
+        wait_until(lambda: fresh.server.get_clients())
         for control in (panel.sensor, panel.device, panel.new, panel.method, panel.edit):
             set_value(page, control, "-3  nobody")
         set_value(page, panel.frame, -5)
         set_value(page, panel.frame, 10_000)
         set_value(page, panel.pose["yaw"], "north")
         set_value(page, panel.pose["yaw"], 5.0)
-        wait_until(lambda: viewer.layout is not layout)
+        wait_until(lambda: fresh.layout is not layout)
     wait_until(lambda: panel.sensor.value in panel.sensor.options)
     assert panel.chosen == 0
     assert panel.method.value in panel.method.options
     assert panel.new.value in panel.new.options
-    assert 0 <= viewer._frame < viewer.frames
+    assert 0 <= fresh._frame < fresh.frames
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -435,8 +452,9 @@ async function get(name, address) {
 
 @pytest.mark.slow
 @needs_browser
-def test_a_page_of_another_origin_gets_nowhere(viewer, layout):
+def test_a_page_of_another_origin_gets_nowhere(viewer):
     """It even has the token; and a domain that points to this machine serves it the page."""
+    before = viewer.layout
     port = urlsplit(viewer.url).port
     script = ATTACK % (viewer.url, port, viser.__version__)
 
@@ -472,4 +490,4 @@ def test_a_page_of_another_origin_gets_nowhere(viewer, layout):
     finally:
         evil.shutdown()
         evil.server_close()
-    assert viewer.layout is layout
+    assert viewer.layout is before

@@ -111,6 +111,9 @@ class _Tasks:
                 task = pickle.load(self._source)
             except EOFError:
                 os._exit(0)
+            except Exception as e:
+                traceback.print_exception(e)
+                os._exit(1)
             with self._changed:
                 self._waiting.append(task)
                 self._changed.notify()

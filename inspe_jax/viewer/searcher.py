@@ -1,8 +1,8 @@
 """A search beside the page: stopped at once, and what it has found so far is told at once."""
 
 import contextlib
+import os
 import pickle
-import signal
 import subprocess
 import sys
 import threading
@@ -16,6 +16,11 @@ from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.result import STATUSES
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.search_process import Task
+
+KILLED = -9
+"""Status of a process that the system killed; none on Windows."""
+SHARED = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+"""For the process: on a graphics card, the page's has most of the memory already."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +88,10 @@ class Searcher:
                 return
             command = [sys.executable, "-m", "inspe_jax.viewer.search_process"]
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=-1
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=os.environ | SHARED,
             )
             threading.Thread(
                 target=self._listen, args=(self._process,), name="search", daemon=True
@@ -95,11 +103,15 @@ class Searcher:
             if self.running or self._closed:
                 return
             self.running, self._best = True, None
-            self.warm()
+            try:
+                self.warm()
+            except OSError as e:
+                self._end(f"no process can be started for it: {e.strerror}", failed=True)
+                return
             objective = Objective(weights=self.weights)
             task = Task(self.case, layout, method, seconds, objective, self.constraints)
             # The process reads once it has started, for which nobody should wait.
-            threading.Thread(target=_send, args=(self._process, task), daemon=True).start()
+            threading.Thread(target=self._send, args=(self._process, task), daemon=True).start()
 
     def stop(self) -> None:
         """End the search now, with the best so far, whatever it is at."""
@@ -134,13 +146,26 @@ class Searcher:
             ending = Ending(named_optimised(self._best[0]), self.gain, words, failed)
             self._heard.ended(ending)
 
+    def _send(self, process: "subprocess.Popen[bytes]", task: Task) -> None:
+        """Hand a search to its process. Where that has ended, who listens to it tells."""
+        assert process.stdin is not None
+        try:
+            process.stdin.write(pickle.dumps(task))
+            process.stdin.flush()
+        except (BrokenPipeError, ValueError):  # ended, closed
+            return
+        except Exception as e:
+            with self._lock:
+                if process is self._process and self.running:
+                    self._end(f"it cannot be handed to a process: {e}", failed=True)
+
     def _listen(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stdout is not None
         with process.stdout as source:
             while True:
                 try:
                     message = pickle.load(source)
-                except (EOFError, OSError, ValueError, pickle.UnpicklingError):
+                except Exception:  # its end, mostly
                     break
                 with self._lock:
                     if process is self._process and self.running:  # and it was not ended meanwhile
@@ -148,6 +173,7 @@ class Searcher:
         with self._lock:
             if process is not self._process:
                 return
+            process.kill()
             self._process, status = None, _release(process)
             if self.running:
                 self._end(f"the search's process ended by itself ({_reason(status)})", failed=True)
@@ -171,14 +197,6 @@ class Searcher:
             self._heard.ended(Ending(result.layout, gain, words, notes=result.notes))
 
 
-def _send(process: "subprocess.Popen[bytes]", task: Task) -> None:
-    """Hand a search to its process. Where that has ended, who listens to it tells."""
-    assert process.stdin is not None
-    with contextlib.suppress(BrokenPipeError, ValueError):  # ended, closed
-        pickle.dump(task, process.stdin)
-        process.stdin.flush()
-
-
 def _release(process: "subprocess.Popen[bytes]") -> int:
     """Wait for a process that is ending, and give its status."""
     assert process.stdin is not None
@@ -189,6 +207,6 @@ def _release(process: "subprocess.Popen[bytes]") -> int:
 
 def _reason(status: int) -> str:
     """What a process's status says."""
-    if status == -signal.SIGKILL:
+    if status == KILLED:
         return "killed, as it is where memory runs out"
     return f"status {status}"

@@ -305,6 +305,21 @@ def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     assert not heard.ended.wait(lambda told: len(told) == 2)[1][0].failed
 
 
+def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, monkeypatch):
+    def fail(*_, **__):
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr("inspe_jax.viewer.searcher.subprocess.Popen", fail)
+    searcher.start(layout, "random", 5.0)
+    monkeypatch.undo()
+    assert not searcher.running
+    searcher.start(replace(layout, name=lambda: None), "random", 5.0)  # cannot be pickled
+    first, second = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 2))
+    assert (first.failed, second.failed) == (True, True)
+    assert "Cannot allocate memory" in first.words
+    assert "cannot be handed" in second.words
+
+
 def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
     """Were it to, it would go on for all its time."""
     searcher.start(layout, "random", 600.0)

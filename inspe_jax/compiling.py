@@ -46,9 +46,8 @@ class _Watch:
         self._stretches: list[tuple[float, float]] = []
         self._seconds = 0.0  # of all of them
         self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
-        jax.monitoring.register_event_duration_secs_listener(self._hear)
 
-    def _hear(self, event: str, duration_secs: float, **_: str | int) -> None:
+    def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Both events of one program are recorded by the thread that waits for it."""
         if event not in (TRACED, LOWERED, COMPILED):
             return
@@ -56,9 +55,9 @@ class _Watch:
         with self._lock:
             if event == LOWERED:
                 self._since[thread] = now
-            elif event == COMPILED:
+            else:
                 self._since.pop(thread, None)
-                self._programs += 1
+                self._programs += event == COMPILED
             self._add(now - duration_secs, now)
 
     def _add(self, begin: float, end: float) -> None:
@@ -71,7 +70,9 @@ class _Watch:
         self._seconds += end - begin
 
     def compiled(self) -> Compiled:
+        alive = {thread.ident for thread in threading.enumerate()}
         with self._lock:
+            self._since = {thread: at for thread, at in self._since.items() if thread in alive}
             seconds, known = self._seconds, self._stretches[-1][1] if self._stretches else 0.0
             if self._since:
                 seconds += time.monotonic() - max(min(self._since.values()), known)
@@ -79,6 +80,7 @@ class _Watch:
 
 
 _watch = _Watch()
+jax.monitoring.register_event_duration_secs_listener(_watch.hear)
 
 
 def compiled() -> Compiled:

@@ -58,9 +58,9 @@ def set_value(socket, control, value):
     send(socket, type="GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
 
 
-def pull(socket, position, phase="Update"):
+def pull(socket, position, phase="Update", wxyz=(1.0, 0.0, 0.0, 0.0)):
     """What a browser sends when somebody moves the handle."""
-    where = dict(position=position, wxyz=[1.0, 0.0, 0.0, 0.0]) if phase == "Update" else {}
+    where = dict(position=position, wxyz=list(wxyz)) if phase == "Update" else {}
     kind = "" if phase == "Update" else "Drag"
     send(socket, type=f"TransformControls{kind}{phase}Message", name="/handle", **where)
 

@@ -10,7 +10,7 @@ its handshake, and each message before it is handed on:
 - Messages are of the few kinds that the page sends, have the fields and types of their kind, no
   number that is not finite, and at most :data:`MESSAGE` bytes. There are at most :data:`BROWSERS`.
 
-What is refused is logged, a line each.
+What is refused is logged, a line each, and no more than :data:`LINES` of them in a while.
 """
 
 import asyncio
@@ -19,12 +19,15 @@ import io
 import ipaddress
 import logging
 import math
+import re
 import secrets
 import socket
 import threading
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, redirect_stdout
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
@@ -46,12 +49,16 @@ BROWSERS = 16
 """Pages that may be open at the same time."""
 SOCKETS = 128
 """Connections that may be open at the same time, also before they have said what they are."""
-SILENCE = 5.0
-"""How long a connection may take to say what it is [s]."""
+SILENCE = 10.0
+"""How long a connection may take to say what it is, and to take in the page [s]."""
+LINES, WHILE = 20, 10.0
+"""At most so many refusals are logged one by one in so long [s]; the others are counted."""
 MESSAGE = 2**16
 """Length of a message that is read [byte]; those of a page have some hundred."""
 LARGEST = 1e9
 """The largest number in a message: with larger ones, geometry in single precision overflows."""
+LEAST = 1e-6
+"""The least length of a rotation's quaternion, which is of length 1."""
 TOKEN = 16
 """Length of the token [byte]."""
 HEADERS = {
@@ -63,7 +70,6 @@ HEADERS = {
 }
 """Of every answer: no other page shows this one in a frame, and none learns its address."""
 
-UPLOADS = (kinds.FileTransferStartUpload, kinds.FileTransferPart)
 SENT: tuple[type[Message], ...] = (
     kinds.GuiUpdateMessage,
     kinds.SceneNodeClickMessage,
@@ -76,6 +82,7 @@ SENT: tuple[type[Message], ...] = (
 
 _KINDS = {kind.__name__: kind for kind in SENT}
 _KNOWN = {kind.__name__ for kind in kinds.Message.get_subclasses()}
+_HOST = re.compile(r"([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?", re.IGNORECASE)
 _serving = threading.Lock()
 
 
@@ -99,28 +106,31 @@ class Door:
         """Addresses to open, the one for this machine first."""
         hosts = [self.host]
         if _is_everywhere(self.host):
-            both = ipaddress.ip_address(self.host).version == 6
+            version = ipaddress.ip_address(self.host).version
             ips = [ip for adapter in ifaddr.get_adapters() for ip in adapter.ips]
-            found = [str(ip.ip) for ip in ips if ip.is_IPv4]
-            found += [ip.ip[0] for ip in ips if ip.is_IPv6 and both]
-            there = map(ipaddress.ip_address, found)
+            found = [str(ip.ip) if ip.is_IPv4 else ip.ip[0] for ip in ips]
+            there = [ip for ip in map(ipaddress.ip_address, found) if ip.version == version]
             outward = [ip for ip in there if not (ip.is_loopback or ip.is_link_local)]
-            hosts = ["localhost", *map(str, outward)]
+            hosts = ["localhost" if version == 4 else "::1", *map(str, outward)]
         path = f"/{self.token}/" if self.token else "/"
         return [f"http://{f'[{host}]' if ':' in host else host}:{port}{path}" for host in hosts]
 
     def refusal(self, request: Request) -> str:
         """Why a request is refused; empty where it is let in."""
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
-        connects = bool(request.headers.get_all("Upgrade"))
+        upgrades = request.headers.get_all("Upgrade")
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
             return f"it asked for host {_short(hosts)}, which is not this machine"
         own = [f"{scheme}://{hosts[0]}".lower() for scheme in ("http", "https")]
-        if (connects or origins) and not (len(origins) == 1 and origins[0].lower() in own):
+        if len(upgrades) > 1:
+            return "it asked for more than one protocol"
+        if (upgrades or origins) and not (len(origins) == 1 and origins[0].lower() in own):
             return f"a page of {_short(origins)} asked, not this one"
         path, _, query = request.path.partition("?")
         first = path.split("/")[1] if path.startswith("/") else ""
-        if self.token and not secrets.compare_digest(first.encode(), self.token.encode()):
+        if self.token and not secrets.compare_digest(
+            first.encode(errors="surrogateescape"), self.token.encode()
+        ):
             return "it does not have the token of the address that was printed"
         # viser's page names the server that it is connected to in its address, and would connect to
         # any other that is named there.
@@ -138,17 +148,13 @@ class Door:
     def _is_ours(self, header: str) -> bool:
         """Whether a ``Host`` names this machine. An address by number is of no domain: where others
         may connect, it may be that of a router or a container in between."""
-        try:
-            url = urlsplit(f"//{header}")
-            name = url.hostname or ""
-            if url.username is not None or url.path or url.query or url.port == 0:
-                return False
-        except ValueError:
+        if not _HOST.fullmatch(header):
             return False
+        name = (urlsplit(f"//{header}").hostname or "").lower()
         if self.local:
             return name == self.host.lower() or _is_loopback(name)
-        own = {socket.gethostname().lower(), socket.getfqdn().lower(), self.host.lower()}
-        return name in own | {f"{n}.local" for n in own} or _is_loopback(name) or _is_number(name)
+        own = _own_names() | {self.host.lower()}
+        return name in own or _is_loopback(name) or _is_number(name)
 
 
 def fault_of(raw: Any) -> tuple[str, bool]:
@@ -164,18 +170,32 @@ def fault_of(raw: Any) -> tuple[str, bool]:
         name = content.pop("type")
         if name not in _KINDS:
             return f"a message of kind {_short(name)}", name not in _KNOWN
-        message = msgspec.convert(content, _KINDS[name], strict=False)
+        message = msgspec.convert(content, _KINDS[name])
         if not set(content) <= set(message.__dict__):
             return f"a {name} has other fields than it should", True
     except Exception as e:  # nested too deep, too, and none that is a mapping
         return f"a message cannot be read ({type(e).__name__})", True
     if not _is_finite(content):
         return f"a {name} has a number that is not finite, or too large", False
+    if "wxyz" in content and math.hypot(*content["wxyz"]) < LEAST:
+        return f"a {name} has a rotation without a direction", False
+    if (
+        isinstance(message, kinds.ViewerCameraMessage)
+        and min(message.image_height, message.image_width) < 1
+    ):
+        return f"a {name} is of a window without a size", False
     if isinstance(message, kinds.GuiUpdateMessage):
         value = message.updates.get("value")
         if set(message.updates) != {"value"} or not isinstance(value, bool | int | float | str):
             return f"a {name} sets something other than a value", True
     return "", False
+
+
+@cache
+def _own_names() -> set[str]:
+    """Names of this machine. It may take a while to ask for them."""
+    names = {socket.gethostname().lower(), socket.getfqdn().lower()}
+    return names | {f"{name}.local" for name in names}
 
 
 def serve(door: Door, port: int) -> viser.ViserServer:
@@ -184,6 +204,7 @@ def serve(door: Door, port: int) -> viser.ViserServer:
     Raises InspeError where the host is none of this machine's, or no port can be had.
     """
     host = door.host
+    _own_names()
     try:
         kind, _, _, _, at = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as e:
@@ -217,6 +238,8 @@ def _guarded(door: Door, port: int) -> viser.ViserServer:
     module, real, opened = websockets.asyncio.server, websockets.asyncio.server.serve, []
 
     def serve_behind(handler: Any, *args: Any, **options: Any) -> Any:
+        if handler.__module__ != viser.infra._infra.__name__:  # somebody else's, at the same time
+            return real(handler, *args, **options)
         opened.append(port)
         guard = _Guard(door, handler, options["process_request"])
         return real(guard.handle, *args, **options | guard.options)
@@ -240,7 +263,11 @@ class _Guard:
     """What stands between the connections of one server and viser's ``handler`` and ``files``."""
 
     def __init__(self, door: Door, handler: Any, files: Callable[..., Any]) -> None:
-        self.door, self.sockets, self.pages = door, 0, 0
+        self.door, self.pages = door, 0
+        self._silent: dict[ServerConnection, None] = {}  # in the order in which they came
+        self._sockets = 0
+        self._logged: list[float] = []
+        self._not_logged = 0
         self._handler, self._files = handler, files
         self.log = logging.Logger("inspe_jax.server")
         self.log.parent = logging.getLogger("inspe_jax")
@@ -252,13 +279,11 @@ class _Guard:
             """A connection whose messages are checked."""
 
             def connection_made(self, transport: Any) -> None:
-                guard.sockets += 1
                 super().connection_made(transport)
-                if guard.sockets > SOCKETS:
-                    transport.abort()
+                guard.connected(self)
 
             def connection_lost(self, exc: Exception | None) -> None:
-                guard.sockets -= 1
+                guard.disconnected(self)
                 super().connection_lost(exc)
 
             async def recv(self, decode: bool | None = None) -> Any:
@@ -273,8 +298,23 @@ class _Guard:
             server_header=None,
         )
 
+    def connected(self, connection: ServerConnection) -> None:
+        """One more connection; where there are too many, the one goes that is silent longest."""
+        self._sockets += 1
+        self._silent[connection] = None
+        if self._sockets > SOCKETS:
+            oldest = next(iter(self._silent))
+            del self._silent[oldest]
+            oldest.transport.abort()
+
+    def disconnected(self, connection: ServerConnection) -> None:
+        """One less."""
+        self._sockets -= 1
+        self._silent.pop(connection, None)
+
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Of a request: a refusal, a file, or None to go on to the handshake."""
+        self._silent.pop(connection, None)
         why, status = self.door.refusal(request), 403
         if not why and request.headers.get_all("Upgrade") and self.pages >= self.door.browsers:
             why, status = f"{self.pages} pages are open already, as many as may be", 503
@@ -314,12 +354,19 @@ class _Guard:
                 told.add(why)
                 self._refused(connection, why)
             if hostile:
-                await connection.close(1008, why)
+                await connection.close(1008, "refused")
                 raise ConnectionClosedOK(None, None)
 
     def _refused(self, connection: ServerConnection, why: str) -> None:
-        address = connection.remote_address or ("?",)
-        self.log.warning("refused %s: %s", address[0], why)
+        now, address = time.monotonic(), connection.remote_address or ("?",)
+        self._logged = [at for at in self._logged if at > now - WHILE]
+        if len(self._logged) >= LINES:
+            self._not_logged += 1
+            return
+        more = f" (and {self._not_logged} more before)" if self._not_logged else ""
+        self.log.warning("refused %s: %s%s", address[0], why, more)
+        self._logged.append(now)
+        self._not_logged = 0
 
     def _failed(self, _: Any, context: dict[str, Any]) -> None:
         """What else a browser may bring about: a line of it."""
@@ -341,6 +388,11 @@ def _is_finite(value: Any) -> bool:
         value = list(value.values())
     if isinstance(value, list):
         return all(map(_is_finite, value))
+    if isinstance(value, str):  # viser makes a number of it where a control has one
+        try:
+            value = float(value)
+        except ValueError:
+            return True
     if isinstance(value, int | float):
         return math.isfinite(value) and abs(value) <= LARGEST
     return True

@@ -141,7 +141,8 @@ class Stage:
             if k >= len(looks) or look != looks[k]:
                 for part in ("device", "frustum", "pole", "view"):
                     self._forget(f"sensors/{k + 1}/{part}")
-                del self._looks[k], self._at[k]
+                del self._looks[k]
+                self._at.pop(k, None)
         poses = np.asarray(layout.poses, float)
         for k, (spec, color) in enumerate(looks):
             if k not in self._looks:

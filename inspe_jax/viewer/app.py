@@ -81,7 +81,7 @@ class Viewer:
         self.server.on_client_connect(self._greet)
         self.server.gui.main_panel.dock_right()
         self.panel = Panel(self.server.gui, self, self.frames)
-        self.display = Display(self.server, case, layout, self.panel, self.desk, self.select)
+        self.display = Display(self.server, case, layout, self.panel, self.desk, self._click)
         self.stage = self.display.stage
         self.scorer = Scorer(case, weights, self._hear_scores, self._hear_sight)
         self.searcher = Searcher(
@@ -144,6 +144,10 @@ class Viewer:
 
         self.desk.ask(job)
 
+    def _click(self, s: int) -> None:
+        self.settle()
+        self.select(s)
+
     def undo_or_redo(self, which: str) -> None:
         """Take the last change back, or do it again."""
 
@@ -161,6 +165,8 @@ class Viewer:
         """A number of a sensor's pose, once nothing more is typed."""
 
         def job() -> None:
+            if not np.isfinite(value):
+                raise InspeError(f"{key}: {value} is no number")
             pose = np.array(self.layout.poses[s], float)
             if key == "height":
                 pose[2] += value - self.session.height(s)
@@ -227,7 +233,7 @@ class Viewer:
         """Write the layout's file; ask first where that would replace an earlier run's."""
 
         def job() -> None:
-            if self.store.would_replace():
+            if self.store.would_replace(self.layout):
                 self.panel.ask_replace(self.store.path.name, self.store.beside.name)
             else:
                 self._save(None)
@@ -253,6 +259,7 @@ class Viewer:
         def change() -> None:
             earlier: Earlier = self.store.earlier[number]
             self.session.take(self.store.open(earlier))
+            self.panel.offers[number].disabled = True
             self._tell("Opened", earlier.path.name, None)
 
         self._change(change)
@@ -277,6 +284,8 @@ class Viewer:
     # ── The handle ──
 
     def _hear_pull(self, pull: Pull) -> None:
+        if pull.phase == "start":
+            self.settle()
         key = "pull" if pull.phase == "update" else None
         self.desk.ask(lambda: self._pull(pull), key=key)
 
@@ -396,8 +405,10 @@ class Viewer:
         self._alone(job)
 
     def _after_change(self) -> None:
-        self._show()
-        self.store.keep(self.layout)
+        try:
+            self.store.keep(self.layout)
+        finally:
+            self._show()
 
     def _show(self) -> None:
         self._picked = min(self._picked, len(self.layout) - 1)

@@ -50,17 +50,20 @@ class Desk:
 
 
 class Later:
-    """One thing to do after a while; another one takes its place."""
+    """One thing to do after a while; another one takes its place.
+
+    It is done with its lock held: who asks for it :meth:`now` goes on when it is done.
+    """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._timer: threading.Timer | None = None
         self._job: Job | None = None
 
     def do(self, seconds: float, job: Job) -> None:
         """Do this so many seconds from now, and what waited not at all."""
         with self._lock:
-            self._forget()
+            self.cancel()
             timer = threading.Timer(seconds, lambda: self._do(timer))
             timer.daemon = True
             self._job, self._timer = job, timer
@@ -70,24 +73,18 @@ class Later:
         """Do what waits now, if anything does."""
         with self._lock:
             job = self._job
-            self._forget()
-        if job is not None:
-            job()
+            self.cancel()
+            if job is not None:
+                job()
 
     def cancel(self) -> None:
         """Do not do what waits."""
         with self._lock:
-            self._forget()
+            if self._timer is not None:
+                self._timer.cancel()
+            self._job = self._timer = None
 
     def _do(self, timer: threading.Timer) -> None:
         with self._lock:
-            if timer is not self._timer:  # another took its place, or it is done
-                return
-            job, self._job, self._timer = self._job, None, None
-        if job is not None:
-            job()
-
-    def _forget(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._job = self._timer = None
+            if timer is self._timer:  # no other took its place
+                self.now()

@@ -34,6 +34,7 @@ class Panel:
         known = list(devices())
         self._gui, self._asked = gui, asked
         self._question: Any = None
+        self.offers: list[Any] = []
         self.earlier = gui.add_folder("Earlier work", visible=False)
         self.board = gui.add_html("")
         self.edit = gui.add_button_group("Change", ("Undo", "Redo"))
@@ -89,7 +90,7 @@ class Panel:
             asked.add(self.new.value, event.client)
 
     def offer_earlier(self, words: Sequence[str]) -> None:
-        """Offer layouts that an earlier run has left; until one is opened, or none is wanted."""
+        """Offer layouts that an earlier run has left; until none is wanted any more."""
         if not words:
             return
         self.earlier.visible = True
@@ -100,12 +101,9 @@ class Panel:
             )
             for number, one in enumerate(words):
                 name = one.split("`")[1]
-                self._bind(self._gui.add_button(f"Open {name}"), partial(self._open, number))
-            self._bind(self._gui.add_button("Leave them"), self._leave)
-
-    def _open(self, number: int) -> None:
-        self._leave()
-        self._asked.open_earlier(number)
+                self.offers.append(self._gui.add_button(f"Open {name}"))
+                self._bind(self.offers[-1], partial(self._asked.open_earlier, number))
+            self._bind(self._gui.add_button("Leave them", color="gray"), self._leave)
 
     def _leave(self) -> None:
         self.earlier.visible = False
@@ -161,7 +159,7 @@ class Panel:
         self.stop.visible = self.bar.visible = self.course.visible = on
         self.optimise.visible = self.edit.visible = self.existing.visible = not on
         others = (self.device, self.new, self.add, self.method, self.seconds, self.save)
-        for control in (*others, *self.pose.values(), self.report):
+        for control in (*others, *self.pose.values(), *self.offers, self.report):
             control.disabled = on
 
     def _bind(self, control: Any, ask: Callable[[], None], *, settle: bool = True) -> None:

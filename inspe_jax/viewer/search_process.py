@@ -5,6 +5,7 @@ XLA cannot be interrupted while it compiles, and it compiles for many seconds; a
 pickled :class:`Task` after the other comes in, and of each a row of messages goes out, each a
 pickled tuple of a word and what belongs to it:
 
+- ``("ready",)`` once
 - ``("progress", share of the budget that is spent, best score)``
 - ``("found", layout, score)`` with every layout that is the best so far
 - ``("compiling", seconds so far)`` while it compiles
@@ -21,6 +22,7 @@ import threading
 import time
 import traceback
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import IO, Any
 
 import jax
@@ -42,6 +44,10 @@ SETTINGS = (
 """Settings of JAX that a search takes over from the process that asks for it."""
 EVERY = 0.25
 """Between two messages that it compiles [s]."""
+CACHE = "lru_cache.py"
+"""Where JAX writes what it keeps."""
+WRITING = 0.3
+"""How long that may take at the end [s]."""
 NICE = 5
 """How far behind a page a search stands in line for the cores."""
 
@@ -86,6 +92,7 @@ def main() -> None:
     if hasattr(os, "nice"):  # not on Windows
         os.nice(NICE)
     tasks = _Tasks(sys.stdin.buffer)
+    out.tell("ready")
     threading.Thread(target=_tell_compiling, args=(out,), daemon=True).start()
     while True:
         _search(tasks.next(), out)
@@ -110,13 +117,33 @@ class _Tasks:
             try:
                 task = pickle.load(self._source)
             except EOFError:
-                os._exit(0)
+                _leave(0)
             except Exception as e:
                 traceback.print_exception(e)
-                os._exit(1)
+                _leave(1)
             with self._changed:
                 self._waiting.append(task)
                 self._changed.notify()
+
+
+def _leave(status: int) -> None:
+    """End the process now, unless JAX keeps something compiled on disk just then.
+
+    It writes such a file in place, and never again: cut short, it would be of no use for ever.
+    """
+    deadline = time.monotonic() + WRITING
+    while time.monotonic() < deadline and any(map(_is_writing, sys._current_frames().values())):
+        time.sleep(0.005)
+    os._exit(status)
+
+
+def _is_writing(frame: FrameType | None) -> bool:
+    """Whether a thread is within JAX's cache of what is compiled."""
+    while frame is not None:
+        if frame.f_code.co_filename.endswith(CACHE) and frame.f_code.co_name == "put":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _search(task: Task, out: _Out) -> None:

@@ -17,6 +17,8 @@ from inspe_jax.placement.result import STATUSES
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.search_process import Task
 
+PATIENCE = 0.4
+"""How long a process may take to end by itself before it is killed [s]."""
 KILLED = -9
 """Status of a process that the system killed; none on Windows."""
 SHARED = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
@@ -70,7 +72,7 @@ class Searcher:
         self.case, self.weights, self.constraints = case, weights, constraints
         self._heard, self._lock = heard, threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
-        self._closed = False
+        self._closed = self._ready = False
         self._best: tuple[Layout, float] | None = None
         self._first = 0.0  # the start's score
         self.running = False
@@ -86,13 +88,16 @@ class Searcher:
         with self._lock:
             if self._process is not None or self._closed:
                 return
-            command = [sys.executable, "-m", "inspe_jax.viewer.search_process"]
+            # -P: modules are not looked for in the folder that the user works in.
+            command = [sys.executable, "-P", "-m", "inspe_jax.viewer.search_process"]
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env=os.environ | SHARED,
+                start_new_session=True,  # Ctrl-C is for the page
             )
+            self._ready = False
             threading.Thread(
                 target=self._listen, args=(self._process,), name="search", daemon=True
             ).start()
@@ -132,9 +137,16 @@ class Searcher:
 
     def _end_process(self) -> None:
         process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            _release(process)
+        if process is None:
+            return
+        if self._ready:  # it ends when its input does, but not in the midst of writing a file
+            assert process.stdin is not None
+            with contextlib.suppress(OSError, ValueError):
+                process.stdin.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(PATIENCE)
+        process.kill()
+        _release(process)
 
     def _end(self, words: str, *, failed: bool = False) -> None:
         """Tell the end of a search that has no result."""
@@ -152,7 +164,7 @@ class Searcher:
         try:
             process.stdin.write(pickle.dumps(task))
             process.stdin.flush()
-        except (BrokenPipeError, ValueError):  # ended, closed
+        except (OSError, ValueError):  # ended, closed
             return
         except Exception as e:
             with self._lock:
@@ -168,7 +180,10 @@ class Searcher:
                 except Exception:  # its end, mostly
                     break
                 with self._lock:
-                    if process is self._process and self.running:  # and it was not ended meanwhile
+                    if process is not self._process:  # it was ended meanwhile
+                        continue
+                    self._ready = True
+                    if self.running:
                         self._hear(*message)
         with self._lock:
             if process is not self._process:
@@ -200,7 +215,7 @@ class Searcher:
 def _release(process: "subprocess.Popen[bytes]") -> int:
     """Wait for a process that is ending, and give its status."""
     assert process.stdin is not None
-    with contextlib.suppress(BrokenPipeError):  # what it has not read is lost
+    with contextlib.suppress(OSError):  # what it has not read is lost
         process.stdin.close()
     return process.wait()
 

@@ -1,12 +1,15 @@
 """A layout in hand on disk: its file, one beside it while it is not saved, its report.
 
-No file is written over that this run has neither read nor written: it may hold somebody's work.
+No file is written over or removed that this run has not written: it may hold somebody's work.
 """
 
+import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 
 from inspe_jax.errors import InspeError
@@ -18,6 +21,8 @@ from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layo
 
 UNSAVED = "unsaved"
 """Goes into the name of the file that keeps what is not saved."""
+OFFERED = 4
+"""Files of earlier runs that are offered, at most."""
 
 
 @dataclass(frozen=True)
@@ -38,27 +43,23 @@ class Store:
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
         """``scene`` gives the ground to units whose files do not say how high they stand."""
-        self.path, self._scene = Path(path), scene
+        self.path, self._scene = Path(path).resolve(), scene
         self._kept = opened
-        self._known: dict[Path, bytes] = {}  # what this run has read or written, as it then was
+        self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them
         self._unsaved: Path | None = None
-        self._taken_up: Path | None = None  # an earlier run's, until this one saves
+        self._taken_up: tuple[Path, Layout] | None = None
         self._report: threading.Thread | None = None
-        if self.path.is_file() and self._is(self.path, opened):
+        if self._is(self.path, opened):  # it was opened from there
             self._know(self.path)
-        beside = self._unsaved_name(0)
-        found = [at for at in (self.path, beside) if at.is_file() and at not in self._known]
+        found = [at for at in self._others() if not self._is(at, opened)]
         self.earlier = tuple(
-            Earlier(at, datetime.fromtimestamp(at.stat().st_mtime)) for at in found
+            Earlier(at, datetime.fromtimestamp(at.stat().st_mtime)) for at in found[:OFFERED]
         )
 
     @property
     def unsaved(self) -> Path:
         """Where a changed layout is kept while it is not saved: no earlier run's file."""
-        if self._unsaved is None:
-            names = (self._unsaved_name(k) for k in range(1000))
-            self._unsaved = next((at for at in names if not at.exists()), self._unsaved_name(0))
-        return self._unsaved
+        return self._unsaved or next(self._unsaved_names())
 
     @property
     def page(self) -> Path:
@@ -77,18 +78,17 @@ class Store:
         """Whether a layout is as it was opened, or saved last."""
         return layout is self._kept
 
-    def would_replace(self) -> bool:
-        """Whether saving would write over what this run has neither read nor written."""
-        return self.path.exists() and self._known.get(self.path) != self.path.read_bytes()
+    def would_replace(self, layout: Layout) -> bool:
+        """Whether saving a layout would write over another that this run has not written."""
+        return not (self._owns(self.path) or self._is(self.path, layout)) and self.path.exists()
 
     def open(self, earlier: Earlier) -> Layout:
         """The layout of an earlier run, to go on from. Raises InspeError where it is none."""
         layout = load_layout(earlier.path, self._scene, unit_rule=False)
         if earlier.path == self.path:
             self._kept = layout
-            self._know(self.path)
-        else:
-            self._taken_up = earlier.path
+        elif UNSAVED in earlier.path.name:
+            self._taken_up = earlier.path, layout
         return layout
 
     def save(self, layout: Layout, path: Path | None = None) -> None:
@@ -99,16 +99,23 @@ class Store:
         self._know(self.path)
         self._kept = layout
         self.keep(layout)
-        if self._taken_up is not None:  # it is saved now, or what became of it
-            self._taken_up.unlink(missing_ok=True)
+        if self._taken_up is not None and self._taken_up[1] is layout:  # it is saved now
+            self._taken_up[0].unlink(missing_ok=True)
             self._taken_up = None
 
     def keep(self, layout: Layout) -> None:
         """Keep a layout that is not saved; the file goes when there is none."""
-        if not self.holds(layout):
-            save_layout(layout, self.unsaved)
-        elif self._unsaved is not None:
-            self._unsaved.unlink(missing_ok=True)
+        if not self._owns(self._unsaved):
+            self._unsaved = None
+        if self.holds(layout):
+            if self._unsaved is not None:
+                self._unsaved.unlink(missing_ok=True)
+                self._unsaved = None
+            return
+        if self._unsaved is None:
+            self._unsaved = self._new_unsaved()
+        save_layout(layout, self._unsaved)
+        self._know(self._unsaved)
 
     def words(self, layout: Layout) -> str:
         """Where it is, for people, in Markdown."""
@@ -151,20 +158,50 @@ class Store:
     def _know(self, path: Path) -> None:
         self._known[path] = path.read_bytes()
 
+    def _owns(self, path: Path | None) -> bool:
+        """Whether a file is as this run has written it."""
+        if path is None or path not in self._known:
+            return False
+        try:
+            return path.read_bytes() == self._known[path]
+        except OSError:
+            return False
+
     def _is(self, path: Path, layout: Layout) -> bool:
         """Whether a file holds a layout, as when it was opened from there."""
         try:
             found = load_layout(path, self._scene, unit_rule=False)
             return layout_text(found) == layout_text(layout)
-        except InspeError:
+        except (InspeError, OSError):
             return False
 
-    def _unsaved_name(self, number: int) -> Path:
-        mark = f"{UNSAVED}-{number + 1}" if number else UNSAVED
-        return self.path.with_name(f"{self.path.stem}.{mark}{self.path.suffix}")
+    def _others(self) -> list[Path]:
+        """Files that earlier runs may have left, the newest first."""
+        stem, suffix = re.escape(self.path.stem), re.escape(self.path.suffix)
+        name = re.compile(rf"{stem}(-\d+)?(\.{UNSAVED}(-\d+)?)?{suffix}")
+        found = [at for at in self.path.parent.iterdir() if name.fullmatch(at.name)]
+        found = [at for at in found if at.is_file()]
+        return sorted(found, key=lambda at: at.stat().st_mtime, reverse=True)
+
+    def _unsaved_names(self) -> Iterator[Path]:
+        """Names of files that there are not."""
+        for number in count(1):
+            mark = UNSAVED if number == 1 else f"{UNSAVED}-{number}"
+            at = self.path.with_name(f"{self.path.stem}.{mark}{self.path.suffix}")
+            if not at.exists():
+                yield at
+
+    def _new_unsaved(self) -> Path:
+        """A file that nobody else has: another run may look for a name at the same time."""
+        for at in self._unsaved_names():
+            with suppress(FileExistsError):
+                at.touch(exist_ok=False)
+                self._know(at)
+                return at
+        raise AssertionError("there is no end to the names")
 
 
 def _free(path: Path) -> Path:
     """The first name beside a path, with a number from 2, that is no file's."""
-    names = (path.with_name(f"{path.stem}-{k}{path.suffix}") for k in range(2, 1000))
+    names = (path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(2))
     return next(at for at in names if not at.exists())

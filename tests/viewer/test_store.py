@@ -1,5 +1,6 @@
 """A layout's files: what another run has written is never replaced unasked."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -31,9 +32,9 @@ def test_a_new_file_is_written_without_a_question(path, layout):
     higher = raised(layout, 1.0)
     store.keep(higher)
     assert store.unsaved.is_file()
-    assert not store.would_replace()
+    assert not store.would_replace(higher)
     store.save(higher)
-    assert not store.would_replace()  # it is this run's own
+    assert not store.would_replace(layout)  # it is this run's own
     assert not store.unsaved.exists()
     assert store.holds(higher)
     np.testing.assert_allclose(heights(path), higher.poses[:, 2])
@@ -46,13 +47,15 @@ def test_what_was_saved_earlier_is_offered_and_not_replaced_unasked(path, layout
     store = Store(path, layout)
     assert [earlier.path for earlier in store.earlier] == [path]
     assert "moved.yaml" in store.earlier[0].words
-    assert store.would_replace()
+    assert store.would_replace(other)
     store.save(other, store.beside)
     assert store.path.name == "moved-2.yaml"
     np.testing.assert_allclose(heights(path), better.poses[:, 2])
     np.testing.assert_allclose(heights(store.path), other.poses[:, 2])
-    assert not store.would_replace()
+    assert not store.would_replace(other)
     assert store.beside.name == "moved-2-2.yaml"
+    again = Store(path, layout)
+    assert {earlier.path.name for earlier in again.earlier} == {"moved.yaml", "moved-2.yaml"}
 
 
 def test_what_was_saved_earlier_can_be_gone_on_from(path, layout):
@@ -62,21 +65,22 @@ def test_what_was_saved_earlier_can_be_gone_on_from(path, layout):
     opened = store.open(store.earlier[0])
     np.testing.assert_allclose(opened.poses, better.poses, atol=1e-8)
     assert store.holds(opened)
-    assert not store.would_replace()
+    assert not store.would_replace(opened)
+    assert store.would_replace(layout)  # taken back: the better one would be lost
 
 
 def test_what_is_opened_from_its_own_file_is_saved_there(path, layout):
     save_layout(layout, path)
     store = Store(path, load_layout(path))
     assert store.earlier == ()
-    assert not store.would_replace()
+    assert not store.would_replace(raised(layout, 1.0))
 
 
 def test_a_file_that_somebody_changed_meanwhile_is_not_replaced_unasked(path, layout):
     store = Store(path, layout)
     store.save(raised(layout, 1.0))
     path.write_text(path.read_text() + "# a word of mine\n")
-    assert store.would_replace()
+    assert store.would_replace(raised(layout, 2.0))
 
 
 def test_what_an_earlier_run_did_not_save_is_kept_until_what_became_of_it_is(path, layout):
@@ -84,24 +88,65 @@ def test_what_an_earlier_run_did_not_save_is_kept_until_what_became_of_it_is(pat
     before = Store(path, layout)
     before.keep(first)
     store = Store(path, layout)
-    assert [earlier.path for earlier in store.earlier] == [before.unsaved]
+    kept = before.unsaved
+    assert [earlier.path for earlier in store.earlier] == [kept]
     store.keep(second)
-    assert store.unsaved != before.unsaved
-    np.testing.assert_allclose(heights(before.unsaved), first.poses[:, 2])
+    assert store.unsaved != kept
+    np.testing.assert_allclose(heights(kept), first.poses[:, 2])
     opened = store.open(store.earlier[0])
     np.testing.assert_allclose(opened.poses, first.poses, atol=1e-8)
     assert not store.holds(opened)
     store.keep(layout)  # taken back
-    assert before.unsaved.is_file()
+    store.save(layout)
+    assert kept.is_file()
     store.save(opened)
-    assert not before.unsaved.exists()
-    assert not store.unsaved.exists()
+    assert not kept.exists()  # it is in the layout's file now
+    assert heights(path)[0] == pytest.approx(first.poses[0, 2])
+
+
+def test_the_newest_of_what_earlier_runs_left_is_offered(path, layout):
+    """Also what they kept beside what others had left; not what is no layout's name."""
+    names = ["moved.unsaved.yaml", "moved.unsaved-2.yaml", "moved-3.yaml", "moved.yaml", "a.yaml"]
+    for age, name in enumerate(names):
+        at = path.with_name(name)
+        save_layout(raised(layout, 1.0 + age), at)
+        os.utime(at, (1e9 - age, 1e9 - age))
+    offered = [earlier.path.name for earlier in Store(path, layout).earlier]
+    assert offered == names[:4]
+
+
+def test_runs_at_the_same_time_keep_to_files_of_their_own(path, layout):
+    """One goes back and forth, so that its file goes and comes, while another begins."""
+    first, second = Store(path, layout), Store(path, layout)
+    first.keep(raised(layout, 1.0))
+    first.keep(layout)
+    second.keep(raised(layout, 2.0))
+    first.keep(raised(layout, 3.0))
+    first.keep(layout)
+    np.testing.assert_allclose(heights(second.unsaved), raised(layout, 2.0).poses[:, 2])
+    second.unsaved.write_text("mine now")
+    second.keep(layout)
+    assert second.path.with_name("moved.unsaved.yaml").read_text() == "mine now"
+
+
+def test_a_link_is_followed_and_a_folder_s_name_is_kept(path, layout, tmp_path, monkeypatch):
+    target = tmp_path / "elsewhere.yaml"
+    path.symlink_to(target)
+    Store(path, layout).save(layout)
+    assert path.is_symlink()
+    assert target.is_file()
+    monkeypatch.chdir(tmp_path)
+    store = Store("here.yaml", layout)
+    (tmp_path / "other").mkdir()
+    monkeypatch.chdir(tmp_path / "other")
+    store.save(layout)
+    assert (tmp_path / "here.yaml").is_file()
 
 
 def test_a_file_that_is_no_layout_is_neither_replaced_nor_opened(path, layout):
     path.write_text("shopping: [milk]\n")
     store = Store(path, layout)
-    assert store.would_replace()
+    assert store.would_replace(layout)
     with pytest.raises(InspeError, match=r"moved.yaml: .*shopping|moved.yaml: .*unknown key"):
         store.open(store.earlier[0])
 

@@ -270,11 +270,14 @@ def test_the_time_stands_still_while_a_search_compiles(scene, layout, monkeypatc
     assert told == [("ended", "found")]
 
 
-@pytest.mark.parametrize("after", [0.0, 0.5, 4.0])
-def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, heard, after):
-    """As it starts, while it compiles, while it searches."""
+@pytest.mark.parametrize("at", ["starting", "ready", "compiling"])
+def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, heard, at):
+    """As its process starts, as it begins, while it compiles; while it searches: see above."""
     searcher.start(layout, "greedy-adam", 600.0)
-    time.sleep(after)
+    if at == "compiling":
+        heard.compiling.wait(lambda told: told)
+    while at == "ready" and not searcher._ready:
+        time.sleep(0.01)
     process, began = searcher._process, time.monotonic()
     searcher.stop()
     heard.ended.wait(lambda told: told)
@@ -303,6 +306,36 @@ def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
     searcher.start(layout, "random", 1.0)  # in a new process
     assert not heard.ended.wait(lambda told: len(told) == 2)[1][0].failed
+
+
+def test_a_search_s_process_looks_for_modules_where_they_belong(
+    layout, searcher, heard, tmp_path, monkeypatch
+):
+    """And not in the folder of somebody's scene."""
+    (tmp_path / "yaml.py").write_text("raise SystemExit('this is not YAML')")
+    monkeypatch.chdir(tmp_path)
+    searcher.start(layout, "random", 600.0)
+    heard.found.wait(lambda told: told)
+
+
+def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
+    """The process waits, for a while, until JAX has written its file."""
+    left, go = [], threading.Event()
+    path = search_process.CACHE
+    code = compile("def put():\n    go.wait(60)\nput()", f"/somewhere/{path}", "exec")
+    writing = threading.Thread(target=exec, args=(code, {"go": go}))
+    writing.start()
+    monkeypatch.setattr(search_process.os, "_exit", lambda status: left.append(status))
+    threading.Timer(0.1, go.set).start()
+    began = time.monotonic()
+    search_process._leave(0)
+    assert left == [0]
+    assert time.monotonic() - began >= 0.1
+    writing.join()
+    began = time.monotonic()
+    search_process._leave(1)
+    assert time.monotonic() - began < search_process.WRITING
+    assert left == [0, 1]
 
 
 def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, monkeypatch):

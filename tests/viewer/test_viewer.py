@@ -1,5 +1,6 @@
 """The page's server without a browser: what its handle and its buttons ask for."""
 
+import asyncio
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ from worlds import world
 from inspe_jax.evaluation import evaluate
 from inspe_jax.geometry import rotation
 from inspe_jax.placement.problem import Case
-from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import Pull
 from inspe_jax.viewer.panel import put
@@ -220,6 +221,55 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
         assert np.degrees(load_layout(viewer.store.path).poses[0, 5]) == pytest.approx(-90.0)
     if then == "optimise":
         assert np.degrees(begun[0][0].poses[0, 5]) == pytest.approx(-90.0)
+
+
+@pytest.mark.parametrize("control", ["save", "report", "optimise", "existing", "add", "sensor"])
+def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, monkeypatch):
+    """What a browser's press calls, of each control of the panel."""
+    for name in ("optimise", "write_report", "duplicate", "remove", "select", "add"):
+        monkeypatch.setattr(viewer, name, lambda *_: None)
+    monkeypatch.setattr(viewer, "save", lambda: None)
+    viewer.type_number(0, "yaw", -90.0)
+    state = getattr(viewer.panel, control)._impl
+    for called in state.update_cb:
+        asyncio.run(called(SimpleNamespace(client=SimpleNamespace(camera=None))))
+    done(viewer)
+    assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
+
+
+def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
+    at = np.array(layout.poses[0, :3]) - viewer.stage.shift
+    viewer.type_number(0, "yaw", -90.0)
+    viewer._hear_pull(Pull("start", at, about(UP, 0)))
+    for phase in ("update", "end"):
+        viewer._hear_pull(Pull(phase, at + [0, 0, 1.0], about(UP, 0)))
+    done(viewer)
+    assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
+    viewer.type_number(0, "height", 4.0)
+    viewer._click(1)
+    done(viewer)
+    assert viewer.layout.poses[0, 2] == pytest.approx(4.0)
+    assert viewer._picked == 1
+
+
+def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout, tmp_path):
+    path = tmp_path / "layout.yaml"
+    save_layout(replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0]), path)
+    viewer = Viewer(Case(scene), layout, path, port=0)
+    try:
+        viewer._searching = True
+        viewer.open_earlier(0)
+        done(viewer)
+        assert viewer.layout is layout
+        assert not viewer.panel.offers[0].disabled
+        viewer._searching = False
+        viewer.open_earlier(0)
+        done(viewer)
+        assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
+        assert viewer.panel.offers[0].disabled
+        assert not viewer.store.unsaved.exists()  # it is saved
+    finally:
+        viewer.close()
 
 
 def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):

@@ -259,7 +259,7 @@ class Viewer:
         def change() -> None:
             earlier: Earlier = self.store.earlier[number]
             self.session.take(self.store.open(earlier))
-            self.panel.offers[number].disabled = True
+            self.panel.withdraw(number)
             self._tell("Opened", earlier.path.name, None)
 
         self._change(change)

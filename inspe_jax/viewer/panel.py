@@ -105,6 +105,12 @@ class Panel:
                 self._bind(self.offers[-1], partial(self._asked.open_earlier, number))
             self._bind(self._gui.add_button("Leave them", color="gray"), self._leave)
 
+    def withdraw(self, number: int) -> None:
+        """Offer a layout no more: it is open."""
+        self.offers[number].visible = False
+        if not any(offer.visible for offer in self.offers):
+            self._leave()
+
     def _leave(self) -> None:
         self.earlier.visible = False
 

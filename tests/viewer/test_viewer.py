@@ -261,12 +261,12 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
         viewer.open_earlier(0)
         done(viewer)
         assert viewer.layout is layout
-        assert not viewer.panel.offers[0].disabled
+        assert viewer.panel.earlier.visible
         viewer._searching = False
         viewer.open_earlier(0)
         done(viewer)
         assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
-        assert viewer.panel.offers[0].disabled
+        assert not viewer.panel.earlier.visible
         assert not viewer.store.unsaved.exists()  # it is saved
     finally:
         viewer.close()

@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
-from inspe_jax.exact import measure_exactly, measure_many
-from inspe_jax.measures import Crew
+from inspe_jax.exact import count_exactly, measure_many
+from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -19,8 +20,8 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
-from inspe_jax.soft import measure_softly
-from inspe_jax.world import bare_world_of, whole_world_of, world_of
+from inspe_jax.soft import read_softly
+from inspe_jax.world import World, bare_world_of, whole_world_of, world_of
 
 VISIBILITIES = ("in_view", "line_of_sight")
 """What information gain calls visible: f as in the paper, or f × the share of frames in sight."""
@@ -46,7 +47,8 @@ class Scores:
     of one region and of one level (lowest first); ``contributions`` has one row a
     sensor, in the layout's order, none where poses are traced, and can be negative only for
     occlusion with the reference ``covered``, whose voxels change with the sensors;
-    ``seen_share`` (L,) is the share of frames and levels in which each column is seen;
+    ``seen_share`` (L,) is the share of frames and levels in which each column is seen, for
+    pictures: it has no gradient;
     ``settings`` are the options used.
     """
 
@@ -101,38 +103,37 @@ def evaluate(
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     traced = isinstance(poses, jax.core.Tracer)
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    crew = Crew.of(layout, each)
-    width = Softness.of(softness)
+    sensors, width = sensor_array(Crew.of(layout, each)), Softness.of(softness)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    filled = sensors.filled(poses)
     if width.exact:  # a step function of the poses
-        world, fixed = (whole_world_of if traced else world_of)(scene), jax.lax.stop_gradient(poses)
-        measured = measure_exactly(world, fixed, crew, voxel, **options)
+        world = (whole_world_of if traced else world_of)(scene)
+        fixed = jax.lax.stop_gradient(filled) if traced else filled
+        found = count_exactly(world, fixed, sensors, voxel, **options)
     else:
-        measured = measure_softly(bare_world_of(scene), poses, crew, voxel, width, **options)
-    measured = jax.tree.map(_array, measured)
+        world = bare_world_of(scene)
+        found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)
     if weights[2] > 0:
-        check_entropy(scene, measured.entropy)
-    c, o, ig = measured.coverage, measured.occlusion, measured.information_gain
+        check_entropy(scene, found.entropy)
+    found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
+    regions = _by_region(scene, world, found.column_coverage)
+    measured = jax.tree.map(_array, found)
+    c, o, ig = (x[: 1 + len(each)] for x in measured[:3])
     rows = (c, o, ig, metrics.surrogate(c, o, ig, weights))
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
-    columns = measured.column_coverage
     return Scores(
         coverage=total[0],
         occlusion=total[1],
         information_gain=total[2],
         surrogate=total[3],
         information_gain_literal=_numbers(measured.information_gain_literal),
-        region_coverage={
-            region.key: _numbers(columns[scene.voxels.region == region].mean())
-            for region in Region
-            if (scene.voxels.region == region).any()
-        },
+        region_coverage={key: _numbers(share) for key, share in regions.items()},
         level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
             Contribution(sensor.name, *(a - b for a, b in zip(total, left, strict=True)))
             for sensor, left in zip(layout.sensors, without, strict=False)
         ),
-        seen_share=measured.seen_share,
+        seen_share=measured.seen_share[world.tiles.place],
         settings=dict(
             weights=list(weights),
             occlusion_reference=occlusion_reference,
@@ -202,6 +203,29 @@ def evaluate_many(
         visibility=visibility,
     )
     return ManyScores(c, o, ig, np.asarray(metrics.surrogate(c, o, ig, weights)))
+
+
+def _by_region(
+    scene: Scene, world: World, columns: Float[Array, " MC"]
+) -> dict[str, Float[Array | np.ndarray, ""]]:
+    """The mean over the columns of each region that there is."""
+    place, label = np.asarray(world.tiles.place), scene.voxels.region
+    there = [region for region in Region if (label == region).any()]
+    if not isinstance(columns, jax.core.Tracer):
+        share = np.asarray(columns)[place]
+        return {region.key: share[label == region].mean() for region in there}
+    belongs = np.zeros((len(Region), len(columns)), bool)
+    for region in there:
+        belongs[region, place[label == region]] = True
+    means = _means(columns, belongs)
+    return {region.key: means[region] for region in there}
+
+
+@jax.jit
+def _means(x: Float[Array, " n"], rows: Bool[Array, "R n"]) -> Float[Array, " R"]:
+    """The mean of ``x`` where each row says so; 0 of nothing."""
+    counted = rows.astype(x.dtype)
+    return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1.0)
 
 
 def _array(x: Array) -> Any:

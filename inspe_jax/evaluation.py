@@ -10,14 +10,14 @@ from jaxtyping import Array, Bool, Float
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
-from inspe_jax.exact import count_exactly, measure_many
+from inspe_jax.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.sensing.conditions import FAIR, Conditions
-from inspe_jax.sensing.ground import poses_about_center
+from inspe_jax.sensing.ground import from_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
 from inspe_jax.soft import read_softly
@@ -88,8 +88,10 @@ def evaluate(
     gain, one of :data:`VISIBILITIES`; ``softness`` [m] is 0 for the exact scores, or the width
     that fields of view and shadows are read with, or a :class:`~inspe_jax.numerics.Softness`. With
     poses P (S, 6) traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
-    differentiable in P; read exactly it is a step function, with gradient 0. ``conditions`` are the
-    light and the weather that the sensors work in.
+    differentiable in P; read exactly it is a step function, with gradient 0. Such a gradient needs
+    no ``jax.jit`` about it: without, what is compiled serves other scenes and layouts of similar
+    size; within, the scene is a part of the program. ``conditions`` are the light and the weather
+    that the sensors work in.
 
     Raises InspeError where a sensor is in the
     ground or out of reach of the scene, an option is unknown, the arrays would not
@@ -100,16 +102,18 @@ def evaluate(
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = conditions.layout(layout)
-    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
-    traced = isinstance(poses, jax.core.Tracer)
+    traced, voxel = isinstance(layout.poses, jax.core.Tracer), scene.voxels.size
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    sensors, width = sensor_array(Crew.of(layout, each)), Softness.of(softness)
+    width = Softness.of(softness)
+    sensors = sensor_array(Crew.of(layout, each), ONE_MORE if width.exact else 0)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    filled = sensors.filled(poses)
-    if width.exact:  # a step function of the poses
+    given = layout.poses
+    if width.exact and traced:  # a step function of the poses
+        given = jax.lax.stop_gradient(given)
+    filled = from_center(scene, sensors.filled(given))
+    if width.exact:
         world = (whole_world_of if traced else world_of)(scene)
-        fixed = jax.lax.stop_gradient(filled) if traced else filled
-        found = count_exactly(world, fixed, sensors, voxel, **options)
+        found = count_exactly(world, filled, sensors, voxel, **options)
     else:
         world = bare_world_of(scene)
         found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)

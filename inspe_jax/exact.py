@@ -42,7 +42,7 @@ def measure_exactly(
     As :func:`~inspe_jax.measures.measure`. Works on all cores; traced, on one, and on a world
     whose shares have all tiles.
     """
-    sensors = sensor_array(crew)
+    sensors = sensor_array(crew, ONE_MORE)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
     measured = count_exactly(world, sensors.filled(poses), sensors, voxel, **options)
     return measured.of_scene(world.tiles.place, len(crew.failures))
@@ -110,6 +110,10 @@ def _split_view() -> Callable[..., Any]:
     """:func:`view_masks`, every device for its tiles."""
     whole, first = sharding.along(None), sharding.along(0)
     return sharding.split(view_masks, (whole, whole, first, whole), first)
+
+
+ONE_MORE = 1
+"""Sensors more that there is always room for: here they cost next to nothing."""
 
 
 class Watched(NamedTuple):
@@ -339,7 +343,7 @@ def measure_many(
 
     On several devices each works on a layout of its own, on one each core.
     """
-    sensors, options = sensor_array(crew), (occlusion_reference, visibility)
+    sensors, options = sensor_array(crew, ONE_MORE), (occlusion_reference, visibility)
     data = world.bucketed, sensors, voxel
     shapes = tuple(leaf.shape for leaf in jax.tree.leaves(data[:2]))
     each = sharding.devices()

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from inspe_jax import metrics
-from inspe_jax.arrays import bucket
+from inspe_jax.arrays import bucket, on_device
 from inspe_jax.geometry import Prism, solid_top
 from inspe_jax.numerics import EXACT, Groups, Softness, Width, leave_one_out, step
 from inspe_jax.sensing.ground import Ground
@@ -73,19 +73,44 @@ class SensorArray:
 
     def filled(self, poses: Float[Array | np.ndarray, "s 6"]) -> Any:
         """Poses of the sensors, and the first one's again where there is none; traced or not."""
-        spare = len(self.kind) - len(poses)
-        if isinstance(poses, jax.core.Tracer):
-            return jnp.concatenate([poses, jnp.repeat(poses[:1], spare, 0)])
-        poses = np.asarray(poses)
-        return np.concatenate([poses, np.repeat(poses[:1], spare, 0)])
+        return filled_up(poses, len(self.kind))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(1,))
+def filled_up(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
+    """So many rows, the first one repeated at the end.
+
+    A function of its own, with a slope of its own, to be worked out in NumPy unless it is traced:
+    else a program would be compiled for every number of rows.
+    """
+    if isinstance(rows, jax.core.Tracer):
+        return jnp.concatenate([rows, jnp.repeat(rows[:1], count - len(rows), 0)])
+    rows = np.asarray(rows)
+    return np.concatenate([rows, np.repeat(rows[:1], count - len(rows), 0)])
+
+
+def _filled_up_forward(rows: Any, count: int) -> tuple[Any, Any]:
+    return filled_up(rows, count), np.zeros(len(rows), bool)
+
+
+def _filled_up_backward(count: int, kept: Any, slope: Any) -> tuple[Any]:
+    number = len(kept)
+    if isinstance(slope, jax.core.Tracer):
+        return (slope[:number].at[0].add(slope[number:].sum(0)),)
+    slope = np.array(slope)
+    slope[0] += slope[number:].sum(0)
+    return (on_device(slope[:number]),)
+
+
+filled_up.defvjp(_filled_up_forward, _filled_up_backward)
 
 
 @lru_cache(maxsize=64)
-def sensor_array(crew: Crew) -> SensorArray:
-    """The arrays of a crew."""
+def sensor_array(crew: Crew, spare: int = 0) -> SensorArray:
+    """The arrays of a crew, with room for ``spare`` sensors more at least."""
     kinds = tuple(sorted({grid.kind for grid, _ in crew.groups}, key=lambda kind: kind.name))
     grids = {s: grid for grid, index in crew.groups for s in index}
-    count, room = len(grids), bucket(len(grids), SENSORS)
+    count, room = len(grids), bucket(len(grids) + spare, SENSORS)
     tables = [grids[min(s, count - 1)].table for s in range(room)]
     lengths = [max(len(table[k]) for table in tables) for k in range(2)]
     tables = [

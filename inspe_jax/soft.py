@@ -86,8 +86,12 @@ def read_softly(
         resolved = leave_one_out(q * reliability, sensors.failures)
         return covered.sum(1), covered[0].sum(1), resolved, watched._replace(sights=None)
 
+    def unless_empty(tile: Tile) -> tuple[Array, Array, Array, Watched]:
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(look, tile))
+        return jax.lax.cond((tile.there != 0).any(), look, lambda _: nothing, tile)
+
     tiles = world.tiles
-    columns, by_level, resolved, watched = jax.lax.map(look, tiles.tile)
+    columns, by_level, resolved, watched = jax.lax.map(unless_empty, tiles.tile)
     columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
     by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(world.column, tiles.tile.there.shape[1])

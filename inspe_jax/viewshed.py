@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax import metrics
-from inspe_jax.exact import in_view_of
+from inspe_jax.exact import ONE_MORE, in_view_of
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.scene.scene import Scene
@@ -108,7 +108,7 @@ def _views(
     is; with room for some more sensors."""
     check_layout(scene, layout)
     layout, world = conditions.layout(layout), whole_world_of(scene)
-    sensors = sensor_array(Crew.of(layout))
+    sensors = sensor_array(Crew.of(layout), ONE_MORE)
     poses = sensors.filled(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(world, poses, sensors, scene.voxels.size / 2))
     return layout, world.tiles, views, poses[:, :3]

@@ -12,7 +12,7 @@ from inspe_jax.geometry import Prism
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 
-PRISMS = 8
+PRISMS = 16
 """Prisms of a frame that there is room for, at least."""
 
 
@@ -61,7 +61,12 @@ def about_center(scene: Scene) -> Ground:
 
 def poses_about_center(scene: Scene, layout: Layout) -> Any:
     """The layout's poses (S, 6) relative to the scene's centre: traced, or in NumPy."""
+    return from_center(scene, layout.poses)
+
+
+def from_center(scene: Scene, poses: Any) -> Any:
+    """World poses (S, 6) relative to the scene's centre: traced, or in NumPy."""
     shift = np.concatenate([scene.voxels.center, np.zeros(3)])
-    if isinstance(layout.poses, jax.core.Tracer):
-        return jnp.asarray(layout.poses - shift[None], float)
-    return on_host(np.asarray(layout.poses) - shift, float)
+    if isinstance(poses, jax.core.Tracer):
+        return jnp.asarray(poses - shift[None], float)
+    return on_host(np.asarray(poses) - shift, float)

@@ -17,8 +17,8 @@ from inspe_jax.arrays import bucket, on_device
 from inspe_jax.geometry import NEVER, Prism, top_over
 from inspe_jax.sensing.ground import Ground
 
-COLUMNS = (32, 64, 96, 128, 192, 256, 320)
-"""Columns of a tile; the last in all but small scenes."""
+COLUMNS = (96, 320)
+"""Columns of a tile, in a sample of few and else."""
 SHARES = 8
 """Least number of tiles, which divides every other, so that they can be shared out evenly."""
 CLOSE = 1e-2

@@ -1,6 +1,6 @@
 """In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -141,16 +141,21 @@ def _best_ray(
     rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
     """(margin, row, column) of the ray that passes deepest through each voxel."""
-    rows, sides = _candidates(rays, stance.turn, _to_voxels(stance, centers), half)
-    before, after = (_ray_margin(rays, half, stance, centers, rows, side) for side in sides)
-    later = after > before
-    margins, columns = jnp.maximum(before, after), jnp.where(later, sides[1], sides[0])  # (3, V)
-    best, row, column = margins[0], rows[0], columns[0]
-    for k in range(1, len(margins)):
-        won = margins[k] > best
-        best = jnp.where(won, margins[k], best)
-        row = jnp.where(won, rows[k], row)
-        column = jnp.where(won, columns[k], column)
+    of_row = _candidates(rays, stance.turn, _to_voxels(stance, centers), half)
+
+    def look(neighbour: Array, best: tuple[Array, ...]) -> tuple[Array, ...]:
+        row, *columns = of_row(neighbour - 1)
+        for column in columns:
+            margin = _ray_margin(rays, half, stance, centers, row, column)
+            won = margin > best[0]
+            found = margin, row, column
+            best = tuple(jnp.where(won, new, old) for new, old in zip(found, best, strict=True))
+        return best
+
+    # A loop: one after the other, they would be compiled three times.
+    nothing = jnp.full(len(centers), -jnp.inf, centers.dtype)
+    zero = jnp.zeros_like(nothing)
+    best, row, column = jax.lax.fori_loop(0, 3, look, (nothing, zero, zero))
     return best, row, column
 
 
@@ -170,8 +175,10 @@ def _ray_margin(
 
 def _candidates(
     rays: Rays, turn: Float[Array, "3 3"], offset: Point, half: Scalar
-) -> tuple[Float[Array, "3 V"], tuple[Float[Array, "3 V"], Float[Array, "3 V"]]]:
-    """Rows, and two columns of each, of the rays that can pass through each voxel, if any does.
+) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """Row and columns of the rays that can pass through each voxel, if any does.
+
+    By the number of the row: −1, 0, 1 from the one below the nearest to the one above.
 
     The rays nearest to the voxel's centre are not enough: where rows lie
     further apart than columns, a row may clip one corner of the cube, many
@@ -196,18 +203,17 @@ def _candidates(
             x, y, z = x + side * turn[k, 0], y + side * turn[k, 1], z + side * turn[k, 2]
         return x, y, z
 
-    def extreme(normal: Point) -> Point:
-        """The corner, or the middle of an edge, whose row is lowest and highest: (2, V) each.
+    def extreme(normal: Point, outward: float) -> Point:
+        """The corner, or the middle of an edge, whose row is highest (outward = 1) or lowest.
 
         The corner furthest along the normal at the aim, and from there along the
         normal at that corner: near the sensor the two differ, and the best may lie
         between them.
         """
-        outward = jnp.asarray([[-1.0], [1.0]], q[0].dtype)
-        centre, normal = _rowwise(q), _rowwise(normal)
-        one = corner(centre, normal, outward)
-        two = corner(centre, rays.row_normal(one), outward)
-        middle = _between(one, two, jnp.full_like(one[0], 0.5))
+        sign = jnp.full_like(q[0], outward)
+        one = corner(q, normal, sign)
+        two = corner(q, rays.row_normal(one), sign)
+        middle = _between(one, two, jnp.full_like(q[0], 0.5))
         best, value = one, rays.row(one) * outward
         for point in (two, middle):
             other = rays.row(point) * outward
@@ -227,22 +233,22 @@ def _candidates(
             aim = _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
 
     here = rays.row(aim)
-    low, high = zip(*extreme(rays.row_normal(aim)), strict=True)
-    # The nearest row and its two neighbours, (3, V) each.
-    near = rays.nearest_row(here)[None] + jnp.arange(-1, 2, dtype=jnp.int32)[:, None]
-    row = rays.row_at(jnp.clip(near, 0, rays.table.row_count - 1))
-    up, aim = row > here[None], _rowwise(aim)
-    far = tuple(jnp.where(up, a[None], b[None]) for a, b in zip(high, low, strict=True))
-    start, end = rays.beyond_row(aim, row), rays.beyond_row(far, row)  # type: ignore[arg-type]
-    crossing = start / jnp.where(jnp.abs(start - end) < 1e-9, 1e-9, start - end)
-    p = _between(aim, far, crossing)  # type: ignore[arg-type]
-    before = rays.column_index(rays.column(p))
-    return row, (rays.column_at(before), rays.column_at(before + 1))
+    normal = rays.row_normal(aim)
+    above, below = extreme(normal, 1.0), extreme(normal, -1.0)
+    nearest = rays.nearest_row(here)
 
+    def of_row(neighbour: Array) -> tuple[Array, Array, Array]:
+        """The row so many rows above the nearest one, and its two columns."""
+        row = rays.row_at(jnp.clip(nearest + neighbour, 0, rays.table.row_count - 1))
+        up = row > here
+        far = tuple(jnp.where(up, a, b) for a, b in zip(above, below, strict=True))
+        start, end = rays.beyond_row(aim, row), rays.beyond_row(far, row)  # type: ignore[arg-type]
+        crossing = start / jnp.where(jnp.abs(start - end) < 1e-9, 1e-9, start - end)
+        p = _between(aim, far, crossing)  # type: ignore[arg-type]
+        before = rays.column_index(rays.column(p))
+        return row, rays.column_at(before), rays.column_at(before + 1)
 
-def _rowwise(q: Point) -> Point:
-    """Points (V,) as (1, V)."""
-    return q[0][None], q[1][None], q[2][None]
+    return of_row
 
 
 def _within_reach(rays: Rays, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]

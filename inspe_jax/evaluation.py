@@ -4,23 +4,24 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from inspe_jax import metrics
 from inspe_jax.errors import InspeError
-from inspe_jax.exact import measure_exactly, measure_many
-from inspe_jax.measures import Crew
+from inspe_jax.exact import ONE_MORE, count_exactly, measure_many
+from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.sensing.conditions import FAIR, Conditions
-from inspe_jax.sensing.ground import poses_about_center
+from inspe_jax.sensing.ground import from_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
-from inspe_jax.soft import measure_softly
-from inspe_jax.world import bare_world_of, whole_world_of, world_of
+from inspe_jax.soft import read_softly
+from inspe_jax.world import World, bare_world_of, whole_world_of, world_of
 
 VISIBILITIES = ("in_view", "line_of_sight")
 """What information gain calls visible: f as in the paper, or f × the share of frames in sight."""
@@ -46,7 +47,8 @@ class Scores:
     of one region and of one level (lowest first); ``contributions`` has one row a
     sensor, in the layout's order, none where poses are traced, and can be negative only for
     occlusion with the reference ``covered``, whose voxels change with the sensors;
-    ``seen_share`` (L,) is the share of frames and levels in which each column is seen;
+    ``seen_share`` (L,) is the share of frames and levels in which each column is seen, for
+    pictures: it has no gradient;
     ``settings`` are the options used.
     """
 
@@ -86,8 +88,10 @@ def evaluate(
     gain, one of :data:`VISIBILITIES`; ``softness`` [m] is 0 for the exact scores, or the width
     that fields of view and shadows are read with, or a :class:`~inspe_jax.numerics.Softness`. With
     poses P (S, 6) traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
-    differentiable in P; read exactly it is a step function, with gradient 0. ``conditions`` are the
-    light and the weather that the sensors work in.
+    differentiable in P; read exactly it is a step function, with gradient 0. Such a gradient needs
+    no ``jax.jit`` about it: without, what is compiled serves other scenes and layouts of similar
+    size; within, the scene is a part of the program. ``conditions`` are the light and the weather
+    that the sensors work in.
 
     Raises InspeError where a sensor is in the
     ground or out of reach of the scene, an option is unknown, the arrays would not
@@ -98,41 +102,42 @@ def evaluate(
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = conditions.layout(layout)
-    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
-    traced = isinstance(poses, jax.core.Tracer)
+    traced, voxel = isinstance(layout.poses, jax.core.Tracer), scene.voxels.size
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    crew = Crew.of(layout, each)
     width = Softness.of(softness)
+    sensors = sensor_array(Crew.of(layout, each), ONE_MORE if width.exact else 0)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    if width.exact:  # a step function of the poses
-        world, fixed = (whole_world_of if traced else world_of)(scene), jax.lax.stop_gradient(poses)
-        measured = measure_exactly(world, fixed, crew, voxel, **options)
+    given = layout.poses
+    if width.exact and traced:  # a step function of the poses
+        given = jax.lax.stop_gradient(given)
+    filled = from_center(scene, sensors.filled(given))
+    if width.exact:
+        world = (whole_world_of if traced else world_of)(scene)
+        found = count_exactly(world, filled, sensors, voxel, **options)
     else:
-        measured = measure_softly(bare_world_of(scene), poses, crew, voxel, width, **options)
-    measured = jax.tree.map(_array, measured)
+        world = bare_world_of(scene)
+        found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)
     if weights[2] > 0:
-        check_entropy(scene, measured.entropy)
-    c, o, ig = measured.coverage, measured.occlusion, measured.information_gain
+        check_entropy(scene, found.entropy)
+    found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
+    regions = _by_region(scene, world, found.column_coverage)
+    measured = jax.tree.map(_array, found)
+    c, o, ig = (x[: 1 + len(each)] for x in measured[:3])
     rows = (c, o, ig, metrics.surrogate(c, o, ig, weights))
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
-    columns = measured.column_coverage
     return Scores(
         coverage=total[0],
         occlusion=total[1],
         information_gain=total[2],
         surrogate=total[3],
         information_gain_literal=_numbers(measured.information_gain_literal),
-        region_coverage={
-            region.key: _numbers(columns[scene.voxels.region == region].mean())
-            for region in Region
-            if (scene.voxels.region == region).any()
-        },
+        region_coverage={key: _numbers(share) for key, share in regions.items()},
         level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
             Contribution(sensor.name, *(a - b for a, b in zip(total, left, strict=True)))
             for sensor, left in zip(layout.sensors, without, strict=False)
         ),
-        seen_share=measured.seen_share,
+        seen_share=measured.seen_share[world.tiles.place],
         settings=dict(
             weights=list(weights),
             occlusion_reference=occlusion_reference,
@@ -202,6 +207,29 @@ def evaluate_many(
         visibility=visibility,
     )
     return ManyScores(c, o, ig, np.asarray(metrics.surrogate(c, o, ig, weights)))
+
+
+def _by_region(
+    scene: Scene, world: World, columns: Float[Array, " MC"]
+) -> dict[str, Float[Array | np.ndarray, ""]]:
+    """The mean over the columns of each region that there is."""
+    place, label = np.asarray(world.tiles.place), scene.voxels.region
+    there = [region for region in Region if (label == region).any()]
+    if not isinstance(columns, jax.core.Tracer):
+        share = np.asarray(columns)[place]
+        return {region.key: share[label == region].mean() for region in there}
+    belongs = np.zeros((len(Region), len(columns)), bool)
+    for region in there:
+        belongs[region, place[label == region]] = True
+    means = _means(columns, belongs)
+    return {region.key: means[region] for region in there}
+
+
+@jax.jit
+def _means(x: Float[Array, " n"], rows: Bool[Array, "R n"]) -> Float[Array, " R"]:
+    """The mean of ``x`` where each row says so; 0 of nothing."""
+    counted = rows.astype(x.dtype)
+    return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1.0)
 
 
 def _array(x: Array) -> Any:

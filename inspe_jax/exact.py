@@ -6,7 +6,8 @@ tiles are shared out among the cores, and the scores are the same to the last bi
 """
 
 from collections.abc import Callable
-from functools import cache, lru_cache, partial
+from dataclasses import replace
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,15 +18,14 @@ from jaxtyping import Array, Bool, Float, Num, UInt
 from inspe_jax import masks, metrics, sharding
 from inspe_jax.cores import Job, parts_of, run
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew, Measures
-from inspe_jax.numerics import leave_one_out
-from inspe_jax.sensing.in_view import in_order, in_view_masks
+from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array
+from inspe_jax.numerics import Groups, leave_one_out
+from inspe_jax.sensing.in_view import view_masks
+from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import casts, clear_masks
 from inspe_jax.sensing.tiles import Tile
 from inspe_jax.world import Share, World
-
-Groups = tuple[tuple[int, ...], ...]
 
 
 def measure_exactly(
@@ -42,44 +42,78 @@ def measure_exactly(
     As :func:`~inspe_jax.measures.measure`. Works on all cores; traced, on one, and on a world
     whose shares have all tiles.
     """
-    views = in_view_of(world, poses, crew, voxel / 2)
+    sensors = sensor_array(crew, ONE_MORE)
+    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    measured = count_exactly(world, sensors.filled(poses), sensors, voxel, **options)
+    return measured.of_scene(world.tiles.place, len(crew.failures))
+
+
+def count_exactly(
+    world: World,
+    poses: Float[Array | np.ndarray, "S 6"],
+    sensors: SensorArray,
+    voxel: float | Array,
+    *,
+    occlusion_reference: str,
+    visibility: str,
+) -> Measures:
+    """:func:`measure_exactly` of arrays that are filled up: of the tiles' columns, and with a row
+    for each group of failures that there is room for."""
+    views = in_view_of(world, poses, sensors, voxel / 2)
     sighted = visibility == "line_of_sight"
-    watched = _watch_all(world, views, poses[:, :3], crew.failures, occlusion_reference, sighted)
-    return _measures(world, views, watched, jnp.asarray(crew.reliability, float), crew.failures)
+    watched = _watch_all(world, views, poses[:, :3], sensors.failures, occlusion_reference, sighted)
+    bare = replace(world.bucketed, shares=())
+    return _measures(bare, views, watched, sensors.reliability, sensors.failures)
 
 
 def in_view_of(
-    world: World, poses: Float[Array, "S 6"], crew: Crew, half: float
-) -> UInt[Array, "S N C"]:
+    world: World, poses: Float[Array | np.ndarray, "S 6"], sensors: SensorArray, half: float | Array
+) -> UInt[Array | np.ndarray, "S N C"]:
     """Masks of what each sensor has in view."""
     tile = world.tiles.tile
     if isinstance(poses, jax.core.Tracer):
-        found = [
-            jax.lax.map(lambda pose: in_view_masks(grid, pose, tile, half), poses[jnp.array(index)])  # noqa: B023
-            for grid, index in crew.groups
-        ]
-        return in_order(found, crew.groups)
-    grids = {s: grid for grid, index in crew.groups for s in index}
+        return _traced_views(tile, poses, sensors, half)
     jobs: list[Job] = []
-    for s, pose in enumerate(poses):
+    present = np.flatnonzero(sensors.kind < len(sensors.kinds))
+    for s in present:
+        kind = sensors.kinds[sensors.kind[s]]
+        rays = kind.rays(jax.tree.map(lambda numbers: numbers[s], sensors.table))  # noqa: B023
+        lengths = rays.table.rows.shape + rays.table.nearest.shape
         if world.split is None:
-            work = partial(in_view_masks, grids[s], pose, tile, half)
+            work = partial(view_masks, rays, poses[s], tile, half)
         else:
-            work = partial(_split_view(grids[s], half), pose, world.split)
-        jobs.append(((in_view_masks, grids[s].endless, half, tile.heights.shape), work))
-    views = run(jobs)
-    # Of tiles on several devices: together again.
-    return jnp.stack(views if world.split is None else [np.asarray(view) for view in views])
+            work = partial(_split_view(), rays, poses[s], world.split, half)
+        jobs.append(((view_masks, kind, lengths, tile.heights.shape), work))
+    views = np.zeros((len(poses), *tile.there.shape), tile.there.dtype)
+    views[present] = [np.asarray(view) for view in run(jobs)]
+    return views
+
+
+def _traced_views(
+    tile: Tile, poses: Float[Array, "S 6"], sensors: SensorArray, half: float | Array
+) -> UInt[Array, "S N C"]:
+    def look(kind: Kind, table: RayTable, pose: Array) -> Array:
+        return view_masks(kind.rays(table), pose, tile, half)
+
+    def nothing(table: RayTable, pose: Array) -> Array:
+        return jnp.zeros_like(tile.there)
+
+    branches: list[Any] = [*(partial(look, kind) for kind in sensors.kinds), nothing]
+    return jax.lax.map(
+        lambda one: jax.lax.switch(one[0], branches, *one[1:]),
+        (jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses),
+    )
 
 
 @cache
-def _split_view(grid: RayGrid, half: float) -> Callable[..., Any]:
-    """:func:`in_view_masks`, every device for its tiles."""
+def _split_view() -> Callable[..., Any]:
+    """:func:`view_masks`, every device for its tiles."""
+    whole, first = sharding.along(None), sharding.along(0)
+    return sharding.split(view_masks, (whole, whole, first, whole), first)
 
-    def view(pose: Array, tile: Tile) -> Array:
-        return in_view_masks(grid, pose, tile, half)
 
-    return sharding.split(view, (sharding.along(None), sharding.along(0)), sharding.along(0))
+ONE_MORE = 1
+"""Sensors more that there is always room for: here they cost next to nothing."""
 
 
 class Watched(NamedTuple):
@@ -90,38 +124,40 @@ class Watched(NamedTuple):
     over the column (``columns``), and in how many each sensor sees it (``sights``, or None).
     """
 
-    seen: Num[Array, "1+G T"]
-    original: Num[Array, "1+G T"]
-    columns: Num[Array, "*N C"]
-    sights: Num[Array, "S *N C Z"] | None
+    seen: Num[Array | np.ndarray, "1+G T"]
+    original: Num[Array | np.ndarray, "1+G T"]
+    columns: Num[Array | np.ndarray, "*N C"]
+    sights: Num[Array | np.ndarray, "S *N C Z"] | None
 
 
 def _watch_all(
     world: World,
-    views: UInt[Array, "S N C"],
-    sensors: Float[Array, "S 3"],
-    failures: Groups,
+    views: UInt[Array | np.ndarray, "S N C"],
+    sensors: Float[Array | np.ndarray, "S 3"],
+    failures: Groups | None,
     reference: str,
     sighted: bool,
 ) -> Watched:
     """Go through the frames, tile by tile."""
-    options = dict(failures=failures, reference=reference, sighted=sighted)
+    options: dict[str, Any] = dict(reference=reference, sighted=sighted)
     if isinstance(views, jax.core.Tracer):
         return joined(
             [
-                _watch(share.tile, views, share.solid, share.prisms, sensors, **options)
+                _watch(share.tile, views, share.solid, share.prisms, sensors, failures, **options)
                 for share in world.shares
             ]
         )
     jobs: list[Job] = []
+    groups = 0 if failures is None else len(failures.first)
     for share in world.shares:
         few = views[:, share.tiles]
         watch: Callable[..., Watched] = partial(_watch, **options)
         if share.split:
-            watch = _split_watch(failures, reference, sighted)
-        work = partial(watch, share.tile, few, share.solid, share.prisms, sensors)
-        jobs.append(((_watch, *options.values(), few.shape, share.prisms.top.shape), work))
-    seen = np.zeros((2, 1 + len(failures), world.frame_count), np.int32)
+            watch = _split_watch(reference, sighted)
+        work = partial(watch, share.tile, few, share.solid, share.prisms, sensors, failures)
+        shapes = few.shape, share.prisms.top.shape, groups, share.split
+        jobs.append(((_watch, *options.values(), *shapes), work))
+    seen = np.zeros((2, 1 + groups, world.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
     levels = world.tiles.tile.heights.shape[1] if sighted else 0
     sights = np.zeros((*views.shape, levels), np.int32)
@@ -130,12 +166,7 @@ def _watch_all(
         _add(columns[share.tiles], part.columns)
         if sighted:
             _add(sights[:, share.tiles], part.sights)
-    return Watched(
-        jnp.asarray(seen[0]),
-        jnp.asarray(seen[1]),
-        jnp.asarray(columns),
-        jnp.asarray(sights) if sighted else None,
-    )
+    return Watched(seen[0], seen[1], columns, sights if sighted else None)
 
 
 def joined(parts: list[Watched]) -> Watched:
@@ -149,29 +180,29 @@ def joined(parts: list[Watched]) -> Watched:
     )
 
 
-def _add(total: np.ndarray, counts: Array) -> None:
+def _add(total: np.ndarray, counts: Any) -> None:
     """Add counts to a total; those of several devices stand one after another."""
     total += np.asarray(counts).reshape(-1, *total.shape).sum(0)
 
 
 @cache
-def _split_watch(failures: Groups, reference: str, sighted: bool) -> Callable[..., Watched]:
+def _split_watch(reference: str, sighted: bool) -> Callable[..., Watched]:
     """:func:`_watch`, every device for its frames."""
-    watch = partial(_watch, failures=failures, reference=reference, sighted=sighted)
+    watch = partial(_watch, reference=reference, sighted=sighted)
     whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
     gives: Any = Watched(second, second, first, first if sighted else None)  # type: ignore[arg-type]
-    return sharding.split(watch, (whole, whole, second, first, whole), gives)
+    return sharding.split(watch, (whole, whole, second, first, whole, whole), gives)
 
 
-@partial(jax.jit, static_argnames=("failures", "reference", "sighted"))
+@partial(jax.jit, static_argnames=("reference", "sighted"))
 def _watch(
     tile: Tile,
     views: UInt[Array, "S n C"],
     solid: UInt[Array, "n F C"],
     prisms: Prism,
     sensors: Float[Array, "S 3"],
+    failures: Groups | None,
     *,
-    failures: Groups,
     reference: str,
     sighted: bool,
 ) -> Watched:
@@ -185,9 +216,9 @@ def _watch(
     spare_own = reference == "targets"
     cast = jax.vmap(casts, (0, None))(sensors, prisms)
     # Sensors group by group; without failures all are one.
-    order = jnp.array([s for members in failures for s in members] or range(count))
-    group_of = {s: number for number, members in enumerate(failures) for s in members}
-    group = jnp.array([group_of.get(s, 0) for s in range(count)])
+    groups = 0 if failures is None else len(failures.first)
+    order = jnp.arange(count) if failures is None else jnp.asarray(failures.order)
+    group = jnp.zeros(count, int) if failures is None else jnp.asarray(failures.of)
 
     def step(kept: Array, part: tuple[Tile, Array, Array]) -> tuple[Array, tuple]:
         tile, views, solid = part
@@ -208,7 +239,7 @@ def _watch(
             )
             visible = views[s][None] & clear
             before = jnp.where(opens(i), once, before)
-            if failures:
+            if groups:
                 kept = kept.at[i].set(visible)
             if sighted:
                 sights = sights.at[s].set(masks.tally(visible, len(tile.heights)))
@@ -226,19 +257,19 @@ def _watch(
             alone = kept[i] & ~twice & counted & ~taken
             return lost.at[group[listed[i]]].add(masks.count(alone).sum(1)), taken | alone
 
-        lost = jnp.zeros((len(failures), frames), int)
-        if failures:
+        lost = jnp.zeros((groups, frames), int)
+        if groups:
             lost, _ = jax.lax.fori_loop(0, number, lose, (lost, none))
         seen = masks.count(once & counted).sum(1)
-        covered = masks.without_one(views, failures)  # (1 + G, C)
         if reference == "covered":
+            covered = masks.without_one(views, failures)  # (1 + G, C)
             original = jax.lax.map(lambda row: masks.count(row[None] & counted).sum(1), covered)
         else:
-            original = jnp.broadcast_to(masks.count(counted).sum(1), (1 + len(failures), frames))
+            original = jnp.broadcast_to(masks.count(counted).sum(1), (1 + groups, frames))
         rows = jnp.concatenate([seen[None], seen[None] - lost])
         return kept, (rows, original, masks.count(once).sum(0), sights)
 
-    kept = jnp.zeros((count if failures else 0, frames, views.shape[2]), views.dtype)
+    kept = jnp.zeros((count if groups else 0, frames, views.shape[2]), views.dtype)
     by_tile = (tile, views.swapaxes(0, 1), solid)
     seen, original, columns, sights = jax.lax.scan(step, kept, by_tile)[1]
     return Watched(
@@ -246,13 +277,13 @@ def _watch(
     )
 
 
-@partial(jax.jit, static_argnames="failures")
+@jax.jit
 def _measures(
     world: World,
     views: UInt[Array, "S N C"],
     watched: Watched,
     reliability: Float[Array, " S"],
-    failures: Groups,
+    failures: Groups | None,
 ) -> Measures:
     """From masks and counts to the metrics."""
     slabs, levels = world.tiles.slabs, world.tiles.level_count
@@ -282,16 +313,17 @@ def summed_up(
     """The metrics, of what is in view of each column and level, and of what is seen.
 
     ``shares`` of each tile column's levels, ``by_level`` in columns, ``resolved`` of the voxels
-    that may have entropy.
+    that may have entropy. Columns stay those of the tiles.
     """
-    place, levels = world.tiles.place, world.tiles.level_count
-    seen = watched.columns.reshape(world.tiles.slabs, -1).sum(0)[place]
+    slabs, levels = world.tiles.slabs, world.tiles.level_count
+    seen = watched.columns.reshape(slabs, -1).sum(0)
+    there = world.tiles.tile.there.reshape(slabs, -1)[0] != 0
     return Measures(
         metrics.coverage(shares, world.weight),
-        metrics.occlusion(watched.seen.T.astype(float), watched.original.T.astype(float)),
+        metrics.occlusion(*(jnp.asarray(x, float).T for x in (watched.seen, watched.original))),
         metrics.information_gain(resolved, world.occupancy),
-        column_coverage=shares[0][place],
-        level_coverage=by_level[:levels].astype(float) / len(place),
+        column_coverage=shares[0],
+        level_coverage=by_level[:levels].astype(float) / there.astype(float).sum(),
         information_gain_literal=metrics.information_gain_literal(resolved[0], world.occupancy),
         entropy=metrics.entropy(world.occupancy).sum(),
         seen_share=seen.astype(float) / (world.frame_count * levels),
@@ -311,36 +343,49 @@ def measure_many(
 
     On several devices each works on a layout of its own, on one each core.
     """
-    kind = (crew, voxel, occlusion_reference, visibility)
-    shapes = tuple(leaf.shape for leaf in jax.tree.leaves(world))
+    sensors, options = sensor_array(crew, ONE_MORE), (occlusion_reference, visibility)
+    data = world.bucketed, sensors, voxel
+    shapes = tuple(leaf.shape for leaf in jax.tree.leaves(data[:2]))
     each = sharding.devices()
-    work = _one(*kind) if each == 1 else _one_each(*kind)
+    one = partial(_one, reference=occlusion_reference, visibility=visibility)
+    work = one if each == 1 else _one_each(*options)
     # A layout for a core, or one for every device: the first ones again where some would be idle.
-    rows = np.resize(poses, (-(-len(poses) // each), each, *poses.shape[1:]))
+    whole = np.stack([sensors.filled(row) for row in poses])
+    rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
     jobs: list[Job] = [
-        ((measure_many, kind, shapes), partial(work, row[0] if each == 1 else row, world))
+        (
+            (measure_many, *options, sensors.kinds, shapes),
+            partial(work, row[0] if each == 1 else row, *data),
+        )
         for row in rows
     ]
     return np.stack(run(jobs)).reshape(-1, 3)[: len(poses)].T
 
 
-@lru_cache(maxsize=8)
-def _one(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
-    def measure(poses: Array, world: World) -> Array:
-        m = measure_exactly(
-            world, poses, crew, voxel, occlusion_reference=reference, visibility=visibility
-        )
-        return jnp.stack([m.coverage[0], m.occlusion[0], m.information_gain[0]])
+@partial(jax.jit, static_argnames=("reference", "visibility"))
+def _one(
+    poses: Float[Array, "S 6"],
+    world: World,
+    sensors: SensorArray,
+    voxel: Float[Array, ""],
+    *,
+    reference: str,
+    visibility: str,
+) -> Float[Array, "3"]:
+    m = count_exactly(
+        world, poses, sensors, voxel, occlusion_reference=reference, visibility=visibility
+    )
+    return jnp.stack([m.coverage[0], m.occlusion[0], m.information_gain[0]])
 
-    return jax.jit(measure)
 
-
-@lru_cache(maxsize=8)
-def _one_each(crew: Crew, voxel: float, reference: str, visibility: str) -> Callable[..., Array]:
+@cache
+def _one_each(reference: str, visibility: str) -> Callable[..., Array]:
     """:func:`_one`, every device for a layout."""
-    one = _one(crew, voxel, reference, visibility)
+    one = partial(_one, reference=reference, visibility=visibility)
     whole, first = sharding.along(None), sharding.along(0)
-    return sharding.split(lambda poses, world: one(poses[0], world)[None], (first, whole), first)
+    return sharding.split(
+        lambda poses, *data: one(poses[0], *data)[None], (first, whole, whole, whole), first
+    )
 
 
 # ── One sensor at many poses ────────────────────────────────────────────────
@@ -363,21 +408,23 @@ def see(
     """
     (share,) = world.shares
     assert share.solid is not None  # it is not bare
-    key = (_see, grid, half, share.solid.shape, spare_own)
+    rays = grid.rays
+    lengths = rays.table.rows.shape + rays.table.nearest.shape
+    key = (_see, grid.kind, lengths, share.solid.shape, share.prisms.top.shape, spare_own)
     jobs: list[Job] = [
-        (key, partial(_see, grid, half, part, share, spare_own=spare_own))
+        (key, partial(_see, rays, half, part, share, spare_own=spare_own))
         for part in parts_of(np.asarray(poses), TOGETHER)
     ]
     views, seen = (np.concatenate(found)[: len(poses)] for found in zip(*run(jobs), strict=True))
     return world.tiles.by_voxel(views), world.tiles.by_voxel(seen)
 
 
-@partial(jax.jit, static_argnames=("grid", "half", "spare_own"))
+@partial(jax.jit, static_argnames="spare_own")
 def _see(
-    grid: RayGrid, half: float, poses: Float[Array, "K 6"], share: Share, *, spare_own: bool
+    rays: Rays, half: Float[Array, ""], poses: Float[Array, "K 6"], share: Share, *, spare_own: bool
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
     def one(pose: Array) -> tuple[Array, Array]:
-        views = in_view_masks(grid, pose, share.tile, half)
+        views = view_masks(rays, pose, share.tile, half)
         cast = casts(pose[:3], share.prisms)
 
         def look(part: tuple[Tile, Array]) -> Array:

@@ -51,9 +51,9 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
 
 def ray_cube_margin(
     direction: Point,
-    reach: float,
+    reach: float | Float[Array, ""],
     offset: Point,
-    half: float,
+    half: float | Float[Array, ""],
 ) -> Float[Array, "*n"]:
     """How deep a ray passes through a cube [m]; negative by how far it misses.
 
@@ -64,7 +64,7 @@ def ray_cube_margin(
     sum minus the offset, over the length of the axis; unlike slab parameters it
     stays in metres when the ray runs parallel to a face.
     """
-    margin = jnp.full_like(offset[0], FAR)
+    margin = jnp.full_like(direction[0], FAR)
     for k in range(3):
         along = reach / 2 * direction[k]  # half the segment, as a vector on axis k
         margin = jnp.minimum(margin, half + jnp.abs(along) - jnp.abs(offset[k] - along))

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt
 
+from inspe_jax.numerics import Groups, without_each
+
 WORD = 32
 """Bits of the longest word."""
 
@@ -43,21 +45,11 @@ def count(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     return jax.lax.population_count(masks).astype(jnp.int32)
 
 
-def without_one(
-    masks: UInt[Array, "S ..."], groups: tuple[tuple[int, ...], ...]
-) -> UInt[Array, "1+G ..."]:
-    """The union of all rows, and of all but those of each group; each row is in one group."""
-
-    def union(masks: UInt[Array, "s ..."]) -> UInt[Array, "..."]:
-        return jax.lax.reduce(masks, masks.dtype.type(0), jax.lax.bitwise_or, (0,))
-
-    unions = [union(masks[jnp.array(group)]) for group in groups]
-    if not unions:
-        return union(masks)[None]
-    once = twice = jnp.zeros_like(masks[0])
-    for one in unions:
-        once, twice = once | one, twice | (once & one)
-    return jnp.stack([once, *(once & ~(one & ~twice) for one in unions)])
+def without_one(masks: UInt[Array, "S ..."], groups: Groups | None) -> UInt[Array, "1+G ..."]:
+    """The union of all rows, and of all but those of each group."""
+    if groups is None:
+        return jax.lax.reduce(masks, masks.dtype.type(0), jax.lax.bitwise_or, (0,))[None]
+    return without_each(masks, groups, jax.lax.bitwise_or, jnp.zeros_like(masks[0]))
 
 
 def tally(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:

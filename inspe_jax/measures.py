@@ -4,20 +4,24 @@ Margins are read softly or hard. What is fast (:mod:`inspe_jax.exact` and
 :mod:`inspe_jax.soft`) is tested against this, every vehicle against every column.
 """
 
-from functools import partial
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 from inspe_jax import metrics
+from inspe_jax.arrays import bucket, on_device
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.numerics import EXACT, Softness, Width, leave_one_out, step
+from inspe_jax.numerics import EXACT, Groups, Softness, Width, leave_one_out, step
 from inspe_jax.sensing.ground import Ground
 from inspe_jax.sensing.in_view import TOGETHER, view_margins
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.sensing.rays import Kind, RayTable
+from inspe_jax.sensing.sensors import RayGrid, longer
 from inspe_jax.sensing.shadows import sight
 
 
@@ -47,6 +51,87 @@ class Crew(NamedTuple):
         return cls(layout.groups(), tuple(layout.reliability.tolist()), failures)
 
 
+SENSORS = 4
+"""Sensors that there is room for, at least."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SensorArray:
+    """The sensors' fixed side as arrays: what is compiled serves other sensors of these kinds.
+
+    There is room for S sensors, the first ones being those of a :class:`Crew`. ``kind`` (S,) is
+    the number of each one's kind among ``kinds``; where it is none of them, there is no sensor.
+    ``table`` are the numbers of each one's grid of rays.
+    """
+
+    table: RayTable
+    kind: Int[Array | np.ndarray, " S"]
+    reliability: Float[Array | np.ndarray, " S"]
+    failures: Groups | None
+    kinds: tuple[Kind, ...] = field(metadata={"static": True})
+
+    def filled(self, poses: Float[Array | np.ndarray, "s 6"]) -> Any:
+        """Poses of the sensors, and the first one's again where there is none; traced or not."""
+        return filled_up(poses, len(self.kind))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(1,))
+def filled_up(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
+    """So many rows, the first one repeated at the end.
+
+    A function of its own, with a slope of its own, to be worked out in NumPy unless it is traced:
+    else a program would be compiled for every number of rows.
+    """
+    if isinstance(rows, jax.core.Tracer):
+        return jnp.concatenate([rows, jnp.repeat(rows[:1], count - len(rows), 0)])
+    rows = np.asarray(rows)
+    return np.concatenate([rows, np.repeat(rows[:1], count - len(rows), 0)])
+
+
+def _filled_up_forward(rows: Any, count: int) -> tuple[Any, Any]:
+    return filled_up(rows, count), np.zeros(len(rows), bool)
+
+
+def _filled_up_backward(count: int, kept: Any, slope: Any) -> tuple[Any]:
+    number = len(kept)
+    if isinstance(slope, jax.core.Tracer):
+        return (slope[:number].at[0].add(slope[number:].sum(0)),)
+    slope = np.array(slope)
+    slope[0] += slope[number:].sum(0)
+    return (on_device(slope[:number]),)
+
+
+filled_up.defvjp(_filled_up_forward, _filled_up_backward)
+
+
+@lru_cache(maxsize=64)
+def sensor_array(crew: Crew, spare: int = 0) -> SensorArray:
+    """The arrays of a crew, with room for ``spare`` sensors more at least."""
+    kinds = tuple(sorted({grid.kind for grid, _ in crew.groups}, key=lambda kind: kind.name))
+    grids = {s: grid for grid, index in crew.groups for s in index}
+    count, room = len(grids), bucket(len(grids) + spare, SENSORS)
+    tables = [grids[min(s, count - 1)].table for s in range(room)]
+    lengths = [max(len(table[k]) for table in tables) for k in range(2)]
+    tables = [
+        table._replace(
+            rows=longer(table.rows, lengths[0]), nearest=longer(table.nearest, lengths[1])
+        )
+        for table in tables
+    ]
+    kind = [kinds.index(grids[s].kind) for s in range(count)] + [len(kinds)] * (room - count)
+    reliability = np.pad(np.array(crew.reliability, float), (0, room - count))
+    each = len(crew.failures) == count
+    groups = room if each else bucket(len(crew.failures), SENSORS)
+    return SensorArray(
+        RayTable(*(np.stack(column) for column in zip(*tables, strict=True))),
+        np.array(kind, np.int32),
+        reliability,
+        Groups.of_rows(crew.failures, room, groups),
+        kinds,
+    )
+
+
 class Measures(NamedTuple):
     """C, O and IG: of all sensors in row 0, of all but failure g in row 1 + g.
 
@@ -63,6 +148,20 @@ class Measures(NamedTuple):
     information_gain_literal: Float[Array, ""]
     entropy: Float[Array, ""]
     seen_share: Float[Array, " L"]
+
+    def of_scene(self, place: Any, failures: int) -> "Measures":
+        """These of arrays that are filled up, as they are of a scene: its columns, so many rows."""
+        place = np.asarray(place)
+        if not isinstance(self.coverage, jax.core.Tracer):
+            self = jax.tree.map(np.asarray, self)
+        rows = slice(1 + failures)
+        return self._replace(
+            coverage=self.coverage[rows],
+            occlusion=self.occlusion[rows],
+            information_gain=self.information_gain[rows],
+            column_coverage=self.column_coverage[place],
+            seen_share=self.seen_share[place],
+        )
 
 
 def measure(
@@ -82,18 +181,19 @@ def measure(
     ground = field.ground
     in_field, on_ray = view_margins(poses, ground.centers, crew.groups, voxel / 2)
     f = step(in_field, softness.field) * step(on_ray, softness.ray)  # (S, V)
+    failures = Groups.of_rows(crew.failures, len(poses))
     seen = watch(
         ground,
         poses[:, :3],
         f,
         softness.shadow,
-        failures=crew.failures,
+        failures=failures,
         reference=occlusion_reference,
         share_sight=visibility == "line_of_sight",
     )
     occupancy = seen.occupancy if field.occupancy is None else field.occupancy
     q = f * (seen.sight_share * jnp.asarray(crew.reliability, float)[:, None])
-    covered, resolved = leave_one_out(f, crew.failures), leave_one_out(q, crew.failures)
+    covered, resolved = leave_one_out(f, failures), leave_one_out(q, failures)
     by_column = covered[0].reshape(ground.heights.shape)
     return Measures(
         metrics.coverage(covered, field.weight),
@@ -120,14 +220,14 @@ BLOCK = 1024
 """Columns watched at a time: what they need stays in a core's cache through all frames."""
 
 
-@partial(jax.jit, static_argnames=("failures", "reference", "share_sight"))
+@partial(jax.jit, static_argnames=("reference", "share_sight"))
 def watch(
     ground: Ground,
     sensors: Float[Array, "S 3"],
     f: Float[Array, "S V"],
     width: Width = None,
     *,
-    failures: tuple[tuple[int, ...], ...],
+    failures: Groups | None,
     reference: str,
     share_sight: bool,
 ) -> Seen:

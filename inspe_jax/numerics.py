@@ -5,12 +5,13 @@ Geometry returns margins in metres, positive where the statement holds.
 margins well inside, thresholding their product would give a weak maybe.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Shaped
 
 from inspe_jax.errors import InspeError
 
@@ -90,23 +91,72 @@ def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:
     return 1.0 - jnp.prod(1.0 - p, axis=0)
 
 
-def leave_one_out(
-    p: Float[Array, "S ..."], groups: tuple[tuple[int, ...], ...]
-) -> Float[Array, "1+G ..."]:
+class Groups(NamedTuple):
+    """Groups of rows that are left out in turn, as arrays: what is compiled serves any of them.
+
+    Each row is in one group at most. ``order`` (S,) lists the rows group by group, ``of`` (S,) is
+    the number of each row's group; in that order group g stands from ``first`` to before ``end``
+    (G,). Of a group that there is only room for, nothing is left out.
+    """
+
+    order: Int[Array | np.ndarray, " S"]
+    of: Int[Array | np.ndarray, " S"]
+    first: Int[Array | np.ndarray, " G"]
+    end: Int[Array | np.ndarray, " G"]
+
+    @classmethod
+    def of_rows(
+        cls, groups: Sequence[Sequence[int]], rows: int, room: int | None = None
+    ) -> "Groups | None":
+        """Groups of some of so many rows, with ``room`` for that many; None of no groups."""
+        if not groups:
+            return None
+        listed = [row for group in groups for row in group]
+        order = listed + sorted(set(range(rows)) - set(listed))
+        of, ends = np.zeros(rows, np.int32), np.cumsum([0, *map(len, groups)])
+        for number, group in enumerate(groups):
+            of[list(group)] = number
+        spare = (room or len(groups)) - len(groups)
+        return cls(
+            np.array(order, np.int32),
+            of,
+            np.array([*ends[:-1], *[rows] * spare], np.int32),
+            np.array([*ends[1:], *[rows] * spare], np.int32),
+        )
+
+
+def without_each(
+    rows: Shaped[Array, "S ..."],
+    groups: Groups,
+    both: Callable[[Array, Array], Array],
+    nothing: Shaped[Array, "..."],
+) -> Shaped[Array, "1+G ..."]:
+    """All rows put together, and all but those of each group.
+
+    Rows are put together from both ends, so that leaving some out takes nothing back: it is what
+    comes before a group with what comes after it.
+    """
+
+    def add(total: Array, row: Array) -> tuple[Array, Array]:
+        total = both(total, row)
+        return total, total
+
+    rows = rows[groups.order]
+    whole, before = jax.lax.scan(add, nothing, rows)
+    after = jax.lax.scan(add, nothing, rows, reverse=True)[1]
+    before = jnp.concatenate([nothing[None], before])
+    after = jnp.concatenate([after, nothing[None]])
+    return jnp.concatenate([whole[None], both(before[groups.first], after[groups.end])])
+
+
+def leave_one_out(p: Float[Array, "S ..."], groups: Groups | None) -> Float[Array, "1+G ..."]:
     """Chance that some reading holds: of all in row 0, of all but group g in row 1 + g.
 
-    ``groups`` are rows of ``p``, each row in one group. The misses 1 − p are multiplied from both
-    ends, so that leaving one out needs no division, which a certain reading would make 0/0.
+    Leaving one out needs no division, which a certain reading would make 0/0.
     """
-    if not groups:
+    if groups is None:
         return any_of(p)[None]
-    miss = [jnp.prod(1.0 - p[jnp.array(group)], axis=0) for group in groups]
-    before, after = [jnp.ones_like(miss[0])], [jnp.ones_like(miss[0])]
-    for first, last in zip(miss, reversed(miss), strict=True):
-        before.append(before[-1] * first)
-        after.append(after[-1] * last)
-    without = [a * b for a, b in zip(before[:-1], reversed(after[:-1]), strict=True)]
-    return 1.0 - jnp.stack([before[-1], *without])
+    return 1.0 - without_each(1.0 - p, groups, jnp.multiply, jnp.ones_like(p[0]))
 
 
 def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:

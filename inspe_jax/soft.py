@@ -13,11 +13,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt
 
 from inspe_jax import masks
-from inspe_jax.exact import Groups, Watched, joined, summed_up
+from inspe_jax.exact import Watched, joined, summed_up
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew, Measures
-from inspe_jax.numerics import REACH, Softness, Width, leave_one_out
-from inspe_jax.sensing.in_view import in_order, soft_view
+from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array
+from inspe_jax.numerics import REACH, Groups, Softness, Width, leave_one_out
+from inspe_jax.sensing.in_view import soft_view
+from inspe_jax.sensing.rays import RayTable
 from inspe_jax.sensing.shadows import casts, may_shade, soft_sight
 from inspe_jax.sensing.tiles import Tile, solid_in
 from inspe_jax.world import World
@@ -26,7 +27,6 @@ FRAMES = 20
 """Frames that are gone through together: what a tile needs of them stays in a core's cache."""
 
 
-@partial(jax.jit, static_argnames=("crew", "voxel", "occlusion_reference", "visibility"))
 def measure_softly(
     world: World,
     poses: Float[Array, "S 6"],
@@ -43,30 +43,55 @@ def measure_softly(
     not asked for, but found tile by tile. Differentiable in the poses, in reverse mode; not in
     the softness.
     """
+    sensors = sensor_array(crew)
+    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    measured = read_softly(
+        world.bucketed, sensors.filled(poses), sensors, voxel, softness, **options
+    )
+    return measured.of_scene(world.tiles.place, len(crew.failures))
+
+
+@partial(jax.jit, static_argnames=("occlusion_reference", "visibility"))
+def read_softly(
+    world: World,
+    poses: Float[Array, "S 6"],
+    sensors: SensorArray,
+    voxel: float | Array,
+    softness: Softness,
+    *,
+    occlusion_reference: str,
+    visibility: str,
+) -> Measures:
+    """:func:`measure_softly` of arrays that are filled up: of the tiles' columns, and with a row
+    for each group of failures that there is room for."""
     softness, sighted = jax.lax.stop_gradient(softness), visibility == "line_of_sight"
-    reliability = jnp.asarray(crew.reliability, float)[:, None, None]
+    reliability = jnp.asarray(sensors.reliability, float)[:, None, None]
     watch = partial(
         _watch,
         sensors=poses[:, :3],
         width=softness.shadow,
-        failures=crew.failures,
+        failures=sensors.failures,
         reference=occlusion_reference,
         sighted=sighted,
     )
 
     @jax.checkpoint  # kept for the gradient, what every tile needs would be gigabytes
     def look(tile: Tile) -> tuple[Array, Array, Array, Watched]:
-        f = _views(tile, poses, crew, voxel / 2, softness)
+        f = _views(tile, poses, sensors, voxel / 2, softness)
         watched = joined([watch(tile, f, share.prisms) for share in world.shares])
         q = f
         if watched.sights is not None:
             q = f * watched.sights.swapaxes(1, 2) / world.frame_count
-        covered = leave_one_out(f, crew.failures)
-        resolved = leave_one_out(q * reliability, crew.failures)
+        covered = leave_one_out(f, sensors.failures)
+        resolved = leave_one_out(q * reliability, sensors.failures)
         return covered.sum(1), covered[0].sum(1), resolved, watched._replace(sights=None)
 
+    def unless_empty(tile: Tile) -> tuple[Array, Array, Array, Watched]:
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(look, tile))
+        return jax.lax.cond((tile.there != 0).any(), look, lambda _: nothing, tile)
+
     tiles = world.tiles
-    columns, by_level, resolved, watched = jax.lax.map(look, tiles.tile)
+    columns, by_level, resolved, watched = jax.lax.map(unless_empty, tiles.tile)
     columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
     by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(world.column, tiles.tile.there.shape[1])
@@ -80,14 +105,20 @@ def measure_softly(
 
 
 def _views(
-    tile: Tile, poses: Float[Array, "S 6"], crew: Crew, half: float, softness: Softness
+    tile: Tile,
+    poses: Float[Array, "S 6"],
+    sensors: SensorArray,
+    half: float | Array,
+    softness: Softness,
 ) -> Float[Array, "S Z C"]:
     """How surely each sensor has each voxel of a tile in view."""
-    found = []
-    for grid, index in crew.groups:
-        look = partial(soft_view, grid, half, softness, tile=tile)
-        found.append(jax.lax.map(look, poses[jnp.array(index)]))
-    return in_order(found, crew.groups)
+
+    def look(one: tuple[Array, RayTable, Array]) -> Array:
+        kind, table, pose = one
+        return soft_view(sensors.kinds, kind, table, half, softness, pose, tile)
+
+    each = jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses
+    return jax.lax.map(look, each)
 
 
 def _watch(
@@ -97,7 +128,7 @@ def _watch(
     *,
     sensors: Float[Array, "S 3"],
     width: Width,
-    failures: Groups,
+    failures: Groups | None,
     reference: str,
     sighted: bool,
 ) -> Watched:

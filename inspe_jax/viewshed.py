@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax import metrics
-from inspe_jax.exact import in_view_of
+from inspe_jax.exact import ONE_MORE, in_view_of
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew
+from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.ground import poses_about_center
@@ -62,15 +62,15 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
 
     Raises InspeError as :func:`inspe_jax.evaluate` does, but for want of traffic.
     """
-    layout, tiles, views = _views(scene, layout, conditions)
-    sensors, levels = poses_about_center(scene, layout)[:, :3], tiles.tile.heights.shape[1]
+    layout, tiles, views, sensors = _views(scene, layout, conditions)
+    levels = tiles.tile.heights.shape[1]
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
     for share in whole_world_of(scene).shares:
         assert share.solid is not None  # it is not bare
         seen += np.asarray(by_level(_look(tiles.tile, views, share.prisms, sensors), levels))
         occupied += np.asarray(by_level(share.solid, levels))
-    flags = tiles.by_voxel(np.asarray(views))  # (S, V)
+    flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
     return Viewshed(
         sensors=flags.sum(0),
         seen=tiles.of_voxels(seen),
@@ -88,27 +88,30 @@ def sight_in(
     Raises InspeError as :func:`viewshed` does, or where there is no such frame.
     """
     frame = check_frame(scene, frame)
-    layout, tiles, views = _views(scene, layout, conditions)
-    world, sensors = whole_world_of(scene), poses_about_center(scene, layout)[:, :3]
+    layout, tiles, views, sensors = _views(scene, layout, conditions)
+    world = whole_world_of(scene)
     (share,) = (s for s in world.shares if s.begin <= frame < s.begin + len(s.prisms.top))
     at = frame - share.begin
     assert share.solid is not None  # it is not bare
-    prisms = jax.tree.map(lambda leaf: leaf[at : at + 1], share.prisms)
-    seen = _look(tiles.tile, views, prisms, sensors)
-    found = np.where(tiles.by_voxel(np.asarray(views)).any(0), Sight.HIDDEN, Sight.OUT_OF_VIEW)
+    prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[at : at + 1], share.prisms)
+    seen = np.asarray(_look(tiles.tile, views, prisms, sensors))
+    found = np.where(tiles.by_voxel(views).any(0), Sight.HIDDEN, Sight.OUT_OF_VIEW)
     found[tiles.by_voxel(seen[:, 0])] = Sight.SEEN
-    found[tiles.by_voxel(np.asarray(share.solid[:, at]))] = Sight.OCCUPIED
+    found[tiles.by_voxel(np.asarray(share.solid)[:, at])] = Sight.OCCUPIED
     return found.astype(np.uint8)
 
 
 def _views(
     scene: Scene, layout: Layout, conditions: Conditions
-) -> tuple[Layout, Tiles, UInt[Array, "S N C"]]:
-    """The layout as it is in the conditions, the tiles, and what each sensor has in view."""
+) -> tuple[Layout, Tiles, UInt[np.ndarray, "S N C"], Float[np.ndarray, "S 3"]]:
+    """The layout as it is in the conditions, the tiles, what each sensor has in view, and where it
+    is; with room for some more sensors."""
     check_layout(scene, layout)
     layout, world = conditions.layout(layout), whole_world_of(scene)
-    poses = poses_about_center(scene, layout)
-    return layout, world.tiles, in_view_of(world, poses, Crew.of(layout), scene.voxels.size / 2)
+    sensors = sensor_array(Crew.of(layout), ONE_MORE)
+    poses = sensors.filled(poses_about_center(scene, layout))
+    views = np.asarray(in_view_of(world, poses, sensors, scene.voxels.size / 2))
+    return layout, world.tiles, views, poses[:, :3]
 
 
 @jax.jit
@@ -123,7 +126,11 @@ def _look(
 
         def add(seen: Array, one: tuple[Array, Casts, Array]) -> tuple[Array, None]:
             sensor, cast, view = one
-            return seen | view[None] & clear_masks(sensor, cast, tile), None
+
+            def look(seen: Array) -> Array:
+                return seen | view[None] & clear_masks(sensor, cast, tile)
+
+            return jax.lax.cond((view != 0).any(), look, lambda seen: seen, seen), None
 
         none = jnp.zeros((len(prisms.top), views.shape[1]), views.dtype)
         return jax.lax.scan(add, none, (sensors, cast, views))[0]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import jax
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax import masks, sharding
+from inspe_jax.arrays import bucket, on_device
 from inspe_jax.cores import cores, untraced
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Field
@@ -24,6 +26,9 @@ from inspe_jax.sensing.tiles import SHARES, Tile, Tiles, one_tile, solid, tiles_
 
 FRAMES = 128
 """Frames that are gone through together: what a tile needs of them stays in a core's cache."""
+
+UNSURE = 4096
+"""Voxels that may have entropy that there is room for, at least."""
 
 
 @jax.tree_util.register_dataclass
@@ -61,9 +66,9 @@ class World:
     """What scores need of a scene, or of a sample of one, the same for every layout.
 
     ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
-    of the voxels that may have entropy; ``column`` and ``level`` (U,) say which they are: column
-    among the tiles' columns, level in the slab. ``split`` are the tiles, every device having some;
-    None where there is one device.
+    of the voxels that may have entropy, and 0 in the end, to fill it up; ``column`` and ``level``
+    (U,) say which they are: column among the tiles' columns, level in the slab. ``split`` are the
+    tiles, every device having some; None where there is one device.
     """
 
     tiles: Tiles
@@ -74,6 +79,12 @@ class World:
     level: Int[Array, " U"]
     frame_count: int = field(metadata={"static": True})
     split: Tile | None = None
+
+    @property
+    def bucketed(self) -> "World":
+        """The world without what has a length of its own in every scene: what is compiled for it
+        serves others too."""
+        return replace(self, tiles=replace(self.tiles, place=None), split=None)
 
 
 _worlds: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], World]]" = WeakKeyDictionary()
@@ -110,9 +121,14 @@ def _make_whole(scene: Scene, bare: bool = False) -> World:
     world, prisms = world_of(scene), about_center(scene).prisms
     shares, tile = [], world.tiles.tile
     for begin in range(0, world.frame_count, FRAMES):
-        part = jax.tree.map(lambda leaf: leaf[begin : begin + FRAMES], prisms)  # noqa: B023
+        part = _some(prisms, slice(begin, begin + FRAMES))
         shares.append(Share(tile, part, None if bare else solid(tile, part), begin=begin))
     return replace(world, shares=tuple(shares), split=None)
+
+
+def _some(arrays: Any, rows: slice) -> Any:
+    """Some rows of arrays: taken in NumPy, which has nothing to compile for another shape."""
+    return jax.tree.map(lambda leaf: on_device(np.asarray(leaf)[rows]), arrays)
 
 
 def _make_world(scene: Scene) -> World:
@@ -122,7 +138,7 @@ def _make_world(scene: Scene) -> World:
     shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
     everywhere = sharding.put(tiles.tile, None) if sharding.devices() > 1 else tiles.tile
     for begin, end, split in _runs(total):
-        prisms = jax.tree.map(lambda leaf: leaf[begin:end], ground.prisms)  # noqa: B023
+        prisms = _some(ground.prisms, slice(begin, end))
         inside = solid(tiles.tile, prisms)
         counts += np.asarray(by_level(inside, counts.shape[-1]))
         if split:
@@ -131,17 +147,20 @@ def _make_world(scene: Scene) -> World:
             continue
         step = min(cores(), SHARES)
         for first in range(step):
-            tile, own = jax.tree.map(lambda leaf: leaf[first::step], (tiles.tile, inside))  # noqa: B023
+            tile, own = _some((tiles.tile, inside), slice(first, None, step))
             shares.append(Share(tile, prisms, own, first, step, begin))
     counts = counts.reshape(-1, counts.shape[-1])
     column, level = np.nonzero((counts > 0) & (counts < total))
+    spare = bucket(len(column), UNSURE) - len(column)
+    occupancy = np.pad(counts[column, level] / total, (0, spare))
+    column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
     return World(
         tiles,
         tuple(shares),
         _column_weight(tiles, scene.voxels.column_weight),
-        jnp.asarray(counts[column, level] / total, float),
-        jnp.asarray(column),
-        jnp.asarray(level),
+        on_device(occupancy, float),
+        on_device(column),
+        on_device(level),
         total,
         sharding.put(tiles.tile, 0) if sharding.divides(len(tiles.tile.there)) else None,
     )
@@ -187,6 +206,7 @@ def _in_one_share(
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
     inside = None if bare else solid(tiles.tile, ground.prisms)
     share = Share(tiles.tile, ground.prisms, inside)
+    assert tiles.place is not None  # they are just made
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
     column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
@@ -195,8 +215,8 @@ def _in_one_share(
         (share,),
         weight,
         sample.occupancy,
-        jnp.asarray(column.reshape(-1)),
-        jnp.asarray(np.tile(level % height, len(column))),
+        on_device(column.reshape(-1)),
+        on_device(np.tile(level % height, len(column))),
         len(ground.prisms.top),
     )
 
@@ -204,7 +224,7 @@ def _in_one_share(
 def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
     found = np.zeros(tiles.tile.there.size // tiles.slabs)
     found[np.asarray(tiles.place)] = weight
-    return jnp.asarray(found, float)
+    return on_device(found, float)
 
 
 @partial(jax.jit, static_argnames="levels")

@@ -13,7 +13,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Lowest first. A module may import its own row and the rows above it in this list.
 LADDER = [
     ("errors",),
-    ("files", "numerics", "masks", "cores", "sharding"),
+    ("files", "arrays", "numerics", "masks", "cores", "sharding"),
     ("compiling",),
     ("geometry", "carla_frame"),
     ("scene",),

@@ -144,7 +144,7 @@ def test_layouts_of_one_shape_compile_once():
     scene = world(seed=9)
     first, second = (random_layout(scene, SPECS, seed=k) for k in (1, 2))
     both(scene, first)
-    parts = in_view._masks, exact._watch, exact._measures
+    parts = in_view.view_masks, exact._watch, exact._measures
     before = [part._cache_size() for part in parts]
     both(scene, second)
     assert [part._cache_size() for part in parts] == before

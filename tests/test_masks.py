@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from inspe_jax import masks
+from inspe_jax.numerics import Groups
 
 
 @pytest.mark.parametrize("n", [1, 8, 9, 16, 20, 32])
@@ -28,7 +29,7 @@ def test_more_flags_than_a_word_holds_go_on_in_the_next():
 @pytest.mark.parametrize("groups", [(), ((0,), (1,), (2,), (3,)), ((1, 3), (0,), (2,))])
 def test_unions_without_a_group(groups):
     rows = np.random.default_rng(1).integers(0, 256, (4, 50)).astype(np.uint8)
-    found = np.asarray(masks.without_one(jnp.asarray(rows), groups))
+    found = np.asarray(masks.without_one(jnp.asarray(rows), Groups.of_rows(groups, 4)))
     np.testing.assert_array_equal(found[0], np.bitwise_or.reduce(rows))
     assert len(found) == 1 + len(groups)
     for group, union in zip(groups, found[1:], strict=True):

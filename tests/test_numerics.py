@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from inspe_jax.errors import InspeError
-from inspe_jax.numerics import EXACT, Softness, any_of, arctan2, dot, leave_one_out, nonzero, step
+from inspe_jax.numerics import (
+    EXACT,
+    Groups,
+    Softness,
+    any_of,
+    arctan2,
+    dot,
+    leave_one_out,
+    nonzero,
+    step,
+)
 
 EACH = tuple((s,) for s in range(5))
 
@@ -26,8 +36,8 @@ def test_readings_are_exact_on_certainties_and_multiply_as_chances():
     p = jnp.array([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]])
     assert any_of(p).tolist() == [0.0, 1.0, 0.75]
     left = [[0.0, 1.0, 0.75], [0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]
-    assert leave_one_out(p, EACH[:2]).tolist() == left
-    assert leave_one_out(p, ()).tolist() == left[:1]
+    assert leave_one_out(p, Groups.of_rows(EACH[:2], 2)).tolist() == left
+    assert leave_one_out(p, Groups.of_rows((), 2)).tolist() == left[:1]
 
 
 @pytest.mark.parametrize("groups", [EACH, ((0, 3), (1,), (2, 4)), ((0, 1, 2, 3, 4),)])
@@ -38,13 +48,17 @@ def test_leave_one_out_equals_leaving_out(certain, groups):
     p[:certain] = 1.0
     expected = [1 - np.prod(1 - p, 0)]
     expected += [1 - np.prod(1 - np.delete(p, group, 0), 0) for group in groups]
-    np.testing.assert_allclose(leave_one_out(jnp.array(p), groups), np.stack(expected), atol=1e-6)
+    for spare in (0, 2):  # room for more groups, which leaves all in
+        arrays = Groups.of_rows(groups, 5, len(groups) + spare)
+        found = leave_one_out(jnp.array(p), arrays)
+        rows = np.stack(expected + expected[:1] * spare)
+        np.testing.assert_allclose(found, rows, atol=1e-6)
 
 
 def test_a_certain_reading_leaves_a_finite_gradient():
     """Dividing ∏(1 − p) by a factor of 0 would not."""
     p = jnp.array([[1.0, 0.2], [1.0, 0.7], [0.3, 1.0]])
-    slope = jax.jacobian(lambda p: leave_one_out(p, EACH[:3]).sum())(p)
+    slope = jax.jacobian(lambda p: leave_one_out(p, Groups.of_rows(EACH[:3], 3)).sum())(p)
     # d/dp₂ of voxel 0: only where 0 and 1 do not both stand is something missed, which never is.
     np.testing.assert_allclose(slope, [[0.7, 0.3], [0.7, 0.8], [0.0, 1.34]], atol=1e-6)
 

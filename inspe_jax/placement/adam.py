@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from inspe_jax.cores import run as on_all_cores
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.problem import Problem, per_problem, take
+from inspe_jax.placement.problem import Problem, per_problem
 from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
 
 SOFTNESS = (3.0, 0.3)
@@ -110,7 +110,7 @@ def step_adam(run: Run, state: State) -> State | None:
 def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], count: int) -> State:
     """So many gradient steps, each on its own samples, of the softness and rate of that moment."""
     problem, line = run.problem, state["line"]
-    optimiser, slope, move = _optimiser_state(state), _slope(problem), _mover(problem)
+    optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
     z, anchor, place = (jnp.asarray(state[k]) for k in ("z", "anchor", "place"))
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
@@ -121,26 +121,35 @@ def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], coun
         run.charge(len(line) * GRADIENT_COST * problem.share(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, anchor, place, drawn, strict=True)
-        jobs = [("slope", partial(slope, *row, problem.fields, softness)) for row in rows]
-        slopes = on_all_cores(jobs, problem.known)
+        jobs = [("slope", partial(score, *row, softness)) for row in rows]
+        slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
         z, optimiser = move(z, mean @ jnp.stack(slopes), optimiser, rate)
     return state | _kept(optimiser) | {"z": np.asarray(z), "count": state["count"] + count}
 
 
-def charted_loss(problem: Problem) -> Callable[..., Any]:
-    """What is minimised, in typical steps from an anchor in charts."""
+@per_problem
+def charted_score(problem: Problem) -> Callable[..., Any]:
+    """What is minimised, and its slope, in typical steps from an anchor in charts.
+
+    By the chain rule in two parts: from the chart to poses, which is the problem's own and little
+    to compile, and from poses to the score, which is compiled for all problems.
+    """
     scale = jnp.asarray(problem.space.scale, float)
 
-    def loss(z, anchor, place, drawn, fields, softness):  # type: ignore[no-untyped-def]
-        x = problem.space.from_chart(anchor + scale * z, place)
-        return -problem.soft(x, take(fields, drawn), softness)
+    def poses(z, anchor, place):  # type: ignore[no-untyped-def]
+        return problem.space.poses(problem.space.from_chart(anchor + scale * z, place))
 
-    return loss
+    @jax.jit
+    def back(z, anchor, place, slope):  # type: ignore[no-untyped-def]
+        return jax.vjp(lambda z: poses(z, anchor, place), z)[1](slope)[0]
 
+    stand = jax.jit(poses)
 
-@per_problem
-def _slope(problem: Problem) -> Callable[..., Any]:
-    return jax.jit(jax.grad(charted_loss(problem)))
+    def score(z, anchor, place, drawn, softness):  # type: ignore[no-untyped-def]
+        value, slope = problem.slope(stand(z, anchor, place), problem.take(drawn), softness)
+        return -value, back(z, anchor, place, -slope)
+
+    return score
 
 
 @per_problem

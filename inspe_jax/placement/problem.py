@@ -16,14 +16,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
+from inspe_jax.arrays import on_host
 from inspe_jax.cores import Job, run
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.exact import measure_exactly, see
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.measures import Crew, Field, Measures
+from inspe_jax.measures import Crew, Field, Measures, sensor_array
 from inspe_jax.numerics import Softness, step
+from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.placement.readings import COMBINATIONS, Terms, hard_scores, soft_slope
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.devices import device
@@ -32,9 +35,6 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
 from inspe_jax.soft import measure_softly
 from inspe_jax.world import World, world_in_one_tile, world_of, world_of_sample
-
-COMBINATIONS: dict[str, Any] = {"mean": jnp.mean, "worst": jnp.min}
-"""How the scores of several scenes become one."""
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """What a rough score costs beside an exact one: always, times the share of columns, and times that
@@ -186,6 +186,12 @@ class Problem:
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
         self.crews = tuple(Crew.of(case.conditions.layout(layout), failures) for case in self.cases)
+        self.terms = Terms(
+            tuple(sensor_array(crew) for crew in self.crews),
+            tuple(case.scene.voxels.size for case in self.cases),
+            np.array(self.objective.weights),
+            np.array(len(failures), np.int32),
+        )
         self._constraints = constraints or Constraints()
         self.compiled: dict[Callable[[Problem], Any], Any] = {}
         self.known: set[Hashable] = set()
@@ -232,7 +238,7 @@ class Problem:
                 m.coverage, m.occlusion, m.information_gain, self.objective.weights
             )
             scores.append(p[1:].mean() if self.objective.failures else p[0])
-        return COMBINATIONS[self.objective.over](jnp.stack(scores)) - self.price
+        return COMBINATIONS[self.objective.over][0](jnp.stack(scores)) - self.price
 
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
         """The exact objective of the layout that coordinates give."""
@@ -274,22 +280,49 @@ class Problem:
     def sample(self, rng: np.random.Generator, columns: int = 2048, frames: int = 8) -> Sample:
         """A sample of every case; see :meth:`draw`."""
         drawn = self.draw(rng, columns, frames)
-        return Sample(_take(self.fields, drawn), self.share(drawn))
+        return Sample(jax.device_put(self.take(drawn)), self.share(drawn))
+
+    def take(self, drawn: Drawn) -> tuple[Field, ...]:
+        """Some columns and frames of every case's arrays, in NumPy."""
+        return take(self._on_host, drawn)
+
+    @cached_property
+    def _on_host(self) -> tuple[Field, ...]:
+        return jax.tree.map(np.asarray, self.fields)
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of many layouts, read hard on a sample; layouts side by side."""
-        key = ("rough", *(world.weight.shape for world in sample.worlds))
+        worlds = tuple(world.bucketed for world in sample.worlds)
+        options = dict(
+            reference=self.objective.occlusion_reference, visibility=self.objective.visibility
+        )
+        shapes = tuple(leaf.shape for leaf in jax.tree.leaves((worlds, self.terms.sensors)))
+        kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
+        key = (hard_scores, *options.values(), kinds, shapes)
+        filled = [self.terms.sensors[0].filled(row) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(self._rough, jnp.asarray(row, float), sample.worlds)) for row in x
+            (key, partial(hard_scores, row, worlds, self.terms, **options)) for row in filled
         ]
-        return np.array(run(jobs, self.known), float)
+        combine = COMBINATIONS[self.objective.over][1]
+        return np.array([combine(np.asarray(row, float)) for row in run(jobs)]) - self.price
 
-    @cached_property
-    def _rough(self) -> Any:
-        def one(x: Array, worlds: tuple[World, ...]) -> Array:
-            return self._combined(self._exactly(self.space.poses(x), worlds))
-
-        return jax.jit(one)
+    def slope(
+        self,
+        poses: Float[Any, "S 6"],
+        on: tuple[Field, ...] | tuple[World, ...],
+        softness: Float[Array, ""],
+    ) -> tuple[float, Float[np.ndarray, "S 6"]]:
+        """The objective of poses about the centre, read softly [m], and its slope in them."""
+        value, slope = soft_slope(
+            self.terms.sensors[0].filled(on_host(poses, float)),
+            on,
+            self.terms,
+            softness,
+            reference=self.objective.occlusion_reference,
+            visibility=self.objective.visibility,
+            over=self.objective.over,
+        )
+        return float(value) - self.price, np.asarray(slope)[: len(poses)]
 
     def _exactly(self, poses: Float[Array, "S 6"], worlds: Sequence[World]) -> list[Measures]:
         return [
@@ -359,15 +392,12 @@ def take(fields: tuple[Field, ...], drawn: Drawn) -> tuple[Field, ...]:
         ground = part.ground
         levels = ground.heights.shape[1]
         leaves = (part.weight, part.occupancy)
-        weight, occupancy = (jnp.reshape(x, (-1, levels))[at].reshape(-1) for x in leaves)  # type: ignore[arg-type]
+        weight, occupancy = (x.reshape(-1, levels)[at].reshape(-1) for x in leaves)  # type: ignore[union-attr]
         prisms = jax.tree.map(lambda leaf: leaf[when], ground.prisms)  # noqa: B023
         parts.append(
             Field(Ground(ground.columns[at], ground.heights[at], prisms), weight, occupancy)
         )
     return tuple(parts)
-
-
-_take = jax.jit(take)
 
 
 def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:

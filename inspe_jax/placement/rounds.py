@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.placement.adam import SCREENED, SOFTNESS, annealed, charted_loss
+from inspe_jax.placement.adam import SCREENED, SOFTNESS, annealed, charted_score
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.problem import Problem, per_problem, take
+from inspe_jax.placement.problem import Problem, per_problem
 from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
 
 with warnings.catch_warnings():
@@ -51,7 +51,7 @@ def _step_round(run: Run, state: State, solve: Callable[..., np.ndarray]) -> Sta
     problem = run.problem
     drawn = problem.draw(run.rng(2, state["count"]), ROUND_COLUMNS, ROUND_FRAMES)
     softness = jnp.asarray(annealed(SOFTNESS, done / _ROUNDS_LAST), float)
-    x = solve(run, state["x"], (drawn, problem.fields, softness))
+    x = solve(run, state["x"], (drawn, softness))
     run.offer(x)
     return state | {"x": x, "count": state["count"] + 1}
 
@@ -65,7 +65,7 @@ def _solve_lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
     v, place = problem.space.chart(x)
     anchor, scale = jnp.asarray(v, float), jnp.asarray(problem.space.scale, float)
-    score = _charted_score(problem)
+    score = charted_score(problem)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         run.charge(GRADIENT_COST * problem.share(data[0]))
@@ -96,14 +96,9 @@ def _solve_projected(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
     run.charge(ITERATIONS * TRIALS * GRADIENT_COST * problem.share(data[0]))
     scale = _nonzero_scale(problem)
-    z = _projected_solver(problem)(jnp.asarray(x / scale, float), *data)
+    drawn, softness = data
+    z = _projected_solver(problem)(jnp.asarray(x / scale, float), problem.take(drawn), softness)
     return np.asarray(problem.space.project(z * jnp.asarray(scale, z.dtype)))
-
-
-@per_problem
-def _charted_score(problem: Problem) -> Callable[..., Any]:
-    """Loss and its slope in charts."""
-    return jax.jit(jax.value_and_grad(charted_loss(problem)))
 
 
 @per_problem
@@ -111,8 +106,8 @@ def _projected_solver(problem: Problem) -> Callable[..., Any]:
     """Some iterations from z, on a sample, at a softness."""
     scale = jnp.asarray(_nonzero_scale(problem), float)
 
-    def loss(z, drawn, fields, softness):  # type: ignore[no-untyped-def]
-        return -problem.soft(scale * z, take(fields, drawn), softness)
+    def loss(z, fields, softness):  # type: ignore[no-untyped-def]
+        return -problem.soft(scale * z, fields, softness)
 
     # Within each block, as a foot, one scale serves all coordinates: the nearest point is the
     # same in coordinates over their scale.

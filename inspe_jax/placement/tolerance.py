@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -100,8 +99,8 @@ def tolerance(
     problem = Problem(scene, layout, objective)
     planned = problem.exact_of(layout)
     poses = poses_about_center(problem.cases[0].scene, layout)
-    worlds = [bare_world_of(case.scene) for case in problem.cases]
-    slope = np.asarray(_slope(problem)(poses, worlds, jnp.asarray(softness, float)), float)
+    worlds = tuple(bare_world_of(case.scene).bucketed for case in problem.cases)
+    slope = np.asarray(problem.slope(poses, worlds, jnp.asarray(softness, float))[1], float)
     per = np.array([POSITION_STEP] * 3 + [np.radians(1.0)] * 3)
     rows = tuple(
         Slopes(sensor.name, *(row * per)[[0, 1, 2, 5, 4]].tolist())
@@ -129,7 +128,3 @@ def tolerance(
             objective=asdict(problem.objective),
         ),
     )
-
-
-def _slope(problem: Problem) -> Callable[..., Any]:
-    return jax.jit(jax.grad(problem.value))

@@ -1,20 +1,23 @@
 """In view: does a ray of the sensor pass through the voxel? Traffic does not matter."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax import masks
 from inspe_jax.geometry import Point, ray_cube_margin, rotation
 from inspe_jax.numerics import REACH, Softness, step
+from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.tiles import Tile
+
+Scalar = float | Float[Array, ""]
+"""A length [m], traced or not."""
 
 TOUCH = 2e-5
 """A ray this near to a voxel touches it [m]: the rounding of single precision at 100 m."""
@@ -38,7 +41,6 @@ DEEP = 0.7
 counts as deeper, since which of the rays is deepest changes with every move and means nothing."""
 
 
-@partial(jax.jit, static_argnames=("grid", "half"))
 def in_view_margins(
     grid: RayGrid, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
@@ -53,8 +55,14 @@ def in_view_margins(
     tells rows apart. ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face
     they share passes through both, which :data:`TOUCH` makes sure of in single precision.
     """
+    return _in_view_margins(grid.rays, poses, centers, half)
 
-    margins = jax.vmap(partial(_margins, grid, half), in_axes=(0, None))
+
+@jax.jit
+def _in_view_margins(
+    rays: Rays, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
+) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
+    margins = jax.vmap(partial(_margins, rays, half), in_axes=(0, None))
     stances = jax.vmap(_stance)(poses)
     parts = -(-len(poses) * len(centers) // TOGETHER)
     size = -(-len(centers) // parts)
@@ -81,22 +89,22 @@ def _to_voxels(stance: Stance, centers: Float[Array, "V 3"]) -> Point:
     return r[:, 0], r[:, 1], r[:, 2]
 
 
-@partial(jax.checkpoint, static_argnums=(0, 1))
+@jax.checkpoint
 def _field_margin(
-    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
+    rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return grid.field_margin(_to_body(stance.turn, _to_voxels(stance, centers))) + half
+    return rays.field_margin(_to_body(stance.turn, _to_voxels(stance, centers))) + half
 
 
 def _margins(
-    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
+    rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
     """:func:`in_view_margins` of one sensor.
 
     Where a ray meets a voxel by a corner or by rounding, the field's margin is not below 0 either.
     """
-    ray = jnp.minimum(_best_margin(grid, half, stance, centers), DEEP * half)
-    field = _field_margin(grid, half, stance, centers)
+    ray = jnp.minimum(_best_margin(rays, half, stance, centers), DEEP * half)
+    field = _field_margin(rays, half, stance, centers)
     field = jnp.where(ray > 0, jnp.maximum(field, INSIDE), field)
     return field, ray - jnp.minimum(field, 0.0)
 
@@ -108,60 +116,69 @@ def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
     return x, y, z
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+@jax.custom_jvp
 def _best_margin(
-    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
+    rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return _best_ray(grid, half, stance, centers)[0]
+    return _best_ray(rays, half, stance, centers)[0]
 
 
 @_best_margin.defjvp
-def _best_margin_jvp(grid, half, primals, tangents):  # type: ignore[no-untyped-def]
+def _best_margin_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     """A maximum is an envelope: its derivative is that of the ray that won."""
-    (stance, centers), (d_stance, _) = primals, tangents  # the voxels stand still
-    margin, row, column = _best_ray(grid, half, stance, centers)
+    # The rays are bought as they are, and the voxels stand still.
+    (rays, half, stance, centers), (_, _, d_stance, _) = primals, tangents
+    margin, row, column = _best_ray(rays, half, stance, centers)
 
     @jax.checkpoint  # kept, the intermediates would be 30 numbers a voxel; the winner is two
-    def won(stance, row, column):  # type: ignore[no-untyped-def]
-        return _ray_margin(grid, half, stance, centers, row, column)
+    def won(stance):  # type: ignore[no-untyped-def]
+        return _ray_margin(rays, half, stance, centers, row, column)
 
-    still = jnp.zeros_like(row)
-    return margin, jax.jvp(won, (stance, row, column), (d_stance, still, still))[1]
+    return margin, jax.jvp(won, (stance,), (d_stance,))[1]
 
 
 def _best_ray(
-    grid: RayGrid, half: float, stance: Stance, centers: Float[Array, "V 3"]
+    rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
     """(margin, row, column) of the ray that passes deepest through each voxel."""
-    candidates = _candidates(grid, stance.turn, _to_voxels(stance, centers), half)
-    best = jnp.full(len(centers), -jnp.inf, centers.dtype)
-    best_row, best_column = candidates[0]
-    for row, column in candidates:
-        margin = _ray_margin(grid, half, stance, centers, row, column)
-        won = margin > best
-        best = jnp.where(won, margin, best)
-        best_row = jnp.where(won, row, best_row)
-        best_column = jnp.where(won, column, best_column)
-    return best, best_row, best_column
+    of_row = _candidates(rays, stance.turn, _to_voxels(stance, centers), half)
+
+    def look(neighbour: Array, best: tuple[Array, ...]) -> tuple[Array, ...]:
+        row, *columns = of_row(neighbour - 1)
+        for column in columns:
+            margin = _ray_margin(rays, half, stance, centers, row, column)
+            won = margin > best[0]
+            found = margin, row, column
+            best = tuple(jnp.where(won, new, old) for new, old in zip(found, best, strict=True))
+        return best
+
+    # A loop: one after the other, they would be compiled three times.
+    nothing = jnp.full(len(centers), -jnp.inf, centers.dtype)
+    zero = jnp.zeros_like(nothing)
+    best, row, column = jax.lax.fori_loop(0, 3, look, (nothing, zero, zero))
+    return best, row, column
 
 
 def _ray_margin(
-    grid: RayGrid,
-    half: float,
+    rays: Rays,
+    half: Scalar,
     stance: Stance,
     centers: Float[Array, "V 3"],
-    row: Float[Array, " V"],
-    column: Float[Array, " V"],
-) -> Float[Array, " V"]:
-    turn, d = stance.turn, grid.direction(row, column)
+    row: Float[Array, "*k V"],
+    column: Float[Array, "*k V"],
+) -> Float[Array, "*k V"]:
+    turn, d = stance.turn, rays.direction(row, column)
     world = tuple(sum(turn[k, m] * d[m] for m in range(3)) for k in range(3))
-    return ray_cube_margin(world, grid.reach, _to_voxels(stance, centers), half + TOUCH)
+    offset = tuple(x.reshape((1,) * (row.ndim - 1) + x.shape) for x in _to_voxels(stance, centers))
+    return ray_cube_margin(world, rays.table.reach, offset, half + TOUCH)  # type: ignore[arg-type]
 
 
 def _candidates(
-    grid: RayGrid, turn: Float[Array, "3 3"], offset: Point, half: float
-) -> list[tuple[Float[Array, " V"], Float[Array, " V"]]]:
-    """(row, column) of the rays that can pass through each voxel, if any does.
+    rays: Rays, turn: Float[Array, "3 3"], offset: Point, half: Scalar
+) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """Row and columns of the rays that can pass through each voxel, if any does.
+
+    By the number of the row: −1, 0, 1 from the one below the nearest to the one above.
 
     The rays nearest to the voxel's centre are not enough: where rows lie
     further apart than columns, a row may clip one corner of the cube, many
@@ -177,7 +194,7 @@ def _candidates(
     """
     q = _to_body(turn, offset)
 
-    def corner(normal: Point, outward: Float[Array, " V"]) -> Point:
+    def corner(q: Point, normal: Point, outward: Float[Array, "*n"]) -> Point:
         """The corner of the cube furthest along ``normal``, or against it where outward < 0."""
         x, y, z = q
         for k in range(3):
@@ -194,51 +211,53 @@ def _candidates(
         between them.
         """
         sign = jnp.full_like(q[0], outward)
-        one = corner(normal, sign)
-        two = corner(grid.row_normal(one), sign)
+        one = corner(q, normal, sign)
+        two = corner(q, rays.row_normal(one), sign)
         middle = _between(one, two, jnp.full_like(q[0], 0.5))
-        best, value = one, grid.row(one) * outward
+        best, value = one, rays.row(one) * outward
         for point in (two, middle):
-            other = grid.row(point) * outward
+            other = rays.row(point) * outward
             best = tuple(jnp.where(other > value, a, b) for a, b in zip(point, best, strict=True))  # type: ignore[assignment]
             value = jnp.maximum(value, other)
         return best
 
-    aim = _within_reach(grid, q, corner)
-    if not grid.wraps:
-        for edge, outward in zip(grid.column_limits, (1.0, -1.0), strict=True):
+    aim = _within_reach(rays, q, corner)
+    if not rays.wraps:
+        for edge, outward in enumerate((1.0, -1.0)):
             # Left of the first column's plane is inside, right of the last one's; but a field
             # of view of more than half a turn reaches behind those planes.
-            outside = (grid.column(aim) - edge) * outward < 0
-            beyond = jnp.where(outside, jnp.minimum(grid.beyond_column(aim, edge) * outward, 0), 0)
-            inner = corner(grid.column_normal(aim), jnp.full_like(beyond, outward))
-            gain = grid.beyond_column(inner, edge) * outward - beyond
+            outside = (rays.column(aim) - rays.table.column_edges[edge]) * outward < 0
+            beyond = jnp.where(outside, jnp.minimum(rays.beyond_edge(aim, edge) * outward, 0), 0)
+            inner = corner(q, rays.column_normal(aim), jnp.full_like(beyond, outward))
+            gain = rays.beyond_edge(inner, edge) * outward - beyond
             aim = _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
 
-    here = grid.row(aim)
-    nearest = grid.nearest_row(here)
-    normal = grid.row_normal(aim)
+    here = rays.row(aim)
+    normal = rays.row_normal(aim)
     above, below = extreme(normal, 1.0), extreme(normal, -1.0)
-    found = []
-    for neighbour in (-1, 0, 1):
-        row = grid.row_at(jnp.clip(nearest + neighbour, 0, len(grid.rows) - 1))
+    nearest = rays.nearest_row(here)
+
+    def of_row(neighbour: Array) -> tuple[Array, Array, Array]:
+        """The row so many rows above the nearest one, and its two columns."""
+        row = rays.row_at(jnp.clip(nearest + neighbour, 0, rays.table.row_count - 1))
         up = row > here
         far = tuple(jnp.where(up, a, b) for a, b in zip(above, below, strict=True))
-        start, end = grid.beyond_row(aim, row), grid.beyond_row(far, row)  # type: ignore[arg-type]
+        start, end = rays.beyond_row(aim, row), rays.beyond_row(far, row)  # type: ignore[arg-type]
         crossing = start / jnp.where(jnp.abs(start - end) < 1e-9, 1e-9, start - end)
         p = _between(aim, far, crossing)  # type: ignore[arg-type]
-        before = grid.column_index(grid.column(p))
-        found += [(row, grid.column_at(before)), (row, grid.column_at(before + 1))]
-    return found
+        before = rays.column_index(rays.column(p))
+        return row, rays.column_at(before), rays.column_at(before + 1)
+
+    return of_row
 
 
-def _within_reach(grid: RayGrid, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]
+def _within_reach(rays: Rays, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]
     """The centre; or, beyond the reach, the middle of what is within it towards the near corner."""
-    near = corner(q, -jnp.ones_like(q[0]))
+    near = corner(q, q, -jnp.ones_like(q[0]))
     far_range, near_range = (
         jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12)) for x, y, z in (q, near)
     )
-    beyond = jnp.maximum(far_range - grid.reach, 0.0)
+    beyond = jnp.maximum(far_range - rays.table.reach, 0.0)
     meets = beyond / jnp.maximum(far_range - near_range, 1e-9)
     return _between(q, near, jnp.where(beyond > 0, (1 + meets) / 2, 0.0))
 
@@ -269,23 +288,39 @@ def in_order(found: Sequence[Array], groups: tuple[tuple[RayGrid, tuple[int, ...
 
 
 def soft_view(
-    grid: RayGrid, half: float, softness: Softness, pose: Float[Array, "6"], tile: Tile
+    kinds: tuple[Kind, ...],
+    kind: Int[Array, ""],
+    table: RayTable,
+    half: Scalar,
+    softness: Softness,
+    pose: Float[Array, "6"],
+    tile: Tile,
 ) -> Float[Array, "Z C"]:
-    """How surely one sensor has each voxel of a tile in view: both margins, read softly."""
+    """How surely one sensor has each voxel of a tile in view: both margins, read softly.
+
+    ``kind`` is the number of the sensor's kind; beyond the last one there is no sensor, and
+    nothing is in view.
+    """
     levels, columns = tile.heights.shape
 
-    def look(pose: Array) -> Array:
+    def look(kind: Kind, table: RayTable, pose: Array) -> Array:
         stance = _stance(pose)
         xy = jnp.broadcast_to(tile.columns.T, (levels, columns, 2))
         centers = jnp.concatenate([xy, tile.heights[:, :, None]], -1).reshape(-1, 3)
-        field, ray = _margins(grid, half, stance, centers)
+        field, ray = _margins(kind.rays(table), half, stance, centers)
         f = step(field, softness.field) * step(ray, softness.ray)
         z = jnp.arange(levels, dtype=tile.there.dtype)[:, None]
         return f.reshape(levels, columns) * ((tile.there[None] >> z) & 1).astype(f.dtype)
 
-    wide = 0.0 if softness.field is None else REACH * softness.field
-    touched = _touches(grid, half + wide, _stance(jax.lax.stop_gradient(pose)), tile)
-    return jax.lax.cond(touched, look, lambda _: jnp.zeros((levels, columns)), pose)
+    def nothing(table: RayTable, pose: Array) -> Array:
+        return jnp.zeros((levels, columns))
+
+    wide = half + (0.0 if softness.field is None else REACH * softness.field)
+    stance = _stance(jax.lax.stop_gradient(pose))
+    touches = jnp.stack([_touches(each.rays(table), wide, stance, tile) for each in kinds])
+    touched = (touches & (kind == np.arange(len(kinds), dtype=np.int32))).any()
+    branches: list[Any] = [*(partial(look, each) for each in kinds), nothing]
+    return jax.lax.switch(jnp.where(touched, kind, len(kinds)), branches, table, pose)
 
 
 # ── Exactly, as masks ───────────────────────────────────────────────────────
@@ -294,22 +329,24 @@ def soft_view(
 def in_view_masks(
     grid: RayGrid, pose: Float[Array, "6"], tiles: Tile, half: float
 ) -> UInt[Array, "N C"]:
+    """:func:`view_masks` of a grid of rays."""
+    return view_masks(grid.rays, pose, tiles, half)
+
+
+@jax.jit
+def view_masks(
+    rays: Rays, pose: Float[Array, "6"], tiles: Tile, half: Scalar
+) -> UInt[Array, "N C"]:
     """Masks of the voxels that one sensor has in view: where both of :func:`in_view_margins` are
     positive. (A voxel that the candidates there miss, columns being many voxels apart, may be told
     by its nearest ray here.)
 
     Nearly all are told by their nearest ray (:func:`_sure`), level by level in the tiles that the
     field of view touches; the rest, some 2 %, by the six rays of :func:`_candidates`.
+
+    Compiled once for each kind of grid.
     """
-    return _masks(grid.endless, grid.reach, pose, tiles, half)
-
-
-@partial(jax.jit, static_argnames=("rays", "half"))
-def _masks(
-    rays: RayGrid, reach: float, pose: Float[Array, "6"], tiles: Tile, half: float
-) -> UInt[Array, "N C"]:
-    """Compiled once for all reaches: light and weather change nothing else."""
-    grid, stance = replace(rays, reach=reach), _stance(pose)
+    stance = _stance(pose)
     x, y, up = stance.position
 
     def look(tile: Tile) -> tuple[Array, Array]:
@@ -317,7 +354,7 @@ def _masks(
 
         def level(z: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
             seen, unsure = found
-            hit, miss = _sure(grid, half, stance.turn, (dx, dy, tile.heights[z] - up))
+            hit, miss = _sure(rays, half, stance.turn, (dx, dy, tile.heights[z] - up))
             bit = jnp.ones((), seen.dtype) << z.astype(seen.dtype)
             none = jnp.zeros((), seen.dtype)
             return seen | jnp.where(hit, bit, none), unsure | jnp.where(hit | miss, none, bit)
@@ -328,23 +365,23 @@ def _masks(
 
     def one(tile: Tile) -> tuple[Array, Array]:
         none = jnp.zeros_like(tile.there)
-        return jax.lax.cond(_touches(grid, half, stance, tile), look, lambda _: (none, none), tile)
+        return jax.lax.cond(_touches(rays, half, stance, tile), look, lambda _: (none, none), tile)
 
     seen, unsure = jax.lax.map(one, tiles)
-    return _settle(grid, half, stance, tiles, seen, unsure)
+    return _settle(rays, half, stance, tiles, seen, unsure)
 
 
-def _touches(grid: RayGrid, half: float | Array, stance: Stance, tile: Tile) -> Bool[Array, ""]:
+def _touches(rays: Rays, half: Scalar, stance: Stance, tile: Tile) -> Bool[Array, ""]:
     """Whether a tile's voxels may lie in the field of view: the ball about them does."""
     middle = (tile.low + tile.high) / 2
-    radius = jnp.hypot(tile.radius, middle - tile.low) + np.sqrt(3.0) * half + SLACK
+    radius = jnp.hypot(tile.radius, middle - tile.low) + 3.0**0.5 * half + SLACK
     x, y, z = stance.position
     offset = tile.center[0] - x, tile.center[1] - y, middle - z
-    return grid.field_margin(_to_body(stance.turn, offset)) > -radius
+    return rays.field_margin(_to_body(stance.turn, offset)) > -radius
 
 
 def _sure(
-    grid: RayGrid, half: float, turn: Float[Array, "3 3"], offset: Point
+    rays: Rays, half: Scalar, turn: Float[Array, "3 3"], offset: Point
 ) -> tuple[Bool[Array, "*n"], Bool[Array, "*n"]]:
     """(whether a voxel surely is in view, whether it surely is not).
 
@@ -354,13 +391,13 @@ def _sure(
     or columns, or so far outside the field of view that no corner is inside.
     """
     q = _to_body(turn, offset)
-    to, slack = grid.to_ray(q)
+    to, slack = rays.to_ray(q)
     away = [sum(turn[k, m] * to[m] for m in range(3)) for k in range(3)]
     p = [offset[k] + away[k] for k in range(3)]
     squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-    corner = np.sqrt(3.0) * half + SLACK
+    corner = 3.0**0.5 * half + SLACK
     hit = 4 * (to[0] * to[0] + to[1] * to[1] + to[2] * to[2]) <= squared
-    hit &= (squared > 4 * half * half) & (jnp.sqrt(squared) + corner <= grid.reach)
+    hit &= (squared > 4 * half * half) & (jnp.sqrt(squared) + corner <= rays.table.reach)
     for k in range(3):
         across = jnp.abs(away[k - 1] * p[k - 2] - away[k - 2] * p[k - 1])
         hit &= across <= (half - SLACK - slack) * (jnp.abs(p[k - 1]) + jnp.abs(p[k - 2]))
@@ -369,13 +406,13 @@ def _sure(
         turned = (sum(turn[k, m] * direction[m] for m in range(3)) for k in range(3))
         return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
 
-    miss = (grid.field_margin(q) < -corner) | grid.between(q, half + SLACK, extent)
+    miss = (rays.field_margin(q) < -corner) | rays.between(q, half + SLACK, extent)
     return hit, miss
 
 
 def _settle(
-    grid: RayGrid,
-    half: float,
+    rays: Rays,
+    half: Scalar,
     stance: Stance,
     tiles: Tile,
     seen: UInt[Array, "N C"],
@@ -405,7 +442,7 @@ def _settle(
 
         at = columns.at[column].get(mode="clip")
         height = heights.at[column, masks.lowest(left)].get(mode="clip")
-        passes = _best_ray(grid, half, stance, jnp.column_stack([at, height]))[0] > 0
+        passes = _best_ray(rays, half, stance, jnp.column_stack([at, height]))[0] > 0
         new = jnp.where(passes, left & (~left + 1), 0) | seen.at[column].get(mode="clip")
         seen = seen.at[jnp.where(left != 0, column, len(seen))].set(new, mode="drop")
         return begun + enters.sum(), column, left & (left - 1), seen

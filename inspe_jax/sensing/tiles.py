@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 
 from inspe_jax import masks
+from inspe_jax.arrays import bucket, on_device
 from inspe_jax.geometry import NEVER, Prism, top_over
 from inspe_jax.sensing.ground import Ground
 
-COLUMNS = 350
-"""Columns of a tile, more or less."""
+COLUMNS = (96, 320)
+"""Columns of a tile, in a sample of few and else."""
 SHARES = 8
-"""Least number of tiles, a power of two, so that they can be shared out evenly."""
+"""Least number of tiles, which divides every other, so that they can be shared out evenly."""
 CLOSE = 1e-2
 """What tells whole tiles apart is wider by this [m], more than single precision is off by."""
 
@@ -48,11 +49,11 @@ class Tiles:
 
     Where there are more levels than bits in a word, the columns are cut into slabs of levels, and
     the tiles of the lowest come first. ``place`` (L,) is where each column is among the columns of
-    a slab's tiles.
+    a slab's tiles; None where nobody asks.
     """
 
     tile: Tile
-    place: Int[Array | np.ndarray, " L"]
+    place: Int[Array | np.ndarray, " L"] | None
     level_count: int = field(metadata={"static": True})
 
     @property
@@ -66,6 +67,7 @@ class Tiles:
 
     def of_voxels(self, values: Shaped[np.ndarray, "... N C Z"]) -> Shaped[np.ndarray, "... V"]:
         """A value for each level of the tiles' columns, for the voxels as the scene has them."""
+        assert self.place is not None
         lead, height = values.shape[:-3], values.shape[-1]
         values = values.reshape(*lead, self.slabs, -1, height)[..., np.asarray(self.place), :]
         values = values.swapaxes(-3, -2).reshape(*lead, len(self.place), -1)  # (…, L, slabs·Z)
@@ -73,23 +75,22 @@ class Tiles:
 
 
 def tiles_of(ground: Ground) -> Tiles:
-    """Columns halved by their place, along the longer side, into a power of two of tiles."""
+    """Columns halved by their place, along the longer side, into tiles of nearly as many each.
+
+    Tiles end in padding, which repeats a column, and there are some tiles of nothing else, so that
+    scenes of similar size have arrays of one shape.
+    """
     columns, heights = np.asarray(ground.columns), np.asarray(ground.heights)
-    number = max(SHARES, 2 ** round(np.log2(len(columns) / COLUMNS)))
-    index = np.arange(-(-len(columns) // number) * number)
-    real = index < len(columns)
-    index = np.where(real, index, 0)  # padding repeats a column
-    order = np.arange(len(index))[None]
-    while len(order) < number:
-        xy = columns[index[order]]  # (tiles so far, columns of each, 2)
-        longer = (xy.max(1) - xy.min(1)).argmax(1)
-        along = np.take_along_axis(xy, longer[:, None, None], 2)[:, :, 0]
-        order = np.take_along_axis(order, along.argsort(1, kind="stable"), 1)
-        order = order.reshape(2 * len(order), -1)
-    place = np.empty(order.size, int)
-    place[order.reshape(-1)] = np.arange(order.size)
-    place = place[: len(columns)]
-    index, real = index[order], real[order]  # (N, C)
+    few = -(-len(columns) // SHARES)
+    size = next((size for size in COLUMNS if size >= few), COLUMNS[-1])
+    parts = _halved(columns, np.arange(len(columns)), -(-len(columns) // size))
+    number = bucket(len(parts), SHARES)
+    index, real = np.zeros((number, size), int), np.zeros((number, size), bool)
+    for t, part in enumerate(parts):
+        index[t], real[t, : len(part)] = part[0], True
+        index[t, : len(part)] = part
+    place = np.empty(len(columns), int)
+    place[index[real]] = np.flatnonzero(real)
 
     slab, exists = _slabs(heights.shape[1])
     slabs = len(slab)
@@ -100,7 +101,7 @@ def tiles_of(ground: Ground) -> Tiles:
     away = np.hypot(*(xy - middle[:, :, None]).swapaxes(0, 1)).max(1)
 
     def stacked(x: np.ndarray) -> Array:
-        return jnp.asarray(x.reshape(slabs * number, *x.shape[2:]))
+        return on_device(x.reshape(slabs * number, *x.shape[2:]))
 
     def repeated(x: np.ndarray) -> Array:
         return stacked(np.broadcast_to(x, (slabs, *x.shape)))
@@ -114,7 +115,22 @@ def tiles_of(ground: Ground) -> Tiles:
         low=stacked(z.min((2, 3))),
         high=stacked(z.max((2, 3))),
     )
-    return Tiles(tile, jnp.asarray(place), heights.shape[1])
+    return Tiles(tile, place, heights.shape[1])
+
+
+def _halved(
+    columns: Float[np.ndarray, "L 2"], index: Int[np.ndarray, " l"], number: int
+) -> list[Int[np.ndarray, " c"]]:
+    """Columns by their numbers, in so many parts; one has at most one column more than another."""
+    if number == 1:
+        return [index]
+    xy, few = columns[index], number // 2
+    along = xy[:, (xy.max(0) - xy.min(0)).argmax()]
+    index, middle = index[along.argsort(kind="stable")], len(index) * few // number
+    return [
+        *_halved(columns, index[:middle], few),
+        *_halved(columns, index[middle:], number - few),
+    ]
 
 
 def one_tile(ground: Ground) -> Tiles:

@@ -8,7 +8,7 @@ import pytest
 from worlds import CAMERA, LIDAR, random_traffic, slow_but, world
 
 from inspe_jax import exact
-from inspe_jax.placement import candidates, greedy, search
+from inspe_jax.placement import candidates, greedy, readings, search
 from inspe_jax.placement import table as tables
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.placement.problem import Case, Objective, Problem
@@ -403,14 +403,14 @@ def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
     rough, (views, seen) = problem.rough(x, sample), problem.views(0, poses, sample)
-    compiled = problem._rough._cache_size(), exact._see._cache_size()
+    compiled = readings.hard_scores._cache_size(), exact._see._cache_size()
     assert len(rough) == len(views) == len(seen) == len(x)
     for count in (1, 3):
         np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
         few = problem.views(0, poses[-count:], sample)
         for part, whole in zip(few, (views, seen), strict=True):
             np.testing.assert_array_equal(part, whole[-count:])
-    assert (problem._rough._cache_size(), exact._see._cache_size()) == compiled
+    assert (readings.hard_scores._cache_size(), exact._see._cache_size()) == compiled
 
 
 # ── Greedy ──────────────────────────────────────────────────────────────────

@@ -18,7 +18,7 @@ from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.devices import devices
-from inspe_jax.sensing.in_view import _masks, in_view_margins
+from inspe_jax.sensing.in_view import in_view_margins, view_masks
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.sensing.visibility import in_view, line_of_sight
 
@@ -195,8 +195,8 @@ def test_devices_of_one_kind_compile_once(capfd):
     layout = place_sensors(*[(LIDAR, [float(x), 0.0, 5.0, 0.0, 0.0, 0.3 * x]) for x in range(3)])
     assert len(layout.groups()) == 1
     in_view(scene, layout)
-    before = _masks._cache_size()
+    before = view_masks._cache_size()
     in_view(scene, layout.with_poses(layout.poses + 0.1))
     in_view(scene, Conditions.of("midday", "fog").layout(layout))
-    assert _masks._cache_size() == before
+    assert view_masks._cache_size() == before
     assert jax.config.jax_debug_nans

@@ -1,0 +1,352 @@
+"""Grids of rays in what is compiled: their numbers are arrays, and only their kind is fixed.
+
+A camera's grid is in the plane of tangents, a LiDAR's on the sphere. The two kinds share one
+interface, which is all that visibility knows of a sensor: where a point lies among the rows and
+columns, and which way ray (i, j) points. All in the body frame: x forward, y left, z up.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from inspe_jax.geometry import FAR, Point
+from inspe_jax.numerics import arctan2
+
+_LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
+_ANGLE = 1e-6  # what an angle in single precision may be off by [rad]
+
+
+class RayTable(NamedTuple):
+    """The numbers of a grid of rays as arrays, so that one compiled program serves every grid.
+
+    ``rows`` (R,) ascend and end in copies of the last; ``nearest`` (K,) is the row nearest to each
+    of many even steps from the first row on, ``steps`` to the unit. ``row_edges`` and
+    ``column_edges`` (2,) are the coordinates of the first and the last, and of these
+    ``row_turn`` and ``column_turn`` (2, 2) the cosines and the sines, of angles, or of the angles
+    that they are tangents of. ``wide``: columns take up more than half a turn.
+    """
+
+    rows: Float[Array | np.ndarray, "*S R"]
+    nearest: Int[Array | np.ndarray, "*S K"]
+    steps: Float[Array | np.ndarray, "*S"]
+    row_count: Int[Array | np.ndarray, "*S"]
+    column_step: Float[Array | np.ndarray, "*S"]
+    columns_per_unit: Float[Array | np.ndarray, "*S"]
+    column_count: Int[Array | np.ndarray, "*S"]
+    reach: Float[Array | np.ndarray, "*S"]
+    row_edges: Float[Array | np.ndarray, "*S 2"]
+    column_edges: Float[Array | np.ndarray, "*S 2"]
+    row_turn: Float[Array | np.ndarray, "*S 2 2"]
+    column_turn: Float[Array | np.ndarray, "*S 2 2"]
+    wide: Bool[Array | np.ndarray, "*S"]
+
+
+class Kind(NamedTuple):
+    """Kind of a grid: its class of rays, and whether the columns wrap round."""
+
+    of: "type[Rays]"
+    wraps: bool
+
+    @property
+    def name(self) -> str:
+        """A name to sort by."""
+        return f"{self.of.__name__} {self.wraps}"
+
+    def rays(self, table: RayTable) -> "Rays":
+        """Rays of this kind."""
+        return self.of(table, self.wraps)
+
+
+@dataclass(frozen=True)
+class Rays:
+    """A grid of rays in what is compiled: its numbers are arrays, traced or not.
+
+    What differs by kind is below; each kind has its own coordinates of rows and columns.
+    """
+
+    table: RayTable
+    wraps: bool = field(metadata={"static": True})
+
+    def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
+        """Index of the row nearest to a row coordinate; an end row beyond the ends.
+
+        From a table eight steps finer than the closest rows: a point midway
+        between two rows may get either.
+        """
+        index = jnp.round((row - self.table.row_edges[0]) * self.table.steps)
+        last = self.table.nearest.shape[0] - 1
+        found = jnp.asarray(self.table.nearest)[jnp.clip(index, 0, last).astype(jnp.int32)]
+        return found.astype(jnp.int32)
+
+    def row_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
+        """Coordinate of row ``index``; of the last one beyond it."""
+        return jnp.asarray(self.table.rows, float)[index]
+
+    def column_index(self, column: Float[Array, "*n"]) -> Int[Array, "*n"]:
+        """Index of the column at or before a column coordinate, not yet within the grid."""
+        first = self.table.column_edges[0]
+        return jnp.floor((column - first) * self.table.columns_per_unit).astype(jnp.int32)
+
+    def column_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
+        """Coordinate of column ``index``, held at the edge column; or wrapped round, of an index
+        less than a turn outside."""
+        count = self.table.column_count
+        if self.wraps:
+            index = jnp.where(index < 0, index + count, index)
+            index = jnp.where(index >= count, index - count, index)
+        else:
+            index = jnp.clip(index, 0, count - 1)
+        return self.table.column_edges[0] + index.astype(float) * self.table.column_step
+
+    def field_margin(self, q: Point) -> Float[Array, "*n"]:
+        """How deep points lie in the field of view [m]: from the nearest edge row, edge column or
+        the end of the reach; negative outside."""
+        table = self.table
+        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _LEAST**2))
+        above, below = (self.square_row(q, k) for k in range(2))
+        margin = jnp.minimum(jnp.minimum(table.reach - distance, above), -below)
+        if self.wraps:
+            return margin
+        after, before = (self.square_column(q, k) for k in range(2))
+        # A field of more than half a turn is the union of the two sides, else their overlap.
+        both = jnp.minimum(after, -before)
+        if not self.slants:
+            both = jnp.where(table.wide, jnp.maximum(after, -before), both)
+        return jnp.minimum(margin, both)
+
+    # What the kinds define, each for its own coordinates.
+
+    slants: ClassVar[bool] = False
+    """Whether coordinates are tangents, so that :meth:`beyond_row` measures along an axis."""
+
+    @staticmethod
+    def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+        """Unit direction of the ray at a row and a column coordinate."""
+        raise NotImplementedError
+
+    def row(self, q: Point) -> Float[Array, "*n"]:
+        """Row coordinate of points."""
+        raise NotImplementedError
+
+    def column(self, q: Point) -> Float[Array, "*n"]:
+        """Column coordinate of points."""
+        raise NotImplementedError
+
+    def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
+        """How far points lie beyond a row, in metres across it; linear or nearly so."""
+        raise NotImplementedError
+
+    def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """How far points lie beyond the first row (0) or the last (1), measured square on [m]."""
+        raise NotImplementedError
+
+    def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """How far points lie beyond the first column (0) or the last (1), in metres across it."""
+        raise NotImplementedError
+
+    def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """The same, measured square on [m]."""
+        raise NotImplementedError
+
+    def row_normal(self, q: Point) -> Point:
+        """A direction in which the row coordinate of points grows."""
+        raise NotImplementedError
+
+    def column_normal(self, q: Point) -> Point:
+        """A direction in which the column coordinate of points grows."""
+        raise NotImplementedError
+
+    # For most voxels the ray nearest to the centre tells already whether any passes through.
+
+    def to_ray(self, q: Point) -> tuple[Point, Any]:
+        """From points to a point on a ray near each, and how far off that may be [m]: far, where
+        there is none."""
+        raise NotImplementedError
+
+    def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
+        """Whether cubes about points surely lie between two rows or two columns that follow each
+        other, or beyond an end row, clear of both; false is no answer.
+
+        ``half`` is half a cube's edge [m], ``extent`` how far it reaches along a direction, times
+        the direction's length.
+        """
+        raise NotImplementedError
+
+    def _neighbour(self, row: Float[Array, "*n"]) -> tuple[Any, Any, Any]:
+        """(the nearest row, the next one on the other side, whether there is one)."""
+        index = self.nearest_row(row)
+        nearest = self.row_at(index)
+        index = index + jnp.where(row > nearest, 1, -1)
+        exists = (index >= 0) & (index < self.table.row_count)
+        return nearest, self.row_at(jnp.clip(index, 0, self.table.row_count - 1)), exists
+
+    def _nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Coordinate of the nearest column, not wrapped round."""
+        table = self.table
+        first, count = table.column_edges[0], jnp.asarray(table.column_count)
+        index = jnp.round((column - first) * table.columns_per_unit)
+        if not self.wraps:
+            index = jnp.clip(index, 0, (count - 1).astype(index.dtype))
+        return first + index * table.column_step
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SphericalRays(Rays):
+    """A LiDAR's rays: rows are elevations ψ, columns azimuths θ [rad]."""
+
+    @staticmethod
+    def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+        """(cos ψ cos θ, cos ψ sin θ, sin ψ)."""
+        cos = xp.cos(row)
+        return cos * xp.cos(column), cos * xp.sin(column), xp.sin(row)
+
+    def row(self, q: Point) -> Float[Array, "*n"]:
+        """Elevation."""
+        return arctan2(q[2], _plan(q))
+
+    def column(self, q: Point) -> Float[Array, "*n"]:
+        """Azimuth."""
+        return arctan2(q[1], q[0])
+
+    def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
+        """Distance above the cone of elevation ``row``."""
+        return q[2] * jnp.cos(row) - _plan(q) * jnp.sin(row)
+
+    def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """Distance above the cone of that row's elevation."""
+        cos, sin = self.table.row_turn
+        return q[2] * cos[edge] - _plan(q) * sin[edge]
+
+    def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """Distance to the left of the half-plane of that column's azimuth."""
+        cos, sin = self.table.column_turn
+        return q[1] * cos[edge] - q[0] * sin[edge]
+
+    square_column = beyond_edge
+
+    def row_normal(self, q: Point) -> Point:
+        """Upward along the meridian."""
+        plan = _plan(q)
+        return -q[2] * q[0], -q[2] * q[1], plan * plan
+
+    def column_normal(self, q: Point) -> Point:
+        """Leftward along the parallel."""
+        return -q[1], q[0], jnp.zeros_like(q[0])
+
+    def to_ray(self, q: Point) -> tuple[Point, Any]:
+        """Along the meridian to the nearest row and along the parallel to the nearest column.
+
+        Both as if straight: off by no more than the square of the angle, halved, times the range.
+        Right above and below there is no meridian.
+        """
+        elevation, azimuth = self.row(q), self.column(q)
+        up = self.row_at(self.nearest_row(elevation)) - elevation
+        left = self._nearest_column(azimuth) - azimuth
+        plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
+        inward = up * q[2] / plan
+        bend = (jnp.abs(up) + jnp.abs(left)) ** 2 / 2
+        to = -inward * q[0] - left * q[1], -inward * q[1] + left * q[0], up * plan
+        return to, jnp.where(plan > 2 * _LEAST, distance * (bend + _ANGLE), FAR)
+
+    def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
+        """Between two cones. A cube's extent across a cone is that across its tangent plane, and
+        what the cone bends away from it."""
+        plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
+        elevation, span = self.row(q), 3.0**0.5 * half
+        across = extent((-q[2] * q[0] / plan, -q[2] * q[1] / plan, plan)) / distance
+        bend = span * span / (2.0 * jnp.maximum(plan - span, 1e-3))
+
+        def clear(row: Any) -> Bool[Array, "*n"]:
+            away = jnp.abs(elevation - row)
+            turned = across + away * span + bend * (jnp.abs(q[2]) / distance + away)
+            return distance * (away - away**3 / 6 - _ANGLE) > turned
+
+        nearest, other, exists = self._neighbour(elevation)
+        opposite = (elevation - nearest) * (elevation - other) < 0
+        return clear(nearest) & (~exists | (clear(other) & opposite))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PinholeRays(Rays):
+    """A camera's rays: rows and columns are the tangents z/x and y/x."""
+
+    slants = True
+
+    @staticmethod
+    def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+        """(1, column, row), scaled to unit length."""
+        scale = 1.0 / xp.sqrt(1.0 + row * row + column * column)
+        return scale, column * scale, row * scale
+
+    def row(self, q: Point) -> Float[Array, "*n"]:
+        """Tangent of the angle above the optical axis; from behind, as from far aside."""
+        return q[2] / jnp.maximum(q[0], _LEAST)
+
+    def column(self, q: Point) -> Float[Array, "*n"]:
+        """Tangent of the angle to the left of the optical axis."""
+        return q[1] / jnp.maximum(q[0], _LEAST)
+
+    def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
+        """Height above the plane through row ``row``, along z."""
+        return q[2] - row * q[0]
+
+    def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """Distance to the left of the plane through that column, along y."""
+        return q[1] - self.table.column_edges[edge] * q[0]
+
+    def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """Distance above the plane through that row."""
+        return (q[2] - self.table.row_edges[edge] * q[0]) * self.table.row_turn[0, edge]
+
+    def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """Distance to the left of the plane through that column."""
+        return self.beyond_edge(q, edge) * self.table.column_turn[0, edge]
+
+    def row_normal(self, q: Point) -> Point:
+        """Gradient of z/x, times x²."""
+        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _LEAST)
+
+    def column_normal(self, q: Point) -> Point:
+        """Gradient of y/x, times x²."""
+        return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
+
+    def to_ray(self, q: Point) -> tuple[Point, Any]:
+        """Within the plane that is as far ahead as the point; none is behind."""
+        row = self.row_at(self.nearest_row(self.row(q)))
+        column = self._nearest_column(self.column(q))
+        to = jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]
+        return to, jnp.where(q[0] > 0, 0.0, FAR)
+
+    def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
+        """Between two planes."""
+        x, y, z = q
+        zero, one = jnp.zeros_like(x), jnp.ones_like(x)
+
+        def clear(gap: Callable[[Any], Any], nearest: Any, other: Any, exists: Any) -> Any:
+            near, far = gap(nearest), gap(other)  # in extents of the cube
+            return (jnp.abs(near) > 1) & (~exists | ((jnp.abs(far) > 1) & (near * far < 0)))
+
+        def above(row: Any) -> Any:
+            return (z - row * x) / extent((-row * one, zero, one))
+
+        def left_of(column: Any) -> Any:
+            return (y - column * x) / extent((-column * one, one, zero))
+
+        column, (first, last) = self._nearest_column(self.column(q)), self.table.column_edges
+        step = self.table.column_step
+        other = column + jnp.where(self.column(q) > column, 1.0, -1.0) * step
+        exists = (other > first - step / 2) & (other < last + step / 2)
+        either = clear(above, *self._neighbour(self.row(q)))
+        either |= clear(left_of, column, other, exists)
+        return either & (x > 2 * half)
+
+
+def _plan(q: Point) -> Float[Array, "*n"]:
+    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _LEAST**2))

@@ -40,8 +40,8 @@ from inspe_jax import Layout, Scene
 from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.ground import about_center, poses_about_center
-from inspe_jax.sensing.in_view import in_view_masks
 from inspe_jax.sensing.shadows import casts, may_shade
+from inspe_jax.sensing.view_masks import in_view_masks
 from inspe_jax.world import world_of
 
 console = Console()

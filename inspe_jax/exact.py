@@ -20,11 +20,11 @@ from inspe_jax.cores import Job, parts_of, run
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array
 from inspe_jax.numerics import Groups, leave_one_out
-from inspe_jax.sensing.in_view import view_masks
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.sensing.shadows import casts, clear_masks
 from inspe_jax.sensing.tiles import Tile
+from inspe_jax.sensing.view_masks import view_masks
 from inspe_jax.world import Share, World
 
 

@@ -1,12 +1,12 @@
 """What is compiled once serves other traffic, lights, junctions, layouts and devices."""
 
 import jax
-import jax.monitoring
 import numpy as np
 import pytest
 from worlds import CAMERA, LIDAR, random_layout
 
 import inspe_jax
+from inspe_jax.compiling import compiled
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
@@ -17,20 +17,6 @@ OTHER_LIDAR = LidarSpec(
     "other-lidar", tuple(np.radians(np.linspace(-30, 5, 40)).tolist()), 900, 2 * np.pi, 70.0
 )
 OTHER_CAMERA = CameraSpec("other-camera", 640, 480, 500.0, (320.0, 240.0), 0.1, 40.0, 0.8)
-
-
-@pytest.fixture
-def programs():
-    """Seconds that each program took to compile, since the list was last emptied."""
-    found: list[float] = []
-
-    def listen(event: str, seconds: float, **_: object) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            found.append(seconds)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield found
-    jax.monitoring.clear_event_listeners()
 
 
 def scene_of(name="t_junction", density=10, seed=0):
@@ -89,16 +75,16 @@ def layout_on(scene, specs) -> Layout:
 
 
 @pytest.mark.parametrize("what", [exact, soft, slope, many, seen, sight])
-def test_a_second_one_of_similar_size_compiles_nothing(what, programs):
+def test_a_second_one_of_similar_size_compiles_nothing(what):
     """The first compiles; then other scenes, lights and layouts of the same buckets do not."""
     scene = scene_of()
     what(scene, layout_on(scene, SPECS), Conditions())
     for name, case in CASES.items():
         scene, specs, *conditions = case()
         layout = layout_on(scene, specs)
-        programs.clear()
+        before = compiled().programs
         what(scene, layout, *(conditions or [Conditions()]))
-        assert not programs, name
+        assert compiled().programs == before, name
 
 
 def test_buckets_hold_what_they_are_for():

@@ -11,7 +11,7 @@ from worlds import CAMERA, LIDAR, no_traffic, random_layout, random_traffic, slo
 from inspe_jax import exact, metrics
 from inspe_jax import world as made
 from inspe_jax.measures import Crew, Field, measure
-from inspe_jax.sensing import in_view
+from inspe_jax.sensing import view_masks
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.tiles import tiles_of
@@ -144,7 +144,7 @@ def test_layouts_of_one_shape_compile_once():
     scene = world(seed=9)
     first, second = (random_layout(scene, SPECS, seed=k) for k in (1, 2))
     both(scene, first)
-    parts = in_view.view_masks, exact._watch, exact._measures
+    parts = view_masks.view_masks, exact._watch, exact._measures
     before = [part._cache_size() for part in parts]
     both(scene, second)
     assert [part._cache_size() for part in parts] == before

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax import masks
 from inspe_jax.geometry import Point, ray_cube_margin, rotation
 from inspe_jax.numerics import REACH, Softness, step
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
@@ -29,9 +28,6 @@ SLACK = 2e-4
 TOGETHER = 2**20
 """Sensors × voxels whose margins are found together: XLA's loops are slower than its arrays, and
 all at once would not fit in memory."""
-
-CHUNK = 256
-"""Columns whose unsure voxels are looked at together."""
 
 INSIDE = 1e-3
 """A voxel that a ray meets is in the field of view, by at least this much [m]."""
@@ -63,7 +59,7 @@ def _in_view_margins(
     rays: Rays, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
     margins = jax.vmap(partial(_margins, rays, half), in_axes=(0, None))
-    stances = jax.vmap(_stance)(poses)
+    stances = jax.vmap(stance_at)(poses)
     parts = -(-len(poses) * len(centers) // TOGETHER)
     size = -(-len(centers) // parts)
     padded = jnp.pad(centers, ((0, parts * size - len(centers)), (0, 0))).reshape(parts, size, 3)
@@ -79,7 +75,8 @@ class Stance(NamedTuple):
     turn: Float[Array, "3 3"]
 
 
-def _stance(pose: Float[Array, "6"]) -> Stance:
+def stance_at(pose: Float[Array, "6"]) -> Stance:
+    """The stance of a pose (x, y, z [m], roll, pitch, yaw [rad])."""
     return Stance(pose[:3], rotation(pose[3:]))
 
 
@@ -93,7 +90,7 @@ def _to_voxels(stance: Stance, centers: Float[Array, "V 3"]) -> Point:
 def _field_margin(
     rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return rays.field_margin(_to_body(stance.turn, _to_voxels(stance, centers))) + half
+    return rays.field_margin(to_body(stance.turn, _to_voxels(stance, centers))) + half
 
 
 def _margins(
@@ -109,7 +106,7 @@ def _margins(
     return field, ray - jnp.minimum(field, 0.0)
 
 
-def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
+def to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
     """World axes to the body's."""
     a, b, c = offset
     x, y, z = (turn[0, m] * a + turn[1, m] * b + turn[2, m] * c for m in range(3))
@@ -120,7 +117,7 @@ def _to_body(turn: Float[Array, "3 3"], offset: Point) -> Point:
 def _best_margin(
     rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return _best_ray(rays, half, stance, centers)[0]
+    return best_ray(rays, half, stance, centers)[0]
 
 
 @_best_margin.defjvp
@@ -128,7 +125,7 @@ def _best_margin_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     """A maximum is an envelope: its derivative is that of the ray that won."""
     # The rays are bought as they are, and the voxels stand still.
     (rays, half, stance, centers), (_, _, d_stance, _) = primals, tangents
-    margin, row, column = _best_ray(rays, half, stance, centers)
+    margin, row, column = best_ray(rays, half, stance, centers)
 
     @jax.checkpoint  # kept, the intermediates would be 30 numbers a voxel; the winner is two
     def won(stance):  # type: ignore[no-untyped-def]
@@ -137,7 +134,7 @@ def _best_margin_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     return margin, jax.jvp(won, (stance,), (d_stance,))[1]
 
 
-def _best_ray(
+def best_ray(
     rays: Rays, half: Scalar, stance: Stance, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
     """(margin, row, column) of the ray that passes deepest through each voxel."""
@@ -192,7 +189,7 @@ def _candidates(
     cube is partly beyond them. At the edge of the grid the nearest ray is the
     edge ray.
     """
-    q = _to_body(turn, offset)
+    q = to_body(turn, offset)
 
     def corner(q: Point, normal: Point, outward: Float[Array, "*n"]) -> Point:
         """The corner of the cube furthest along ``normal``, or against it where outward < 0."""
@@ -304,7 +301,7 @@ def soft_view(
     levels, columns = tile.heights.shape
 
     def look(kind: Kind, table: RayTable, pose: Array) -> Array:
-        stance = _stance(pose)
+        stance = stance_at(pose)
         xy = jnp.broadcast_to(tile.columns.T, (levels, columns, 2))
         centers = jnp.concatenate([xy, tile.heights[:, :, None]], -1).reshape(-1, 3)
         field, ray = _margins(kind.rays(table), half, stance, centers)
@@ -316,137 +313,17 @@ def soft_view(
         return jnp.zeros((levels, columns))
 
     wide = half + (0.0 if softness.field is None else REACH * softness.field)
-    stance = _stance(jax.lax.stop_gradient(pose))
-    touches = jnp.stack([_touches(each.rays(table), wide, stance, tile) for each in kinds])
-    touched = (touches & (kind == np.arange(len(kinds), dtype=np.int32))).any()
+    stance = stance_at(jax.lax.stop_gradient(pose))
+    by_kind = jnp.stack([touches(each.rays(table), wide, stance, tile) for each in kinds])
+    touched = (by_kind & (kind == np.arange(len(kinds), dtype=np.int32))).any()
     branches: list[Any] = [*(partial(look, each) for each in kinds), nothing]
     return jax.lax.switch(jnp.where(touched, kind, len(kinds)), branches, table, pose)
 
 
-# ── Exactly, as masks ───────────────────────────────────────────────────────
-
-
-def in_view_masks(
-    grid: RayGrid, pose: Float[Array, "6"], tiles: Tile, half: float
-) -> UInt[Array, "N C"]:
-    """:func:`view_masks` of a grid of rays."""
-    return view_masks(grid.rays, pose, tiles, half)
-
-
-@jax.jit
-def view_masks(
-    rays: Rays, pose: Float[Array, "6"], tiles: Tile, half: Scalar
-) -> UInt[Array, "N C"]:
-    """Masks of the voxels that one sensor has in view: where both of :func:`in_view_margins` are
-    positive. (A voxel that the candidates there miss, columns being many voxels apart, may be told
-    by its nearest ray here.)
-
-    Nearly all are told by their nearest ray (:func:`_sure`), level by level in the tiles that the
-    field of view touches; the rest, some 2 %, by the six rays of :func:`_candidates`.
-
-    Compiled once for each kind of grid.
-    """
-    stance = _stance(pose)
-    x, y, up = stance.position
-
-    def look(tile: Tile) -> tuple[Array, Array]:
-        dx, dy = tile.columns[0] - x, tile.columns[1] - y
-
-        def level(z: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
-            seen, unsure = found
-            hit, miss = _sure(rays, half, stance.turn, (dx, dy, tile.heights[z] - up))
-            bit = jnp.ones((), seen.dtype) << z.astype(seen.dtype)
-            none = jnp.zeros((), seen.dtype)
-            return seen | jnp.where(hit, bit, none), unsure | jnp.where(hit | miss, none, bit)
-
-        none = jnp.zeros_like(tile.there)
-        seen, unsure = jax.lax.fori_loop(0, len(tile.heights), level, (none, none))
-        return seen & tile.there, unsure & tile.there
-
-    def one(tile: Tile) -> tuple[Array, Array]:
-        none = jnp.zeros_like(tile.there)
-        return jax.lax.cond(_touches(rays, half, stance, tile), look, lambda _: (none, none), tile)
-
-    seen, unsure = jax.lax.map(one, tiles)
-    return _settle(rays, half, stance, tiles, seen, unsure)
-
-
-def _touches(rays: Rays, half: Scalar, stance: Stance, tile: Tile) -> Bool[Array, ""]:
+def touches(rays: Rays, half: Scalar, stance: Stance, tile: Tile) -> Bool[Array, ""]:
     """Whether a tile's voxels may lie in the field of view: the ball about them does."""
     middle = (tile.low + tile.high) / 2
     radius = jnp.hypot(tile.radius, middle - tile.low) + 3.0**0.5 * half + SLACK
     x, y, z = stance.position
     offset = tile.center[0] - x, tile.center[1] - y, middle - z
-    return rays.field_margin(_to_body(stance.turn, offset)) > -radius
-
-
-def _sure(
-    rays: Rays, half: Scalar, turn: Float[Array, "3 3"], offset: Point
-) -> tuple[Bool[Array, "*n"], Bool[Array, "*n"]]:
-    """(whether a voxel surely is in view, whether it surely is not).
-
-    It is where the line through a point p of a ray, near its centre q, meets the cube, by the axes
-    across the line that separate a line from a cube; p must be near beside |q|, so that the line
-    tells directions apart, and what it meets of the cube within the reach. It is not between rows
-    or columns, or so far outside the field of view that no corner is inside.
-    """
-    q = _to_body(turn, offset)
-    to, slack = rays.to_ray(q)
-    away = [sum(turn[k, m] * to[m] for m in range(3)) for k in range(3)]
-    p = [offset[k] + away[k] for k in range(3)]
-    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-    corner = 3.0**0.5 * half + SLACK
-    hit = 4 * (to[0] * to[0] + to[1] * to[1] + to[2] * to[2]) <= squared
-    hit &= (squared > 4 * half * half) & (jnp.sqrt(squared) + corner <= rays.table.reach)
-    for k in range(3):
-        across = jnp.abs(away[k - 1] * p[k - 2] - away[k - 2] * p[k - 1])
-        hit &= across <= (half - SLACK - slack) * (jnp.abs(p[k - 1]) + jnp.abs(p[k - 2]))
-
-    def extent(direction: Point) -> Float[Array, "*n"]:
-        turned = (sum(turn[k, m] * direction[m] for m in range(3)) for k in range(3))
-        return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
-
-    miss = (rays.field_margin(q) < -corner) | rays.between(q, half + SLACK, extent)
-    return hit, miss
-
-
-def _settle(
-    rays: Rays,
-    half: Scalar,
-    stance: Stance,
-    tiles: Tile,
-    seen: UInt[Array, "N C"],
-    unsure: UInt[Array, "N C"],
-) -> UInt[Array, "N C"]:
-    """``seen`` and those of the unsure voxels that one of the candidate rays passes through.
-
-    :data:`CHUNK` columns at a time, one unsure voxel of each; a column that has no more makes room
-    for the next.
-    """
-    columns, heights = tiles.columns.swapaxes(-1, -2), tiles.heights.swapaxes(-1, -2)
-    columns, heights = columns.reshape(-1, 2), heights.reshape(seen.size, -1)
-    shape, seen, unsure = seen.shape, seen.ravel(), unsure.ravel()
-    number = (unsure != 0).sum()
-    queue = jnp.nonzero(unsure, size=len(seen), fill_value=len(seen))[0]
-
-    def more(state: Any) -> Array:
-        begun, _, left, _ = state
-        return (begun < number) | (left != 0).any()
-
-    def look(state: Any) -> Any:
-        begun, column, left, seen = state
-        turn = begun + jnp.cumsum(left == 0) - 1
-        enters = (left == 0) & (turn < number)
-        column = jnp.where(enters, queue.at[turn].get(mode="clip"), column)
-        left = jnp.where(enters, unsure.at[column].get(mode="fill", fill_value=0), left)
-
-        at = columns.at[column].get(mode="clip")
-        height = heights.at[column, masks.lowest(left)].get(mode="clip")
-        passes = _best_ray(rays, half, stance, jnp.column_stack([at, height]))[0] > 0
-        new = jnp.where(passes, left & (~left + 1), 0) | seen.at[column].get(mode="clip")
-        seen = seen.at[jnp.where(left != 0, column, len(seen))].set(new, mode="drop")
-        return begun + enters.sum(), column, left & (left - 1), seen
-
-    nothing = jnp.zeros(CHUNK, unsure.dtype)
-    start = (jnp.zeros_like(number), jnp.full(CHUNK, len(seen)), nothing, seen)
-    return jax.lax.while_loop(more, look, start)[3].reshape(shape)
+    return rays.field_margin(to_body(stance.turn, offset)) > -radius

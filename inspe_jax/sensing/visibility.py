@@ -16,10 +16,10 @@ from inspe_jax.errors import InspeError
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.ground import about_center, poses_about_center
-from inspe_jax.sensing.in_view import in_view_masks
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.shadows import sight_masks
 from inspe_jax.sensing.tiles import tiles_of
+from inspe_jax.sensing.view_masks import in_view_masks
 
 
 def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:

@@ -18,8 +18,9 @@ from inspe_jax.errors import InspeError
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.devices import devices
-from inspe_jax.sensing.in_view import in_view_margins, view_masks
+from inspe_jax.sensing.in_view import in_view_margins
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.sensing.view_masks import view_masks
 from inspe_jax.sensing.visibility import in_view, line_of_sight
 
 DEVICES = devices()

@@ -13,6 +13,7 @@ from pathlib import Path
 import jax
 import jaxlib
 import pytest
+from browser import CHROMIUM
 from worlds import MAPS
 
 from inspe_jax import compiling, cores
@@ -115,10 +116,15 @@ def pytest_terminal_summary(terminalreporter) -> None:
     terminalreporter.write_line(f"{total} programs compiled, of {PROGRAMS} at most: {dict(most)}")
 
 
+LONG = ("test_soft", "test_exact", "test_visibility", "test_gradient", "test_sweep", "test_page")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: what a process is left with at the end is then short."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    """Long files first: what a process is left with at the end is then short."""
+    items.sort(key=lambda item: item.path.stem not in LONG)
+    for item in items:
+        if CHROMIUM is None and item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.skip(reason="there is no Chromium here"))
 
 
 @pytest.fixture(scope="session")

@@ -112,8 +112,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
-    total, most = programs.total(), programs.most_common(5)
-    terminalreporter.write_line(f"{total} programs compiled, of {PROGRAMS} at most: {dict(most)}")
+    total = programs.total()
+    line = f"{total} programs compiled or read, of {PROGRAMS} at most"
+    if total > PROGRAMS:
+        most = ", ".join(f"{count} by {file}" for file, count in programs.most_common(5))
+        terminalreporter.write_line(f"ERROR {line}: {most}", red=True)
+    elif total:
+        terminalreporter.write_line(line)
 
 
 LONG = ("test_soft", "test_exact", "test_visibility", "test_gradient", "test_sweep", "test_page")

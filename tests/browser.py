@@ -1,4 +1,4 @@
-"""Debian's Chromium, for the tests that look at pages; without it they skip."""
+"""Debian's Chromium, for the tests that look at pages; without it they skip (`conftest`)."""
 
 import shutil
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ OPTIONS = (
 )
 """Also as root, and in three dimensions without a graphics card."""
 
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+needs_browser = pytest.mark.browser
 
 
 @contextmanager

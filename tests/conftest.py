@@ -1,46 +1,135 @@
-"""Strict promotion and no NaN, for every test; what one compiled, others need not."""
+"""Strict promotion and no NaN, for every test; compiled quickly, once, and within a budget."""
 
 import atexit
+import hashlib
 import os
+import platform
 import shutil
 import tempfile
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+import jaxlib
 import pytest
+from browser import CHROMIUM
 from worlds import MAPS
 
-from inspe_jax.cores import compiled
+from inspe_jax import compiling, cores
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_nans", True)
 
-# What one process compiles, the others of this run need not, nor those that tests start: the
-# environment is theirs too. With a limit to its size JAX locks the folder.
-if "INSPE_TESTS" not in os.environ:
-    compiled_here = tempfile.mkdtemp()
-    atexit.register(shutil.rmtree, compiled_here, ignore_errors=True)
-    os.environ |= {
-        "INSPE_TESTS": "1",
-        "JAX_COMPILATION_CACHE_DIR": compiled_here,
-        "JAX_COMPILATION_CACHE_MAX_SIZE": str(4 * 2**30),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-    }
-jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-jax.config.update(
-    "jax_compilation_cache_max_size", int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"])
-)
-jax.config.update(
-    "jax_persistent_cache_min_compile_time_secs",
-    float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"]),
-)
+QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+"""Tests ask what code means, not how fast it is: XLA compiles in a quarter of the time, and what
+it compiles runs fast enough on scenes as small as these."""
+
+KEPT = 2 * 2**30
+"""Bytes of compiled programs that are kept from run to run."""
+
+PROGRAMS = 5600
+"""Programs that all tests together may compile, or read where another process compiled them.
+
+Each is traced, lowered and compiled, and that is most of what a run takes. A test that needs many
+should take the shapes of another (:mod:`worlds`), or NumPy where it has no use for a program.
+"""
+
+programs: Counter[str] = Counter()
+"""Compiled so far, by file of tests; where processes share the work, their sum is in the first."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What one process compiles, the others of this run need not, nor those that tests start,
+    nor later runs: the environment is theirs too."""
+    if "INSPE_TESTS" not in os.environ:
+        os.environ |= {
+            "INSPE_TESTS": "1",
+            "XLA_FLAGS": f"{QUICKLY} {os.environ.get('XLA_FLAGS', '')}".strip(),
+            "JAX_COMPILATION_CACHE_DIR": str(folder_for_programs(config)),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update(
+        "jax_persistent_cache_min_compile_time_secs",
+        float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"]),
+    )
+
+
+def folder_for_programs(config: pytest.Config) -> Path:
+    """A folder of pytest's cache for this JAX on this CPU, with what was left unused removed.
+
+    JAX's own limit to a folder's size would look at every file for each that is added.
+    """
+    if not hasattr(config, "cache"):  # -p no:cacheprovider
+        folder = tempfile.mkdtemp()
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        return Path(folder)
+    root = config.cache.mkdir("compiled")
+    known = [(path.stat().st_mtime, path.stat().st_size, path) for path in root.glob("*/*")]
+    size = 0
+    for _, more, path in sorted(known, reverse=True):
+        size += more
+        if size > KEPT:
+            path.unlink()
+    what = jax.__version__, jaxlib.__version__, platform.platform(), cpu()
+    folder = root / hashlib.sha256(repr(what).encode()).hexdigest()[:16]
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def cpu() -> str:
+    """Which instructions there are: code that was compiled for others cannot run."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = info.read_text().split("\n\n")[0].splitlines()
+        return "\n".join(line for line in lines if line.startswith(("model name", "flags", "Feat")))
+    return f"{platform.machine()} {platform.processor()}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    before = compiling.compiled().programs
+    try:
+        return (yield)
+    finally:
+        programs[item.nodeid.split("::")[0]] += compiling.compiled().programs - before
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node) -> None:
+    """One of the processes that share the work is done."""
+    programs.update(getattr(node, "workeroutput", {}).get("programs", {}))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["programs"] = dict(programs)
+    elif programs.total() > PROGRAMS and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter) -> None:
+    total = programs.total()
+    line = f"{total} programs compiled or read, of {PROGRAMS} at most"
+    if total > PROGRAMS:
+        most = ", ".join(f"{count} by {file}" for file, count in programs.most_common(5))
+        terminalreporter.write_line(f"ERROR {line}: {most}", red=True)
+    elif total:
+        terminalreporter.write_line(line)
+
+
+LONG = ("test_soft", "test_exact", "test_visibility", "test_gradient", "test_sweep", "test_page")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: what a process is left with at the end is then short."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    """Long files first: what a process is left with at the end is then short."""
+    items.sort(key=lambda item: item.path.stem not in LONG)
+    for item in items:
+        if CHROMIUM is None and item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.skip(reason="there is no Chromium here"))
 
 
 @pytest.fixture(scope="session")
@@ -52,9 +141,15 @@ def maps() -> Path:
     return MAPS
 
 
+MAPPINGS = 40_000
+"""Of the 65 530 memory maps that Linux allows a process; each program takes a few."""
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _forget_what_was_compiled():
-    """After each file: all the tests' code together takes more memory maps than Linux allows."""
+    """After each file, where there is much of it."""
     yield
-    jax.clear_caches()
-    compiled.clear()
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MAPPINGS:
+        jax.clear_caches()
+        cores.compiled.clear()

@@ -106,6 +106,7 @@ def test_report_has_the_numbers_of_score(inspe, files):
     assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_view_serves_until_it_is_stopped(files, stop):
     """In a process of its own, as a stranger meets it; also a layout that breaks a rule."""
@@ -537,6 +538,7 @@ def in_a_new_shell(files, cache, *arguments):
     return ran.stdout, kept
 
 
+@pytest.mark.process
 def test_what_is_compiled_is_kept_for_the_next_run(files, tmp_path):
     command = ("score", "s.npz", "layout.yaml")
     first, kept = in_a_new_shell(files, tmp_path, *command)
@@ -546,7 +548,7 @@ def test_what_is_compiled_is_kept_for_the_next_run(files, tmp_path):
     assert after == kept
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_nothing_is_kept_where_it_is_not_wanted(files, tmp_path):
     _, kept = in_a_new_shell(files, tmp_path, "--no-cache", "score", "s.npz", "layout.yaml")
     assert not kept

@@ -44,13 +44,13 @@ def solid_voxels(scene, frame):
 @pytest.mark.parametrize("reference", ["roi", "covered"])
 def test_scores_equal_those_of_walked_rays_and_embree(reference):
     """C, O and IG once more, in NumPy, from the two oracles; both agree to 1e-3 by design."""
-    scene = world(radius=20.0, frames=5, count=15, seed=4)
+    scene = world(count=15, seed=4)
     layout = random_layout(scene, SPECS, seed=4)
     f = raycast.in_view(scene, layout, "exact")
-    solid = np.stack([solid_voxels(scene, k) for k in range(5)])
+    solid = np.stack([solid_voxels(scene, k) for k in range(4)])
     w = scene.voxels.weight
     shares = []
-    for k in range(5):
+    for k in range(4):
         seen = (f & embree_line_of_sight(scene, layout, k)).any(0) & ~solid[k]
         original = ~solid[k] if reference == "roi" else ~solid[k] & f.any(0)
         shares.append(seen.sum() / original.sum())
@@ -69,7 +69,7 @@ def test_scores_equal_those_of_walked_rays_and_embree(reference):
 
 def test_no_vehicles_make_occlusion_the_unweighted_coverage():
     """Without traffic there is no entropy: information gain must have no weight."""
-    scene = replace(world(radius=20.0), traffic=no_traffic())
+    scene = replace(world(), traffic=no_traffic())
     layout = place_sensors(
         (LIDAR, [5.0, 5.0, 6.0, 0.0, 0.0, 0.0]), (CAMERA, [-8, 0, 5, 0, -0.3, 0.0])
     )
@@ -99,7 +99,7 @@ def test_a_sensor_that_sees_all_scores_one():
 @pytest.mark.parametrize("seed", range(3))
 def test_adding_a_sensor_never_lowers_a_score(seed):
     """Sensors are added one by one; contributions are the drop back, so never negative."""
-    scene = world(radius=15.0, seed=seed)
+    scene = world(seed=seed)
     full = random_layout(scene, [LIDAR, CAMERA, CAMERA, LIDAR], seed=seed)
     parts = [(s.spec, p) for s, p in zip(full.sensors, full.poses.tolist(), strict=True)]
     before = dict.fromkeys(FOUR, 0.0)
@@ -113,7 +113,7 @@ def test_adding_a_sensor_never_lowers_a_score(seed):
 
 
 def test_contributions_are_leave_one_out_drops():
-    scene = world(radius=15.0, seed=6)
+    scene = world(seed=6)
     layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=6)
     scores = evaluate(scene, layout)
     for s, row in enumerate(scores.contributions):
@@ -127,7 +127,7 @@ def test_contributions_are_leave_one_out_drops():
 
 def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
     """One car in full view: every voxel of it that is in view counts as seen."""
-    scene = with_boxes(world(radius=15.0), (5.0, 0.0, 0.0, 4.0, 1.8, 1.5))
+    scene = with_boxes(world(), (5.0, 0.0, 0.0, 4.0, 1.8, 1.5))
     scene = replace(scene, traffic=_twice(scene.traffic, away=(5.0, 0.25)))
     layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     scores = evaluate(scene, layout, occlusion_reference="targets")
@@ -151,7 +151,7 @@ def _twice(traffic, away):
 
 
 def test_line_of_sight_lowers_the_information_gain():
-    scene = world(radius=15.0, seed=2)
+    scene = world(seed=2)
     layout = random_layout(scene, [LIDAR], seed=2)
     ideal = evaluate(scene, layout).information_gain
     assert 0 < evaluate(scene, layout, visibility="line_of_sight").information_gain < ideal
@@ -195,7 +195,7 @@ MIRROR = np.array([[1.0, 0.0], [0.0, -1.0]])
 def test_moving_the_whole_world_changes_nothing(turn, shift):
     """To 2e-4: the world is rounded anew in single precision (1e-5 m on 50 m), which can flip
     the few voxels that a ray or a shadow's edge only just touches."""
-    scene = world(radius=20.0, seed=8)
+    scene = world(seed=8)
     layout = random_layout(scene, SPECS, seed=8)
     poses = layout.poses.copy()
     poses[:, :3] = np.column_stack([poses[:, :2] @ turn.T, poses[:, 2]]) + shift
@@ -210,13 +210,13 @@ def test_moving_the_whole_world_changes_nothing(turn, shift):
 
 
 def test_a_scene_without_traffic_says_so():
-    scene = replace(world(radius=12.0), traffic=no_traffic())
+    scene = replace(world(), traffic=no_traffic())
     with pytest.raises(InspeError, match="information gain needs traffic"):
         evaluate(scene, place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0])))
 
 
 def test_unknown_options():
-    scene, layout = world(radius=12.0), place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    scene, layout = world(), place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     with pytest.raises(InspeError, match="occlusion_reference 'x': one of roi"):
         evaluate(scene, layout, occlusion_reference="x")
     with pytest.raises(InspeError, match="visibility 'x': one of in_view"):
@@ -226,7 +226,7 @@ def test_unknown_options():
 
 
 def test_settings_and_seen_share():
-    scene = world(radius=12.0)
+    scene = world()
     layout = random_layout(scene, [LIDAR], seed=0)
     scores = evaluate(scene, layout)
     assert scores.settings["weights"] == [0.3, 0.5, 0.2]
@@ -236,7 +236,7 @@ def test_settings_and_seen_share():
 
 
 def test_many_layouts_score_as_they_do_one_by_one():
-    scene = world(seed=6, frames=4)
+    scene = world(seed=6)
     layout = random_layout(scene, [LIDAR, CAMERA], seed=1)
     poses = np.stack([random_layout(scene, [LIDAR, CAMERA], seed=k).poses for k in range(5)])
     for options in ({}, dict(visibility="line_of_sight", weights=(0.2, 0.2, 0.6))):

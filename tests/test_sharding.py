@@ -8,54 +8,74 @@ from pathlib import Path
 
 import pytest
 
-SCORES = """
-import json, jax, inspe_jax
+import inspe_jax
+
+PLAIN, EVERY = {}, {"visibility": "line_of_sight", "occlusion_reference": "covered"}
+CASES = [(8, PLAIN), (8, EVERY), (3, EVERY)]
+"""Devices and options. 19 frames: 16 and 3 that are left over; 18 and 1. 8 divides the tiles, 3
+does not."""
+
+SCRIPT = """
+import json, sys
+from functools import cache
+import jax
+import numpy as np
+from inspe_jax import exact, sharding
 from inspe_jax.world import world_of
-scene = inspe_jax.build_scene(
-    inspe_jax.built_in("t_junction"), radius=15, voxel=1.0, frames=19, density=8, seed=1
-)
-layout = inspe_jax.strategy(scene, "Cam-c/L-c")
-found = []
-for options in (
-    {}, {"visibility": "line_of_sight"}, {"occlusion_reference": "covered"},
-):
-    s = inspe_jax.evaluate(scene, layout, **options)
-    found += [s.coverage, s.occlusion, s.information_gain, s.region_coverage, s.level_coverage]
-    found += [[c.surrogate for c in s.contributions], s.seen_share.tolist()]
-poses = [layout.with_poses(layout.poses + [k, 0, 0, 0, 0, 0.1]).poses for k in range(3)]
-many = inspe_jax.evaluate_many(scene, layout, poses)
-found += [many.surrogate.tolist(), inspe_jax.in_view(scene, layout).sum().item()]
-shares = world_of(scene).shares
-places = [len(share.prisms.top.sharding.device_set) for share in shares]
-print(json.dumps([jax.device_count(), found, places]))
+from test_sharding import scene_and_layout, scores
+
+for count, options in json.loads(sys.argv[1]):
+    mesh = jax.sharding.Mesh(np.array(jax.local_devices()[:count]), ("devices",))
+    sharding.devices, sharding._mesh = lambda: count, lambda: mesh
+    for kept in vars(exact).values():  # what was compiled for another number of devices
+        getattr(kept, "cache_clear", int)()
+    scene, layout = scene_and_layout()
+    found = scores(scene, layout, options)
+    places = [len(share.prisms.top.sharding.device_set) for share in world_of(scene).shares]
+    print(json.dumps([jax.device_count(), max(places), found]))
 """
 
 
-def scores(count: int) -> list:
-    """What the script above prints where there are so many devices."""
-    flags = f"--xla_force_host_platform_device_count={count}"
+def scene_and_layout():
+    scene = inspe_jax.build_scene(
+        inspe_jax.built_in("t_junction"), radius=15, voxel=1.0, frames=19, density=8, seed=1
+    )
+    return scene, inspe_jax.strategy(scene, "Cam-c/L-c")
+
+
+def scores(scene, layout, options) -> list:
+    s = inspe_jax.evaluate(scene, layout, **options)
+    found = [s.coverage, s.occlusion, s.information_gain, s.region_coverage, s.level_coverage]
+    found += [[c.surrogate for c in s.contributions], s.seen_share.tolist()]
+    poses = [layout.with_poses(layout.poses + [k, 0, 0, 0, 0, 0.1]).poses for k in range(3)]
+    many = inspe_jax.evaluate_many(scene, layout, poses, **options)
+    found += [many.surrogate.tolist(), inspe_jax.in_view(scene, layout).sum().item()]
+    return json.loads(json.dumps(found))
+
+
+@pytest.fixture(scope="module")
+def on_many() -> list:
+    """What the script above prints, a line a case: a process that has eight devices."""
+    flags = "--xla_force_host_platform_device_count=8"
+    here = Path(__file__).parent
     ran = subprocess.run(
-        [sys.executable, "-c", SCORES],
-        env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
-        cwd=Path(__file__).parents[1],
+        [sys.executable, "-c", SCRIPT, json.dumps(CASES)],
+        env=os.environ
+        | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}", "JAX_PLATFORMS": "cpu"}
+        | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])},
         capture_output=True,
         text=True,
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    devices, found, places = json.loads(ran.stdout)
-    assert devices == count
-    assert max(places) == count  # some frames are on all of them
-    return found
+    return [json.loads(line) for line in ran.stdout.splitlines()]
 
 
-@pytest.fixture(scope="module")
-def on_one():
-    return scores(1)
-
-
-# 19 frames: 16 and 3 that are left over; 18 and 1. 8 divides the tiles, 3 does not.
-@pytest.mark.parametrize("count", [8, pytest.param(3, marks=pytest.mark.slow)])
-def test_scores_are_the_same_to_the_last_bit(on_one, count):
+@pytest.mark.parametrize("case", range(len(CASES)))
+def test_scores_are_the_same_to_the_last_bit(on_many, case):
+    """As those of this process, which has one device."""
+    (count, options), (devices, used, found) = CASES[case], on_many[case]
+    on_one = scores(*scene_and_layout(), options)
+    assert (devices, used) == (8, count)  # some frames are on all of them
     assert on_one[0] > 0.1
-    assert scores(count) == on_one
+    assert found == on_one

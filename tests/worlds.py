@@ -31,6 +31,14 @@ CAMERA = CameraSpec(
 )
 
 
+TINY = dict(radius=10.0, voxel=2.0, frames=2, count=6)
+"""The size of :func:`world` where gradients are taken and differences of them."""
+TALL = dict(radius=10.0, voxel=0.12, frames=2)
+"""And where columns have more levels than a word has bits."""
+BOXES = 16
+"""Up to so many road users are filled up to as many, since each number would be compiled anew."""
+
+
 def rilsa() -> Path:
     """A signalled four-way with crossings that comes with SUMO; skips where SUMO is absent."""
     sumo = pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
@@ -39,7 +47,7 @@ def rilsa() -> Path:
 
 
 def slow_but(names: Iterable[Any], *quick: Any) -> list[Any]:
-    """Parameters, marked as slow but for a few: with the oldest dependencies those will do."""
+    """Parameters, marked as slow but for a few, which show what the others show of more."""
     return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
@@ -88,13 +96,32 @@ def random_traffic(
     xy = rng.uniform(-radius, radius, (frames, count, 2)) + place.center[:2]
     size = rng.uniform([2, 0.6, 1.4], [9, 2.5, 3.5], (frames, count, 3))
     z = place.ground(xy.reshape(-1, 2)).reshape(frames, count) + size[..., 2] / 2
+    return _filled_up(
+        np.concatenate([xy, z[..., None]], -1),
+        rng.uniform(-np.pi, np.pi, (frames, count)),
+        size,
+        rng.uniform(size=(frames, count)) < 0.9,
+    )
+
+
+def _filled_up(
+    center: np.ndarray, yaw: np.ndarray, size: np.ndarray, valid: np.ndarray
+) -> TrafficFrames:
+    """Cars at (T, B) places; what is added to them is nowhere and not valid."""
+    frames, count = valid.shape
+    more = max(BOXES - count, 0)
+
+    def fill(x: np.ndarray, value: float = 0) -> np.ndarray:
+        by = [(0, 0), (0, more)] + [(0, 0)] * (x.ndim - 2)
+        return np.pad(x, by, constant_values=value)
+
     return TrafficFrames(
-        center=np.concatenate([xy, z[..., None]], -1),
-        yaw=rng.uniform(-np.pi, np.pi, (frames, count)),
-        size=size,
-        valid=rng.uniform(size=(frames, count)) < 0.9,
-        kind=np.zeros((frames, count), np.int8),
-        **still(frames, count),
+        center=fill(center),
+        yaw=fill(yaw),
+        size=fill(size, 1),
+        valid=fill(valid),
+        kind=np.zeros((frames, count + more), np.int8),
+        **still(frames, count + more),
     )
 
 
@@ -130,14 +157,8 @@ def with_boxes(scene: Scene, *boxes: tuple[float, float, float, float, float, fl
     """One frame of given boxes, each (x, y, yaw, length, width, height), on the ground."""
     b = np.array(boxes, float).reshape(-1, 6)
     z = scene.intersection.ground(b[:, :2]) + b[:, 5] / 2
-    traffic = TrafficFrames(
-        center=np.column_stack([b[:, :2], z])[None],
-        yaw=b[None, :, 2],
-        size=b[None, :, 3:],
-        valid=np.ones((1, len(b)), bool),
-        kind=np.zeros((1, len(b)), np.int8),
-        **still(1, len(b)),
-    )
+    center = np.column_stack([b[:, :2], z])
+    traffic = _filled_up(center[None], b[None, :, 2], b[None, :, 3:], np.ones((1, len(b)), bool))
     return replace(scene, traffic=traffic)
 
 

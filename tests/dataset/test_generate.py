@@ -211,7 +211,7 @@ def test_what_is_there_is_not_made_again(undisturbed, at_home, tmp_path):
     assert content(out) == files
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     path, files = undisturbed
     out, pids = tmp_path / "out", tmp_path / "pids"
@@ -233,7 +233,7 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     assert content(out) == files
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     """Taken up at once: the workers of the first may still be at their frames."""
     path, files = undisturbed
@@ -250,7 +250,7 @@ def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     assert content(out) == files
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     path, files = undisturbed
     out = tmp_path / "out"
@@ -293,7 +293,7 @@ exit $status
 """
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_disk_that_is_really_full(undisturbed, tmp_path):
     path, files = undisturbed
     small, kept = tmp_path / "small", tmp_path / "kept"
@@ -320,7 +320,7 @@ def test_a_disk_that_is_really_full(undisturbed, tmp_path):
     assert there.items() <= files.items()
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_scenarios_that_cannot_be_made(tmp_path, monkeypatch):
     """They say why, also where they kill their workers, and the others are made."""
     (tmp_path / "broken.yaml").write_text(LAYOUT.replace("two masts", "broken"))

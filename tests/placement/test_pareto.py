@@ -35,7 +35,6 @@ def found(scene):
     return mixed, told
 
 
-@pytest.mark.slow
 def test_every_mix_is_searched_cheapest_first(found):
     mixed, told = found
     assert [(mix.counts[CAMERA], mix.counts[LIDAR]) for mix in mixed] == [
@@ -49,7 +48,6 @@ def test_every_mix_is_searched_cheapest_first(found):
     assert [row for row, _, _ in told][-1] == mixed[-1].counts
 
 
-@pytest.mark.slow
 def test_the_front_is_what_no_other_mix_beats(found):
     """Against its definition: another is no dearer and no worse, and cheaper or better."""
     mixed, _ = found
@@ -65,7 +63,6 @@ def test_the_front_is_what_no_other_mix_beats(found):
     assert mixed[0].front
 
 
-@pytest.mark.slow
 def test_every_layout_can_be_mounted_and_has_its_sensors(found, scene):
     lanes = lanes_of(scene.intersection)
     for mix in found[0]:
@@ -74,7 +71,6 @@ def test_every_layout_can_be_mounted_and_has_its_sensors(found, scene):
         assert_mountable(scene, mix.result.layout, lanes)
 
 
-@pytest.mark.slow
 def test_it_is_saved(found, scene, tmp_path):
     mixed, _ = found
     save_pareto(mixed, tmp_path / "pareto")
@@ -106,13 +102,11 @@ def test_a_budget_leaves_out_what_costs_more():
     assert costs == [1000, 2000, 3000, 4000, 5000]
 
 
-@pytest.mark.slow
 def test_several_scenes_are_searched_together(scene):
     (mix,) = pareto([Case(scene), scene], {LIDAR: [1]}, method="random", evaluations=2)
     assert len(mix.result.settings["scenes"]) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stop", [1, 2])
 def test_ctrl_c_ends_with_the_mixes_so_far(scene, stop):
     """In the middle of a search, which is the last of the mixes."""
@@ -127,7 +121,6 @@ def test_ctrl_c_ends_with_the_mixes_so_far(scene, stop):
     assert found[0].front
 
 
-@pytest.mark.slow
 def test_ctrl_c_before_the_first_score_leaves_nothing_or_what_there_is(scene, monkeypatch):
     """While a mix is compiled."""
     whole, calls = module.compare, []

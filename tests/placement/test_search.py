@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, random_traffic, slow_but, world
+from worlds import CAMERA, LIDAR, random_traffic, world
 
 from inspe_jax import exact
 from inspe_jax.placement import candidates, greedy, readings, search
@@ -370,7 +370,7 @@ OBJECTIVES = {
 }
 
 
-@pytest.mark.parametrize("name", slow_but(OBJECTIVES, "default"))
+@pytest.mark.parametrize("name", OBJECTIVES)
 def test_bits_add_up_to_the_score(scene, name):
     """The sum over what each sensor sees is the rough score; and gains are differences of it."""
     objective, two = OBJECTIVES[name]

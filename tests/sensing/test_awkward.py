@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, place_sensors, slow_but, with_boxes, world
+from worlds import CAMERA, LIDAR, TALL, place_sensors, slow_but, with_boxes, world
 
 from inspe_jax.sensing import raycast
 from inspe_jax.sensing.ground import about_center, poses_about_center
@@ -44,7 +44,7 @@ def test_in_view_by_masks_is_in_view_by_margins(name):
     Where the two differ, the walk of every ray must be with the masks: very wide cameras and steep
     rows clip a few voxels that the margins' six rays miss, and the nearest ray tells.
     """
-    scene = world(radius=32.0, voxel=1.0, count=0, slope=0.03)
+    scene = world(count=0, slope=0.03)
     x, y, z = scene.voxels.centers[len(scene.voxels.centers) // 2]
     poses = [
         [*place, 0.0, np.radians(pitch), np.radians(yaw)]
@@ -67,10 +67,10 @@ def test_in_view_by_masks_is_in_view_by_margins(name):
         np.testing.assert_array_equal(masks[differ], walked[differ])
 
 
-@pytest.mark.parametrize("voxel", [0.1, 0.5])
+@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5])
 def test_line_of_sight_by_masks_is_that_of_all_ceilings(voxel):
     """Just above and below a top, beside and inside a vehicle, lower than the lowest voxel."""
-    scene = world(radius=12.0, voxel=voxel, count=0)
+    scene = world(radius=10.0, voxel=voxel, count=0)
     scene = with_boxes(
         scene, (0, 0, 0.4, 5, 2, 2.1), (6, 3, 1.0, 5, 2, 1.5), (-5, -4, 0.0, 9, 2.5, 3.4)
     )

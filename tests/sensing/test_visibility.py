@@ -33,7 +33,7 @@ def test_in_view_agrees_with_every_ray_walked(name):
     The disagreements are cubes that a ray clips within centimetres of a corner or
     at the edge of the reach; those seen without a ray it passes within 0.02 mm.
     """
-    scene = world(radius=25.0, count=0, slope=0.04)
+    scene = world(count=0, slope=0.04)
     seed = sorted(DEVICES).index(name)
     layout = random_layout(scene, [DEVICES[name].spec] * 2, seed=seed, heights=(2.0, 8.0))
     ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
@@ -59,7 +59,7 @@ def test_in_view_of_large_voxels(name):
 def test_in_view_of_a_tilted_lidar_with_part_of_a_turn(fov, turn):
     """Also where the field of view reaches behind the planes of its edge columns."""
     spec = LidarSpec("part", LIDAR.elevations, int(4 * fov), np.radians(fov), 40.0)
-    scene = world(radius=20.0, count=0)
+    scene = world(count=0)
     layout = place_sensors((spec, [1.3, 2.1, 5.2, *turn, 0.7]))
     ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
     assert (ours == walked).mean() >= 0.999
@@ -78,7 +78,7 @@ def test_a_ray_along_a_face_touches_the_voxels_on_both_sides(pose):
     level = LidarSpec(
         "level", tuple(np.radians(np.arange(-16.0, 16.0)).tolist()), 1800, 2 * np.pi, 40.0
     )
-    scene = world(radius=20.0, count=0)
+    scene = world(count=0)
     layout = place_sensors((level, pose))
     ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
     assert (ours == walked).mean() >= 0.999
@@ -89,7 +89,7 @@ def test_a_ray_along_a_face_touches_the_voxels_on_both_sides(pose):
 def test_one_ray_lights_the_voxels_it_passes_through():
     """A camera of one pixel 1.25 m up looks along +x at y = 0.25: level 2, one row, to 10 m."""
     pencil = CameraSpec("pencil", 1, 1, 1.0, (0.5, 0.5), 1.0, 10.0)
-    scene = world(radius=20.0, count=0)
+    scene = world(count=0)
     layout = place_sensors((pencil, [-3.1, 0.25, 1.25, 0.0, 0.0, 0.0]))
     seen = scene.voxels.centers[in_view(scene, layout)[0]]
     assert sorted(seen[:, 0]) == pytest.approx(np.arange(-3.25, 7.0, 0.5))
@@ -111,7 +111,7 @@ def test_field_of_view_and_reach_of_a_camera():
 
 def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
     """The voxel column under the sensor has no azimuth; a level ray is parallel to two faces."""
-    scene = world(radius=15.0, count=0)
+    scene = world(count=0)
     layout = place_sensors(
         (LIDAR, [0.25, 0.25, 5.0, 0.0, 0.0, 0.0]),
         (CAMERA, [0.25, 0.25, 3.75, 0.0, -np.pi / 2, 0.0]),
@@ -136,10 +136,10 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
 )
 def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
     """At least 99.99 % of (sensor, voxel, frame); both round in single precision at an edge."""
-    scene = world(radius=20.0, frames=3, count=20, seed=seed, slope=slope, center=center)
+    scene = world(count=16, seed=seed, slope=slope, center=center)
     layout = random_layout(scene, [LIDAR] * 3 + [CAMERA] * 3, seed=seed, heights=heights)
     differ = total = 0
-    for frame in range(3):
+    for frame in range(4):
         ours, embree = (
             line_of_sight(scene, layout, frame),
             embree_line_of_sight(scene, layout, frame),
@@ -151,7 +151,7 @@ def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
 
 def test_line_of_sight_behind_a_car_by_hand():
     """From 5 m, a 1.5 m car 8..12 m away hides what lies below 5 − 3.5·x/12 behind it."""
-    scene = with_boxes(world(radius=25.0), (10.0, 0.0, 0.0, 4.0, 1.8, 1.5))
+    scene = with_boxes(world(), (10.0, 0.0, 0.0, 4.0, 1.8, 1.5))
     layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     clear = line_of_sight(scene, layout, 0)[0]
     at = {tuple(c): v for v, c in enumerate(scene.voxels.centers.round(3).tolist())}
@@ -192,7 +192,7 @@ def test_unknown_frame_and_sensor_in_the_ground():
 
 def test_devices_of_one_kind_compile_once(capfd):
     """Sensors with the same rays share a kernel, wherever they stand."""
-    scene = world(radius=12.0, count=0)
+    scene = world(count=0)
     layout = place_sensors(*[(LIDAR, [float(x), 0.0, 5.0, 0.0, 0.0, 0.3 * x]) for x in range(3)])
     assert len(layout.groups()) == 1
     in_view(scene, layout)

@@ -73,7 +73,7 @@ def undisturbed(tmp_path_factory) -> tuple[Path, bytes]:
     return path, (folder / "out" / "results.csv").read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_rows_are_what_a_score_says(undisturbed):
     path, _ = undisturbed
     rows = read_results(path.parent / "out")
@@ -113,7 +113,7 @@ def test_workers_keep_the_memory_that_they_free(monkeypatch):
     assert not set(cluster.MEMORY) & set(os.environ)
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_running_scheduler_does_the_same(undisturbed, tmp_path):
     """On all cores at once, so that sums may be rounded otherwise."""
     path, _ = undisturbed
@@ -131,7 +131,7 @@ def test_a_running_scheduler_does_the_same(undisturbed, tmp_path):
         assert float(row["surrogate"]) == pytest.approx(float(same["surrogate"]), abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     path, whole = undisturbed
     process = begin(path, tmp_path / "out", "--workers", "2")
@@ -150,7 +150,7 @@ def kill_a_worker(process: subprocess.Popen) -> None:
     worker.send_signal(signal.SIGKILL)
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     """Killed twice over; its workers go with it."""
     path, whole = undisturbed
@@ -182,7 +182,7 @@ def lives(process: psutil.Process) -> bool:
         return False
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     path, _ = undisturbed
     process = begin(path, tmp_path / "out", "--workers", "1")
@@ -230,7 +230,7 @@ def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):
     assert again == rows
 
 
-@pytest.mark.slow
+@pytest.mark.process
 def test_a_job_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypatch):
     """Dask suspects every job that a dead worker had before it."""
     (tmp_path / "deadly.yaml").write_text(LAYOUT.replace("far away", "deadly"))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser import browser, errors_of, needs_browser
+from browser import browser, errors_of
 from worlds import world
 
 from inspe_jax.evaluation import evaluate
@@ -19,7 +19,7 @@ from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import LENGTH
 from inspe_jax.viewer.panel import put
 
-pytestmark = [pytest.mark.slow, needs_browser]
+pytestmark = pytest.mark.browser
 
 WAIT = 120_000
 """For what compiles first [ms]."""

@@ -17,7 +17,7 @@ import pytest
 import viser
 import viser._messages as kinds
 import viser._viser
-from browser import CHROMIUM, OPTIONS, needs_browser
+from browser import CHROMIUM, OPTIONS
 from page_socket import CAMERA, ended_by, enter, pull, send, set_value, socket_of
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from worlds import world
@@ -493,8 +493,7 @@ async function get(name, address) {
 """
 
 
-@pytest.mark.slow
-@needs_browser
+@pytest.mark.browser
 def test_a_page_of_another_origin_gets_nowhere(viewer):
     """It even has the token; and a domain that points to this machine serves it the page."""
     before = viewer.layout

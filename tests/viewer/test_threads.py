@@ -210,6 +210,7 @@ def searcher(scene, heard):
     found.close()
 
 
+@pytest.mark.process
 def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher, heard):
     searcher.start(layout, "random", 600.0)
     heard.found.wait(lambda told: len(told) >= 2)
@@ -234,6 +235,7 @@ def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher
     assert len(heard.ended.heard) == 1
 
 
+@pytest.mark.process
 def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(layout, searcher, heard):
     searcher.start(layout, "random", 2.0)
     ((first,),) = heard.ended.wait(lambda told: told)
@@ -270,6 +272,7 @@ def test_the_time_stands_still_while_a_search_compiles(scene, layout, monkeypatc
     assert told == [("ended", "found")]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("at", ["starting", "ready", "compiling"])
 def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, heard, at):
     """As its process starts, as it begins, while it compiles; while it searches: see above."""
@@ -285,6 +288,7 @@ def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, 
     assert process.poll() is not None  # and takes up no core
 
 
+@pytest.mark.process
 def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
     nowhere = Constraints(places="poles")  # there is none
     searcher = Searcher(Case(scene), WEIGHTS, nowhere, heard)
@@ -296,6 +300,7 @@ def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
     searcher.close()
 
 
+@pytest.mark.process
 def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     searcher.start(layout, "random", 600.0)
     heard.found.wait(lambda told: len(told) >= 2)
@@ -308,6 +313,7 @@ def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     assert not heard.ended.wait(lambda told: len(told) == 2)[1][0].failed
 
 
+@pytest.mark.process
 def test_a_search_s_process_looks_for_modules_where_they_belong(
     layout, searcher, heard, tmp_path, monkeypatch
 ):
@@ -338,6 +344,7 @@ def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
     assert left == [0, 1]
 
 
+@pytest.mark.process
 def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, monkeypatch):
     def fail(*_, **__):
         raise OSError(12, "Cannot allocate memory")
@@ -353,6 +360,7 @@ def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, mon
     assert "cannot be handed" in second.words
 
 
+@pytest.mark.process
 def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
     """Were it to, it would go on for all its time."""
     searcher.start(layout, "random", 600.0)

@@ -140,6 +140,7 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
 
 
+@pytest.mark.process
 def test_stop_gives_the_best_so_far_at_once(viewer, layout):
     put(viewer.panel.method, "random")
     viewer.optimise()
@@ -152,6 +153,7 @@ def test_stop_gives_the_best_so_far_at_once(viewer, layout):
     assert "stopped by hand" in viewer.told[-1][1]
 
 
+@pytest.mark.process
 def test_stop_before_there_is_a_score_leaves_the_layout(viewer, layout):
     viewer.optimise()
     viewer.stop()
@@ -160,6 +162,7 @@ def test_stop_before_there_is_a_score_leaves_the_layout(viewer, layout):
     assert viewer.told[-1][:2] == ("Search", "stopped before there was a score")
 
 
+@pytest.mark.process
 def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
     put(viewer.panel.method, "random")
     viewer.optimise()

@@ -271,7 +271,7 @@ class _Guard:
         self._handler, self._files = handler, files
         self.log = logging.Logger("inspe_jax.server")
         self.log.parent = logging.getLogger("inspe_jax")
-        self.log.addFilter(_in_one_line)
+        self.log.addFilter(self._logs)
         asyncio.get_running_loop().set_exception_handler(self._failed)
         guard = self
 
@@ -358,29 +358,30 @@ class _Guard:
                 raise ConnectionClosedOK(None, None)
 
     def _refused(self, connection: ServerConnection, why: str) -> None:
-        now, address = time.monotonic(), connection.remote_address or ("?",)
+        address = connection.remote_address or ("?",)
+        self.log.warning("refused %s: %s", address[0], why)
+
+    def _logs(self, record: logging.LogRecord) -> bool:
+        """Whether a record is logged, or only counted; without its traceback."""
+        now = time.monotonic()
         self._logged = [at for at in self._logged if at > now - WHILE]
         if len(self._logged) >= LINES:
             self._not_logged += 1
-            return
-        more = f" (and {self._not_logged} more before)" if self._not_logged else ""
-        self.log.warning("refused %s: %s%s", address[0], why, more)
+            return False
+        words = record.getMessage()
+        if record.exc_info:
+            words += f": {_short(str(record.exc_info[1]))}"
+        if self._not_logged:
+            words += f" (and {self._not_logged} lines more before)"
+        record.msg, record.args, record.exc_info, record.exc_text = words, (), None, None
         self._logged.append(now)
         self._not_logged = 0
+        return True
 
     def _failed(self, _: Any, context: dict[str, Any]) -> None:
         """What else a browser may bring about: a line of it."""
         wrong = context.get("exception")
         self.log.warning("%s: %r", context.get("message"), wrong)
-
-
-def _in_one_line(record: logging.LogRecord) -> bool:
-    """A record without its traceback."""
-    if record.exc_info:
-        wrong = record.exc_info[1]
-        record.msg, record.args = f"{record.getMessage()}: {_short(str(wrong))}", ()
-        record.exc_info = record.exc_text = None
-    return True
 
 
 def _is_finite(value: Any) -> bool:

@@ -151,9 +151,8 @@ class Measures(NamedTuple):
 
     def of_scene(self, place: Any, failures: int) -> "Measures":
         """These of arrays that are filled up, as they are of a scene: its columns, so many rows."""
-        place = np.asarray(place)
         if not isinstance(self.coverage, jax.core.Tracer):
-            self = jax.tree.map(np.asarray, self)
+            place, self = jax.tree.map(np.asarray, (place, self))
         rows = slice(1 + failures)
         return self._replace(
             coverage=self.coverage[rows],

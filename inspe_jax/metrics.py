@@ -4,6 +4,9 @@ Sensors are fused before a metric sees them, all of them and with each left out 
 (:func:`~inspe_jax.numerics.leave_one_out`); every function keeps that leading axis.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -113,6 +116,16 @@ def surrogate(
 ) -> Float[Array, "..."]:
     """P_sm = 0.3 C + 0.5 O + 0.2 IG. Raises InspeError unless the weights sum to 1."""
     check_weights(weights)
+    return weighted(coverage, occlusion, information_gain, weights)
+
+
+def weighted(
+    coverage: Float[Array, "..."],
+    occlusion: Float[Array, "..."],
+    information_gain: Float[Array, "..."],
+    weights: Sequence[Any],
+) -> Float[Array, "..."]:
+    """:func:`surrogate` of weights that were checked before: they may be traced."""
     return weights[0] * coverage + weights[1] * occlusion + weights[2] * information_gain
 
 

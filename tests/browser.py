@@ -16,8 +16,6 @@ OPTIONS = (
 )
 """Also as root, and in three dimensions without a graphics card."""
 
-needs_browser = pytest.mark.browser
-
 
 @contextmanager
 def browser() -> Iterator[Any]:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from inspe_jax import metrics
 from inspe_jax.exact import count_exactly
 from inspe_jax.measures import Field, Measures, SensorArray
 from inspe_jax.numerics import Softness
@@ -38,8 +39,8 @@ def _scores(measures: list[Measures], terms: Terms) -> Float[Array, " N"]:
     """P_sm of every case; with failures the mean of those without each unit."""
     found = []
     for m in measures:
-        parts = jnp.stack([m.coverage, m.occlusion, m.information_gain])  # (3, 1 + G)
-        p = (jnp.asarray(terms.weights, parts.dtype)[:, None] * parts).sum(0)
+        weights = list(jnp.asarray(terms.weights, m.coverage.dtype))
+        p = metrics.weighted(m.coverage, m.occlusion, m.information_gain, weights)  # (1 + G,)
         number = jnp.arange(len(p))
         real = (number > 0) & (number <= terms.failures)
         without = jnp.where(real, p, 0.0).sum() / jnp.maximum(terms.failures, 1).astype(p.dtype)

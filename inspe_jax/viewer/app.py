@@ -4,7 +4,6 @@ What changes is the session's, what is scored the scorer's, what is shown the di
 share all of it, and what they ask for is done in turn on one thread, the desk's.
 """
 
-import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -91,7 +90,7 @@ class Viewer:
             Heard(self._hear_progress, self._hear_better, self._hear_compiling, self._hear_end),
         )
         self.handle = Handle(self.server.scene, self._hear_pull)
-        self.panel.offer_earlier([earlier.words for earlier in self.store.earlier])
+        self.panel.offer_earlier(self.store.earlier)
         self.desk.ask(lambda: self.display.draw_users(0))
         self.desk.ask(self._show)
 
@@ -216,7 +215,6 @@ class Viewer:
             if self._searching:
                 return
             self._searching, self._best = True, self.layout
-            self._began = time.monotonic()
             self.panel.searching(True)
             put(self.panel.bar, 0.0)
             self.panel.course.content = "starting …"

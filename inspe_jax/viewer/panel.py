@@ -9,6 +9,7 @@ import viser
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.sensing.devices import devices
 from inspe_jax.viewer.board import SIGHTS
+from inspe_jax.viewer.store import Earlier
 from inspe_jax.viewshed import Sight
 
 SECONDS = 60.0
@@ -89,19 +90,18 @@ class Panel:
             asked.settle()
             asked.add(self.new.value, event.client)
 
-    def offer_earlier(self, words: Sequence[str]) -> None:
+    def offer_earlier(self, earlier: Sequence[Earlier]) -> None:
         """Offer layouts that an earlier run has left; until none is wanted any more."""
-        if not words:
+        if not earlier:
             return
         self.earlier.visible = True
         with self.earlier:
             self._gui.add_markdown(
-                f"An earlier run has left {' and '.join(words)}. "
+                f"An earlier run has left {' and '.join(one.words for one in earlier)}. "
                 "Nothing here replaces that unasked."
             )
-            for number, one in enumerate(words):
-                name = one.split("`")[1]
-                self.offers.append(self._gui.add_button(f"Open {name}"))
+            for number, one in enumerate(earlier):
+                self.offers.append(self._gui.add_button(f"Open {one.path.name}"))
                 self._bind(self.offers[-1], partial(self._asked.open_earlier, number))
             self._bind(self._gui.add_button("Leave them", color="gray"), self._leave)
 

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from browser import browser, errors_of, needs_browser
+from browser import browser, errors_of
 from matplotlib import image
 from worlds import CAMERA, LIDAR, place_sensors, random_layout, world
 
@@ -181,7 +181,7 @@ def test_runs_of_levels():
 
 
 @pytest.mark.slow
-@needs_browser
+@pytest.mark.browser
 def test_a_browser_shows_it_without_a_network(tmp_path, page):
     path = tmp_path / "report.html"
     path.write_text(page, encoding="utf-8")

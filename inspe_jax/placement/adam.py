@@ -14,6 +14,7 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
+from inspe_jax.arrays import on_host
 from inspe_jax.cores import run as on_all_cores
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.problem import Problem, per_problem
@@ -37,7 +38,11 @@ SCREENED = 32
 """Random layouts of which the best become starts."""
 _LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
 
+Score = Callable[..., tuple[Any, Any]]
+"""A value and its slope."""
+
 _adam = optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
+_at_rest = jax.jit(jax.vmap(_adam.init))
 
 
 def annealed(ends: Any, done: float) -> float:
@@ -64,14 +69,9 @@ def begin_adam(run: Run) -> State:
 def charted(problem: Problem, x: Float[np.ndarray, "M N"]) -> State:
     """Layouts in charts, standing still."""
     v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
-    anchor = jnp.asarray(np.stack(v), float)
-    state = jax.vmap(_adam.init)(jnp.zeros_like(anchor))
-    return {
-        "anchor": np.asarray(anchor),
-        "z": np.zeros_like(anchor),
-        "place": np.stack(place),
-        **_kept(state),
-    }
+    anchor = on_host(np.stack(v), float)
+    z = np.zeros_like(anchor)
+    return {"anchor": anchor, "z": z, "place": np.stack(place), **_kept(_at_rest(z))}
 
 
 def _kept(optimiser: Any) -> State:
@@ -80,7 +80,7 @@ def _kept(optimiser: Any) -> State:
 
 
 def _optimiser_state(state: State) -> Any:
-    shape = jax.eval_shape(jax.vmap(_adam.init), jnp.zeros_like(jnp.asarray(state["z"])))
+    shape = jax.eval_shape(_at_rest, state["z"])
     leaves, tree = jax.tree.flatten(shape)
     return jax.tree.unflatten(tree, [jnp.asarray(state[f"optax {i}"]) for i in range(len(leaves))])
 
@@ -111,7 +111,7 @@ def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], coun
     """So many gradient steps, each on its own samples, of the softness and rate of that moment."""
     problem, line = run.problem, state["line"]
     optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
-    z, anchor, place = (jnp.asarray(state[k]) for k in ("z", "anchor", "place"))
+    z, anchor, place = (state[k] for k in ("z", "anchor", "place"))
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
     for k in range(state["count"], state["count"] + count):
@@ -123,31 +123,37 @@ def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], coun
         rows = zip(z, anchor, place, drawn, strict=True)
         jobs = [("slope", partial(score, *row, softness)) for row in rows]
         slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
-        z, optimiser = move(z, mean @ jnp.stack(slopes), optimiser, rate)
-    return state | _kept(optimiser) | {"z": np.asarray(z), "count": state["count"] + count}
+        moved, optimiser = move(z, mean @ np.stack(slopes), optimiser, rate)
+        z = np.asarray(moved)
+    return state | _kept(optimiser) | {"z": z, "count": state["count"] + count}
 
 
 @per_problem
-def charted_score(problem: Problem) -> Callable[..., Any]:
-    """What is minimised, and its slope, in typical steps from an anchor in charts.
+def charted_score(problem: Problem) -> Score:
+    """What is minimised, and its slope, in typical steps from an anchor in charts."""
+    space, scale = problem.space, jnp.asarray(problem.space.scale, float)
+    return score_through(
+        problem, lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
+    )
 
-    By the chain rule in two parts: from the chart to poses, which is the problem's own and little
-    to compile, and from poses to the score, which is compiled for all problems.
+
+def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
+    """What is minimised, and its slope, in the first argument of what gives the poses.
+
+    The others come before the columns and frames, and the softness [m]. By the chain rule in two
+    parts: from there to poses, which is the problem's own and little to compile, and from poses to
+    the score, which is compiled for all problems.
     """
-    scale = jnp.asarray(problem.space.scale, float)
-
-    def poses(z, anchor, place):  # type: ignore[no-untyped-def]
-        return problem.space.poses(problem.space.from_chart(anchor + scale * z, place))
+    forward = jax.jit(poses)
 
     @jax.jit
-    def back(z, anchor, place, slope):  # type: ignore[no-untyped-def]
-        return jax.vjp(lambda z: poses(z, anchor, place), z)[1](slope)[0]
+    def back(slope, z, *rest):  # type: ignore[no-untyped-def]
+        return jax.vjp(lambda z: poses(z, *rest), z)[1](slope)[0]
 
-    stand = jax.jit(poses)
-
-    def score(z, anchor, place, drawn, softness):  # type: ignore[no-untyped-def]
-        value, slope = problem.slope(stand(z, anchor, place), problem.take(drawn), softness)
-        return -value, back(z, anchor, place, -slope)
+    def score(*at: Any) -> tuple[Any, Any]:
+        *given, drawn, softness = at
+        value, slope = problem.slope(forward(*given), problem.take(drawn), softness)
+        return jnp.asarray(-value, float), back(-slope, *given)
 
     return score
 
@@ -165,8 +171,8 @@ def _mover(problem: Problem) -> Callable[..., Any]:
 def layouts(problem: Problem, state: State) -> Float[np.ndarray, "M N"]:
     """Coordinates of the layouts that a state has come to."""
     scale = problem.space.scale
-    v = jnp.asarray(state["anchor"] + scale * state["z"], float)
-    return np.asarray(jax.vmap(problem.space.from_chart)(v, jnp.asarray(state["place"])))
+    rows = zip(state["anchor"] + scale * state["z"], state["place"], strict=True)
+    return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
 
 
 def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:

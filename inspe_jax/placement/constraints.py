@@ -325,12 +325,12 @@ class Space:
         return v.flat(), place
 
     def from_chart(
-        self, v: Float[Array, " N"], place: Int[Array | np.ndarray, " U"]
-    ) -> Float[Array, " N"]:
-        """The inverse of :meth:`chart`: feasible for any v, and differentiable in it."""
+        self, v: Float[Any, " N"], place: Int[Array | np.ndarray, " U"], xp: Any = jnp
+    ) -> Float[Any, " N"]:
+        """The inverse of :meth:`chart`: feasible for any v, and by JAX differentiable in it."""
         c = self.split(v)
-        base = self._pieces.at(c.base, place, jnp)
-        return self._limits.swing(c, jnp)._replace(base=base).flat(jnp)
+        base = self._pieces.at(c.base, place, xp)
+        return self._limits.swing(c, xp)._replace(base=base).flat(xp)
 
     # ── Starts, random layouts, candidates ──
 

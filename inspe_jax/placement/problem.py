@@ -22,19 +22,18 @@ from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
 from inspe_jax.exact import measure_exactly, see
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.measures import Crew, Field, Measures, sensor_array
-from inspe_jax.numerics import Softness, step
+from inspe_jax.measures import Crew, Field, sensor_array
+from inspe_jax.numerics import step
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints, Space
-from inspe_jax.placement.readings import COMBINATIONS, Terms, hard_scores, soft_slope
+from inspe_jax.placement.readings import COMBINATIONS, Terms, hard_scores, scores, soft_slope
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
-from inspe_jax.soft import measure_softly
-from inspe_jax.world import World, world_in_one_tile, world_of, world_of_sample
+from inspe_jax.world import World, world_of, world_of_sample
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """What a rough score costs beside an exact one: always, times the share of columns, and times that
@@ -215,43 +214,32 @@ class Problem:
             found.append(Field(ground, weight, occupancy))
         return tuple(found)
 
-    def value(
-        self, poses: Float[Array, "S 6"], worlds: Sequence[World], softness: Float[Array, ""]
-    ) -> Float[Array, ""]:
-        """The objective of poses about the centre, read softly [m] on these worlds."""
-        width, measures = Softness.of(softness), []
-        for case, world, crew in zip(self.cases, worlds, self.crews, strict=True):
-            size = case.scene.voxels.size
-            measures.append(measure_softly(world, poses, crew, size, width, **self._options))
-        return self._combined(measures)
-
-    @property
-    def _options(self) -> dict[str, str]:
-        options = self.objective
-        return dict(occlusion_reference=options.occlusion_reference, visibility=options.visibility)
-
-    def _combined(self, measures: Sequence[Measures]) -> Float[Array, ""]:
-        """The objective of what was measured on every case."""
-        scores = []
-        for m in measures:
-            p = metrics.surrogate(
-                m.coverage, m.occlusion, m.information_gain, self.objective.weights
-            )
-            scores.append(p[1:].mean() if self.objective.failures else p[0])
-        return COMBINATIONS[self.objective.over][0](jnp.stack(scores)) - self.price
-
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
         """The exact objective of the layout that coordinates give."""
         return self.exact_of(self.space.layout(np.asarray(x)))
 
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors."""
-        poses = poses_about_center(self.cases[0].scene, layout)
-        measures = self._exactly(poses, [world_of(case.scene) for case in self.cases])
-        if self.objective.weights[2] > 0:
-            for case, found in zip(self.cases, measures, strict=True):
+        poses, options = poses_about_center(self.cases[0].scene, layout), self.objective
+        measures = []
+        for case, crew in zip(self.cases, self.crews, strict=True):
+            found = measure_exactly(
+                world_of(case.scene),
+                poses,
+                crew,
+                case.scene.voxels.size,
+                occlusion_reference=options.occlusion_reference,
+                visibility=options.visibility,
+            )
+            if options.weights[2] > 0:
                 check_entropy(case.scene, found.entropy)
-        return float(self._combined(measures))
+            measures.append(found)
+        return self._combined(scores(measures, self.terms.weights, self.terms.failures))
+
+    def _combined(self, scores: Float[Array, " N"]) -> float:
+        """The objective of P_sm in every case."""
+        combine = COMBINATIONS[self.objective.over][1]
+        return float(combine(np.asarray(scores, float))) - self.price
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
         """Evenly spread columns and frames of each case from a random first one; all if fewer.
@@ -303,8 +291,7 @@ class Problem:
         jobs: list[Job] = [
             (key, partial(hard_scores, row, worlds, self.terms, **options)) for row in filled
         ]
-        combine = COMBINATIONS[self.objective.over][1]
-        return np.array([combine(np.asarray(row, float)) for row in run(jobs)]) - self.price
+        return np.array([self._combined(row) for row in run(jobs)])
 
     def slope(
         self,
@@ -323,19 +310,6 @@ class Problem:
             over=self.objective.over,
         )
         return float(value) - self.price, np.asarray(slope)[: len(poses)]
-
-    def _exactly(self, poses: Float[Array, "S 6"], worlds: Sequence[World]) -> list[Measures]:
-        return [
-            measure_exactly(world, poses, crew, case.scene.voxels.size, **self._options)
-            for case, world, crew in zip(self.cases, worlds, self.crews, strict=True)
-        ]
-
-    def soft(
-        self, x: Float[Array, " N"], fields: tuple[Field, ...], softness: Float[Array, ""]
-    ) -> Float[Array, ""]:
-        """The objective read softly [m] on a sample; differentiable in the coordinates."""
-        worlds = [world_in_one_tile(part) for part in fields]
-        return self.value(self.space.poses(x), worlds, softness)
 
     # ── Candidates one by one, for greedy and integer programs ──
 

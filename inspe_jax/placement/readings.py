@@ -35,16 +35,19 @@ class Terms(NamedTuple):
     failures: Int[np.ndarray | Array, ""]
 
 
-def _scores(measures: list[Measures], terms: Terms) -> Float[Array, " N"]:
+@jax.jit
+def scores(
+    measures: list[Measures], weights: Float[Any, "3"], failures: Int[Any, ""]
+) -> Float[Array, " N"]:
     """P_sm of every case; with failures the mean of those without each unit."""
     found = []
     for m in measures:
-        weights = list(jnp.asarray(terms.weights, m.coverage.dtype))
-        p = metrics.weighted(m.coverage, m.occlusion, m.information_gain, weights)  # (1 + G,)
+        parts = list(jnp.asarray(weights, m.coverage.dtype))
+        p = metrics.weighted(m.coverage, m.occlusion, m.information_gain, parts)  # (1 + G,)
         number = jnp.arange(len(p))
-        real = (number > 0) & (number <= terms.failures)
-        without = jnp.where(real, p, 0.0).sum() / jnp.maximum(terms.failures, 1).astype(p.dtype)
-        found.append(jnp.where(terms.failures > 0, without, p[0]))
+        real = (number > 0) & (number <= failures)
+        without = jnp.where(real, p, 0.0).sum() / jnp.maximum(failures, 1).astype(p.dtype)
+        found.append(jnp.where(failures > 0, without, p[0]))
     return jnp.stack(found)
 
 
@@ -63,7 +66,7 @@ def hard_scores(
         count_exactly(world, poses, sensors, voxel, **options)
         for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
     ]
-    return _scores(measures, terms)
+    return scores(measures, terms.weights, terms.failures)
 
 
 @partial(jax.jit, static_argnames=("reference", "visibility", "over"))
@@ -87,6 +90,6 @@ def soft_slope(
             read_softly(world.bucketed, poses, sensors, voxel, width, **options)
             for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
         ]
-        return COMBINATIONS[over][0](_scores(measures, terms))
+        return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))
 
     return jax.value_and_grad(score)(poses)

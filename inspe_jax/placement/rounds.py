@@ -6,14 +6,20 @@ and ends where the solver does.
 
 import warnings
 from collections.abc import Callable
-from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.placement.adam import SCREENED, SOFTNESS, annealed, charted_score
+from inspe_jax.arrays import on_host
+from inspe_jax.placement.adam import (
+    SCREENED,
+    SOFTNESS,
+    Score,
+    annealed,
+    charted_score,
+    score_through,
+)
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.problem import Problem, per_problem
 from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
@@ -27,8 +33,6 @@ ROUND_COLUMNS, ROUND_FRAMES = 1536, 8
 """Size of the sample of one round: these solvers search along a line and want no noise."""
 ITERATIONS = 8
 """Iterations of the solver in a round."""
-TRIALS = 3
-"""Gradients that one accelerated projected iteration takes on average, with its line search."""
 TRUST = 2.0
 """How far a coordinate may go in one round of L-BFGS-B, in typical steps."""
 _ROUNDS_LAST = 0.9  # share of the budget after which no new round begins
@@ -64,12 +68,12 @@ def step_lbfgsb(run: Run, state: State) -> State | None:
 def _solve_lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
     v, place = problem.space.chart(x)
-    anchor, scale = jnp.asarray(v, float), jnp.asarray(problem.space.scale, float)
+    anchor, scale = on_host(v, float), problem.space.scale
     score = charted_score(problem)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         run.charge(GRADIENT_COST * problem.share(data[0]))
-        return score(jnp.asarray(z, float), anchor, jnp.asarray(place), *data)
+        return score(jnp.asarray(z, float), anchor, place, *data)
 
     # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
     solver = jaxopt.ScipyBoundedMinimize(
@@ -80,11 +84,11 @@ def _solve_lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
         maxiter=ITERATIONS,
         options={"maxfun": 2 * ITERATIONS},
     )
-    still = jnp.zeros_like(anchor)
+    still = np.zeros_like(anchor)
     z = solver.run(still, bounds=(still - TRUST, still + TRUST)).params
     # It keeps its bounds from a start within them, as 0 is; rounding is mended.
-    z = jnp.clip(jnp.asarray(z, float), -TRUST, TRUST)
-    return np.asarray(problem.space.from_chart(anchor + scale * z, jnp.asarray(place)))
+    z = np.clip(np.asarray(z), -TRUST, TRUST)
+    return problem.space.from_chart(anchor + scale * z, place, np)
 
 
 def step_projected(run: Run, state: State) -> State | None:
@@ -94,32 +98,34 @@ def step_projected(run: Run, state: State) -> State | None:
 
 def _solve_projected(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
-    run.charge(ITERATIONS * TRIALS * GRADIENT_COST * problem.share(data[0]))
-    scale = _nonzero_scale(problem)
-    drawn, softness = data
-    z = _projected_solver(problem)(jnp.asarray(x / scale, float), problem.take(drawn), softness)
-    return np.asarray(problem.space.project(z * jnp.asarray(scale, z.dtype)))
+    scale, score = _nonzero_scale(problem), scaled_score(problem)
 
+    def project(z: Array) -> np.ndarray:
+        return problem.space.project(scale * np.asarray(z, float), np)
 
-@per_problem
-def _projected_solver(problem: Problem) -> Callable[..., Any]:
-    """Some iterations from z, on a sample, at a softness."""
-    scale = jnp.asarray(_nonzero_scale(problem), float)
-
-    def loss(z, fields, softness):  # type: ignore[no-untyped-def]
-        return -problem.soft(scale * z, fields, softness)
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        run.charge(GRADIENT_COST * problem.share(data[0]))
+        return score(z, *data)
 
     # Within each block, as a foot, one scale serves all coordinates: the nearest point is the
     # same in coordinates over their scale.
     solver = jaxopt.ProjectedGradient(
-        jax.value_and_grad(loss),
-        projection=lambda z, _: problem.space.project(scale * z) / scale,
+        evaluate,
+        projection=lambda z, _: jnp.asarray(project(z) / scale, float),
         value_and_grad=True,
         maxiter=ITERATIONS,
         maxls=6,
         implicit_diff=False,
+        jit=False,  # its loops are Python's, as for L-BFGS-B: nothing of them is compiled
     )
-    return jax.jit(lambda z, *data: solver.run(z, None, *data).params)
+    return project(solver.run(jnp.asarray(x / scale, float), None).params)
+
+
+@per_problem
+def scaled_score(problem: Problem) -> Score:
+    """What is minimised, and its slope, in coordinates divided by their scale."""
+    scale = jnp.asarray(_nonzero_scale(problem), float)
+    return score_through(problem, lambda z: problem.space.poses(scale * z))
 
 
 def _nonzero_scale(problem: Problem) -> Float[np.ndarray, " N"]:

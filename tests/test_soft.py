@@ -207,7 +207,7 @@ def test_single_rays_have_slopes_where_they_are_asked_for(double):
 
 def test_layouts_are_scored_and_differentiated_many_at_once():
     scene = world(**TINY)
-    layout = random_layout(scene, [CAMERA, LIDAR], 0, heights=(3.0, 8.0))
+    layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
     poses = jnp.asarray(layout.poses, float)
     many = poses[None] + jnp.linspace(0.0, 0.5, 3)[:, None, None]
     score = jax.value_and_grad(surrogate(scene, layout))
@@ -270,7 +270,7 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score():
     """A LiDAR that has all in view: what it loses, it loses to traffic.
 
     The exact score is a fine staircase: its difference over ±0.5 m against the mean soft slope
-    along the way, at a softness of 2 cm. Measured 4 % apart; with one vehicle a column read instead
+    along the way, at a softness of 2 cm. Measured 2 % apart; with one vehicle a column read instead
     of two 9 %, and 15 % where vehicles far from the line were dropped.
     """
     scene = world(radius=20.0, voxel=1.0, frames=12, count=14, seed=5)
@@ -286,7 +286,7 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score():
     slope = jax.grad(partial(occlusion, softness=0.02))
     start = jnp.asarray(layout.poses, float)
     for coordinate in range(3):
-        way = [start.at[0, coordinate].add(d) for d in np.linspace(-0.5, 0.5, 41)]
+        way = [start.at[0, coordinate].add(d) for d in np.linspace(-0.5, 0.5, 21)]
         exact = occlusion(way[-1], 0.0) - occlusion(way[0], 0.0)  # over 1 m
         mean = np.mean([float(slope(poses)[0, coordinate]) for poses in way])
         assert abs(exact) > 2e-3

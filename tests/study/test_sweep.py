@@ -231,9 +231,17 @@ def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):
     scene = build_scene(built_in("four_way"), radius=20, voxel=2, frames=2, density=5)
     assert evaluate(scene, moved).surrogate == pytest.approx(float(found["surrogate"]), abs=1e-6)
     assert sweep(study, tmp_path / "out") == rows  # nothing is left to do, and no worker starts
+    told.clear()
     with in_this_process() as running:
-        again = sweep(study, tmp_path / "out", scheduler=running.scheduler_address, retry=True)
+        again = sweep(
+            study,
+            tmp_path / "out",
+            scheduler=running.scheduler_address,
+            retry=True,
+            progress=lambda *at: told.append(at),
+        )
     assert again == rows
+    assert told == [(n, 16) for n in range(2, 17)]  # those that were done are not done again
 
 
 @pytest.mark.process

@@ -18,7 +18,7 @@ from worlds import (
     world,
 )
 
-from inspe_jax import exact, metrics
+from inspe_jax import exact, masks, metrics
 from inspe_jax import world as made
 from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.sensing import view_masks
@@ -31,7 +31,7 @@ UNITS = ((0, 2), (1,), (3,))  # as failures: several sensors in a group, not in 
 SCENES = {
     "plain": dict(),
     "sloping, off centre": dict(slope=0.08, center=(812.0, -455.0, 31.0)),
-    "more levels than a word has bits": dict(voxel=0.15, radius=10.0, frames=2),
+    "more levels than a word has bits": TALL,
     "two words of vehicles": dict(count=45),
     "two parts of frames": dict(frames=131, count=3, voxel=1.0, radius=10.0),
     "no vehicle": dict(count=0),
@@ -66,6 +66,7 @@ def assert_same(dense, counted):
 @pytest.mark.parametrize("name", SCENES)
 def test_masks_count_what_numbers_add_up_to(name):
     scene = world(seed=3, **SCENES[name])
+    assert (scene.voxels.level_count > masks.WORD) == (SCENES[name] is TALL)
     x, y = scene.voxels.center[:2]
     layout = random_layout(scene, SPECS, seed=5)
     if scene.voxels.radius <= 10:  # nearer, so that something is seen

@@ -46,8 +46,9 @@ units:
 def files(tmp_path_factory):
     """A small scene, one without traffic, and a layout."""
     folder = tmp_path_factory.mktemp("files")
-    save_scene(build_scene(built_in("four_way"), radius=20, frames=5, density=8), folder / "s.npz")
-    empty = build_scene(built_in("four_way"), radius=15, density="none")
+    small = build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
+    save_scene(small, folder / "s.npz")
+    empty = build_scene(built_in("four_way"), radius=15, voxel=1.0, density="none")
     save_scene(empty, folder / "empty.npz")
     (folder / "layout.yaml").write_text(LAYOUT)
     (folder / "away.yaml").write_text(AWAY)
@@ -185,7 +186,7 @@ def search_files(folder):
 
 def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
     """The file it writes scores as it says."""
-    arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 40, "--out", "o")
+    arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 120, "--out", "o")
     status, text, error = inspe("optimise", *arguments)
     assert (status, error) == (0, "")
     assert search_files(files / "o") == [

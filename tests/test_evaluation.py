@@ -241,10 +241,11 @@ def test_many_layouts_score_as_they_do_one_by_one():
     poses = np.stack([random_layout(scene, [LIDAR, CAMERA], seed=k).poses for k in range(5)])
     for options in ({}, dict(visibility="line_of_sight", weights=(0.2, 0.2, 0.6))):
         many = evaluate_many(scene, layout, poses, **options)
-        for name in ("coverage", "occlusion", "information_gain", "surrogate"):
-            alone = [getattr(evaluate(scene, layout.with_poses(p), **options), name) for p in poses]
+        alone = [evaluate(scene, layout.with_poses(row), **options) for row in poses]
+        for name in FOUR:
             # The same counts; their sums may be rounded in another order.
-            np.testing.assert_allclose(getattr(many, name), alone, 0, 3e-7)
+            one_by_one = [getattr(scores, name) for scores in alone]
+            np.testing.assert_allclose(getattr(many, name), one_by_one, 0, 3e-7)
         assert np.ptp(many.surrogate) > 0.01
 
 

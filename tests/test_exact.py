@@ -1,14 +1,24 @@
 """Scores counted in bit masks against the same measures with a number for every voxel."""
 
 from dataclasses import replace
+from itertools import product
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, TALL, no_traffic, random_layout, random_traffic, world
+from worlds import (
+    CAMERA,
+    LIDAR,
+    TALL,
+    no_traffic,
+    random_layout,
+    random_traffic,
+    slow_but,
+    world,
+)
 
-from inspe_jax import exact, metrics
+from inspe_jax import exact, masks, metrics
 from inspe_jax import world as made
 from inspe_jax.measures import Crew, Field, measure
 from inspe_jax.sensing import view_masks
@@ -21,7 +31,7 @@ UNITS = ((0, 2), (1,), (3,))  # as failures: several sensors in a group, not in 
 SCENES = {
     "plain": dict(),
     "sloping, off centre": dict(slope=0.08, center=(812.0, -455.0, 31.0)),
-    "more levels than a word has bits": dict(voxel=0.1, radius=10.0, frames=2),
+    "more levels than a word has bits": TALL,
     "two words of vehicles": dict(count=45),
     "two parts of frames": dict(frames=131, count=3, voxel=1.0, radius=10.0),
     "no vehicle": dict(count=0),
@@ -56,6 +66,7 @@ def assert_same(dense, counted):
 @pytest.mark.parametrize("name", SCENES)
 def test_masks_count_what_numbers_add_up_to(name):
     scene = world(seed=3, **SCENES[name])
+    assert (scene.voxels.level_count > masks.WORD) == (SCENES[name] is TALL)
     x, y = scene.voxels.center[:2]
     layout = random_layout(scene, SPECS, seed=5)
     if scene.voxels.radius <= 10:  # nearer, so that something is seen
@@ -67,17 +78,27 @@ def test_masks_count_what_numbers_add_up_to(name):
     assert_same(dense, counted)
 
 
-@pytest.mark.parametrize("reference", metrics.OCCLUSION_REFERENCES)
-@pytest.mark.parametrize("visibility", ["in_view", "line_of_sight"])
-@pytest.mark.parametrize(
-    "failures",
-    [pytest.param((), id="whole"), pytest.param(UNITS, id="failures")],
-)
-def test_every_reading_is_counted_alike(reference, visibility, failures):
+READINGS = list(product(metrics.OCCLUSION_REFERENCES, ["in_view", "line_of_sight"]))
+
+
+def check_reading(reference, visibility, failures):
     scene = world(seed=7, count=20)
     layout = random_layout(scene, SPECS, seed=8, heights=(1.0, 4.0))
     options = dict(occlusion_reference=reference, visibility=visibility)
     assert_same(*both(scene, layout, failures, **options))
+
+
+@pytest.mark.parametrize(("reference", "visibility"), READINGS)
+def test_every_reading_is_counted_alike(reference, visibility):
+    """With all sensors, and without those of each unit."""
+    check_reading(reference, visibility, UNITS)
+
+
+@pytest.mark.parametrize(
+    "reading", slow_but(READINGS, ("covered", "line_of_sight")), ids=map("-".join, READINGS)
+)
+def test_without_failures_every_reading_is_counted_alike(reading):
+    check_reading(*reading, ())
 
 
 def test_a_sensor_in_every_awkward_place():

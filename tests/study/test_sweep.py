@@ -118,14 +118,8 @@ def test_a_running_scheduler_does_the_same(undisturbed, tmp_path):
     """On all cores at once, so that sums may be rounded otherwise."""
     path, _ = undisturbed
     study = load_study(path)
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
-        rows = sweep(study, tmp_path / "out", scheduler=cluster.scheduler_address)
+    with in_this_process() as running:
+        rows = sweep(study, tmp_path / "out", scheduler=running.scheduler_address)
     for row, same in zip(rows, read_results(path.parent / "out"), strict=True):
         assert row["key"] == same["key"]
         assert float(row["surrogate"]) == pytest.approx(float(same["surrogate"]), abs=1e-6)
@@ -140,6 +134,17 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     _, err = process.communicate(timeout=500)
     assert process.returncode == 0, err
     assert (tmp_path / "out" / "results.csv").read_bytes() == whole
+
+
+def in_this_process() -> distributed.LocalCluster:
+    """A scheduler with a worker that is a thread."""
+    return distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        dashboard_address="127.0.0.1:0",
+    )
 
 
 def kill_a_worker(process: subprocess.Popen) -> None:
@@ -226,8 +231,17 @@ def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):
     scene = build_scene(built_in("four_way"), radius=20, voxel=2, frames=2, density=5)
     assert evaluate(scene, moved).surrogate == pytest.approx(float(found["surrogate"]), abs=1e-6)
     assert sweep(study, tmp_path / "out") == rows  # nothing is left to do, and no worker starts
-    again = sweep(study, tmp_path / "out", workers=1, retry=True)
+    told.clear()
+    with in_this_process() as running:
+        again = sweep(
+            study,
+            tmp_path / "out",
+            scheduler=running.scheduler_address,
+            retry=True,
+            progress=lambda *at: told.append(at),
+        )
     assert again == rows
+    assert told == [(n, 16) for n in range(2, 17)]  # those that were done are not done again
 
 
 @pytest.mark.process
@@ -285,7 +299,8 @@ class Completed(list):
     add = list.append
 
 
-def test_bad_options(tmp_path):
+def test_bad_options(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "TIMEOUT", 0.3)
     study = load_study(write(tmp_path))
     with pytest.raises(InspeError, match="workers 0: 1 or more"):
         sweep(study, tmp_path / "out", workers=0)

@@ -142,8 +142,8 @@ def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
     assert {str(result.objective_before), str(result.objective)} <= set(reader.titles)
     sheets = report_sheets(scene, [entry], front=front)
     assert len(re.findall(rb"/Type /Page\b", sheets)) == len(shown)
-    plain = Reader(report_page(scene, [entry_of(case, begun, (0.3, 0.5, 0.2))]))
-    assert len(plain.images) == 2 + len(CAPTIONS)
+    plain = entry_of(case, begun, (0.3, 0.5, 0.2))
+    assert plain.result is plain.before is plain.tolerance is None  # as the entries of `page`
 
 
 def test_layouts_have_names_of_their_own(scene, entries):

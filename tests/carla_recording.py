@@ -25,7 +25,9 @@ from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 
 TOWN, JUNCTION = "Town10HD", 189
-FRAMES, RATE, SEED = 20, 10.0, 3
+FRAMES, RATE, SEED = 8, 10.0, 3
+AGAIN = 5
+"""The frame that is asked for twice."""
 RECORDING = Recording(
     rate=RATE,
     layers=("depth", "instance", "semantic"),
@@ -64,7 +66,7 @@ def record(port: int, file: Path) -> None:
     seen, folder = scene(), file.parent / "train" / TOWN
     with at(port, seen, conditions=RAIN) as recorder:
         frames = [recorder.frame(t) for t in range(FRAMES)]
-        again = recorder.frame(7)
+        again = recorder.frame(AGAIN)
         told = look_at(port)
     world = dict(
         fixed_delta_seconds=1 / RATE, client_port=port, seed=SEED, weather=RAIN.record, town=TOWN
@@ -72,10 +74,10 @@ def record(port: int, file: Path) -> None:
     write_protocol(folder, {"world": world}, frames[0].stations)
     for frame in frames:
         write_frame(folder, frame)
-    for one, other in zip(frames[7].things, again.things, strict=True):
+    for one, other in zip(frames[AGAIN].things, again.things, strict=True):
         assert (one.track, one.name, one.kind) == (other.track, other.name, other.kind)
         np.testing.assert_array_equal(one.center, other.center)
-    (one,), (other,) = frames[7].stations, again.stations
+    (one,), (other,) = frames[AGAIN].stations, again.stations
     np.testing.assert_array_equal(one.scans[0].points, other.scans[0].points)
     for image, same in zip(one.images, other.images, strict=True):
         for layer in RECORDING.layers:

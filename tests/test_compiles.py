@@ -1,5 +1,7 @@
 """What is compiled once serves other traffic, lights, junctions, layouts and devices."""
 
+from functools import cache
+
 import jax
 import numpy as np
 import pytest
@@ -19,9 +21,10 @@ OTHER_LIDAR = LidarSpec(
 OTHER_CAMERA = CameraSpec("other-camera", 640, 480, 500.0, (320.0, 240.0), 0.1, 40.0, 0.8)
 
 
+@cache
 def scene_of(name="t_junction", density=10, seed=0):
     return inspe_jax.build_scene(
-        inspe_jax.built_in(name), radius=15, voxel=0.5, frames=3, density=density, seed=seed
+        inspe_jax.built_in(name), radius=15, voxel=1.0, frames=3, density=density, seed=seed
     )
 
 

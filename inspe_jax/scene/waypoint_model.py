@@ -287,14 +287,15 @@ class WaypointModel:
             point, heading = self.point[on[j], :2], self.heading[on[j]]
             return _overlap(at[:, :2], toward, probe[i], point, heading, half[j])
 
-        at = self.paths.at(self.path[on, None], self.arc[on, None] + ahead)  # (M, D, 3)
-        apart = at[:, :, None, :2] - self.point[None, None, on, :2]  # (M, D, M, 2)
+        i, d = np.nonzero(ahead < needed[:, None])  # the (L,) looks
+        at = self.paths.at(self.path[on[i]], self.arc[on[i]] + ahead[i, d])  # (L, 3)
+        x, y = (at[:, k, None] - self.point[on, k] for k in (0, 1))  # (L, M)
         # Circles about both bodies; in a bend the probe's centre is a little off its path.
         reach = np.hypot(*probe.T)[:, None] + np.hypot(*half.T) + 1.0
-        close = apart[..., 0] ** 2 + apart[..., 1] ** 2 < (reach**2)[:, None, :]
-        close &= (ahead < needed[:, None])[:, :, None]
-        close[np.arange(len(on)), :, np.arange(len(on))] = False
-        i, d, j = np.nonzero(close)
+        close = x**2 + y**2 < (reach**2)[i]
+        close[np.arange(len(i)), i] = False
+        k, j = np.nonzero(close)
+        i, d = i[k], d[k]
         hit = meets(i, j, ahead[i, d])
         i, d, j = i[hit], d[hit], j[hit]
         free, leader = np.full(len(on), float(HORIZON)), np.full(len(on), -1)

@@ -70,7 +70,7 @@ class Paths:
     ) -> Float[np.ndarray, "*S 3"]:
         """Point [m] at an arc length [m] of a path; straight on beyond its ends."""
         place = arc / SPACING
-        below = np.clip(np.floor(place).astype(int), 0, self.count[path] - 2)
+        below = np.minimum(np.maximum(np.floor(place).astype(int), 0), self.count[path] - 2)
         part = (place - below)[..., None]
         below = below + self.start[path]
         return self.point[below] * (1 - part) + self.point[below + 1] * part

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
@@ -272,9 +273,11 @@ def test_servers_that_will_not_do_are_told_plainly(maps, tmp_path):
         "taken": (town,),
     }
     with ExitStack() as stack:
-        ports = {
-            name: stack.enter_context(carla_wire.serving(*given)) for name, given in servers.items()
-        }
+        with ThreadPoolExecutor() as pool:
+            begun = pool.map(
+                lambda given: stack.enter_context(carla_wire.serving(*given)), servers.values()
+            )
+            ports = dict(zip(servers, begun, strict=True))
         given = [f"{name}:{port}" for name, port in {"nobody": nobody, **ports}.items()]
         run_client("errors", 0, tmp_path / "told.json", *given)
     told = json.loads((tmp_path / "told.json").read_text())

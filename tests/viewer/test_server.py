@@ -44,6 +44,14 @@ def scene():
     return world(radius=14.0, voxel=2.0, frames=2, count=2)
 
 
+@pytest.fixture(autouse=True)
+def _at_once(monkeypatch):
+    """What is typed counts as soon as it comes, and every refusal has its line: the tests come
+    faster than people do. `test_viewer` has how long more typing is waited for."""
+    monkeypatch.setattr("inspe_jax.viewer.app.TYPED", 0.01)
+    monkeypatch.setattr("inspe_jax.report.server.WHILE", 0.0)
+
+
 @pytest.fixture
 def fresh(scene, layout, tmp_path):
     """A page that nobody has changed."""

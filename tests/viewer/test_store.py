@@ -151,7 +151,11 @@ def test_a_file_that_is_no_layout_is_neither_replaced_nor_opened(path, layout):
         store.open(store.earlier[0])
 
 
-def test_a_report_stands_beside_another_run_s(path, layout):
+def test_a_report_stands_beside_another_run_s(path, layout, monkeypatch):
+    pages = iter(["first", "second"])
+    monkeypatch.setattr(
+        "inspe_jax.viewer.store.report_page", lambda scene, entries, frame: next(pages)
+    )
     scene = world(radius=14.0, voxel=2.0, frames=2, count=2)
     path.with_suffix(".html").write_text("mine")
     store, told = Store(path, layout), []
@@ -160,3 +164,4 @@ def test_a_report_stands_beside_another_run_s(path, layout):
         store.close()
     assert [(page.name, wrong) for page, wrong in told] == [("moved-2.html", None)] * 2
     assert path.with_suffix(".html").read_text() == "mine"
+    assert path.with_name("moved-2.html").read_text() == "second"

@@ -418,12 +418,17 @@ class Viewer:
     def _show_controls(self) -> None:
         s, layout = self._picked, self.layout
         sensor, pose = layout.sensors[s], np.asarray(layout.poses[s], float)
-        self.panel.list_sensors([sensor.name for sensor in layout.sensors], s)
-        self.panel.offer_device(sensor.spec.name)
         pitch, yaw = np.degrees(pose[4:6])
         numbers = dict(x=pose[0], y=pose[1], height=self.session.height(s), yaw=yaw, pitch=pitch)
-        for key, value in numbers.items():
-            put(self.panel.pose[key], round(float(value), 1))
+
+        def show() -> None:
+            self.panel.list_sensors([sensor.name for sensor in layout.sensors], s)
+            self.panel.offer_device(sensor.spec.name)
+            for key, value in numbers.items():
+                put(self.panel.pose[key], round(float(value), 1))
+
+        # Where browsers are heard: not between a number that is typed and who reads it.
+        self.server.get_event_loop().call_soon_threadsafe(show)
         self._show_handle()
 
     def _show_handle(self) -> None:

@@ -306,6 +306,26 @@ def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
     assert len(caplog.messages) == (1 if isinstance(number, str) else 3)
 
 
+def test_a_typed_number_is_read_before_the_controls_are_shown_anew(fresh, layout, monkeypatch):
+    """Even if that is asked for when the number has come, and nobody has read it yet."""
+    number = fresh.panel.pose["pitch"]._impl
+    told = number.sync_cb
+
+    def meanwhile(*what):
+        told(*what)
+        thread = threading.Thread(target=fresh._show_controls)
+        thread.start()
+        thread.join()
+
+    monkeypatch.setattr(number, "sync_cb", meanwhile)
+    with socket_of(fresh.url) as page:
+        enter(page)
+        wait_until(lambda: fresh.server.get_clients())
+        set_value(page, fresh.panel.pose["pitch"], -7.0)
+        wait_until(lambda: fresh.layout is not layout)
+    assert np.degrees(fresh.layout.poses[0, 4]) == pytest.approx(-7.0)
+
+
 def test_what_a_window_without_a_size_sends_is_dropped(fresh, layout, caplog, capfd):
     """And a rotation that is none; the same page goes on."""
     with socket_of(fresh.url) as page:

@@ -1,6 +1,7 @@
 """Strict promotion and no NaN, for every test; compiled quickly, once, and within a budget."""
 
 import atexit
+import gc
 import hashlib
 import os
 import platform
@@ -22,6 +23,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_nans", True)
 
+gc.set_threshold(100_000, 50, 100)  # what is traced is many small objects, most of which stay
+
 QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 """Tests ask what code means, not how fast it is: XLA compiles in a quarter of the time, and what
 it compiles runs fast enough on scenes as small as these."""
@@ -29,7 +32,7 @@ it compiles runs fast enough on scenes as small as these."""
 KEPT = 2 * 2**30
 """Bytes of compiled programs that are kept from run to run."""
 
-PROGRAMS = 3600
+PROGRAMS = 2400
 """Programs that all tests together may compile, or read where another process compiled them.
 
 Each is traced, lowered and compiled, and that is most of what a run takes. A test that needs many

@@ -19,12 +19,6 @@ def scene():
     return inspe_jax.build_scene(place, radius=30, voxel=0.5, frames=4, density="medium")
 
 
-@pytest.fixture(scope="module")
-def small():
-    place = inspe_jax.built_in("four_way")
-    return inspe_jax.build_scene(place, radius=20, voxel=1.0, frames=4, density="medium")
-
-
 @pytest.mark.parametrize("name", slow_but(["Cam-d1", "L-c"], "Cam-d1"))
 def test_slopes_are_differences_of_the_exact_score(scene, name):
     """Over ±20 cm and ±1°, over which the exact staircase is nearly even.
@@ -55,32 +49,32 @@ def test_slopes_are_differences_of_the_exact_score(scene, name):
         np.testing.assert_allclose(ours[:, kind], exact[:, kind], atol=largest / 6)
 
 
-def test_no_error_leaves_the_score_and_errors_repeat(small):
-    layout = inspe_jax.strategy(small, "Cam-d1")
-    still = tolerance(small, layout, position=0.0, angle=0.0, samples=2)
+def test_no_error_leaves_the_score_and_errors_repeat(scene):
+    layout = inspe_jax.strategy(scene, "Cam-d1")
+    still = tolerance(scene, layout, position=0.0, angle=0.0, samples=2)
     assert still.left.tolist() == [still.score] * 2
-    assert still.score == pytest.approx(inspe_jax.evaluate(small, layout).surrogate, abs=1e-6)
+    assert still.score == pytest.approx(inspe_jax.evaluate(scene, layout).surrogate, abs=1e-6)
     rough = dict(position=0.5, angle=np.radians(8.0), samples=6)
     calls = []
-    one = tolerance(small, layout, **rough, progress=lambda *at: calls.append(at))
+    one = tolerance(scene, layout, **rough, progress=lambda *at: calls.append(at))
     assert calls[-1] == (6, 6)
-    assert one.left.tolist() == tolerance(small, layout, **rough).left.tolist()
-    assert one.left.tolist() != tolerance(small, layout, **rough, seed=1).left.tolist()
+    assert one.left.tolist() == tolerance(scene, layout, **rough).left.tolist()
+    assert one.left.tolist() != tolerance(scene, layout, **rough, seed=1).left.tolist()
     assert one.low <= one.mean < one.score
     assert np.ptp(one.left) > 1e-4
 
 
-def test_where_nothing_may_be_mounted_what_stands_has_its_tolerance(small):
-    layout = inspe_jax.strategy(small, "L-c")
-    bare = replace(small, intersection=replace(small.intersection, mounting=Polygon()))
+def test_where_nothing_may_be_mounted_what_stands_has_its_tolerance(scene):
+    layout = inspe_jax.strategy(scene, "Cam-d1")
+    bare = replace(scene, intersection=replace(scene.intersection, mounting=Polygon()))
     options = dict(samples=1, position=0.0, angle=0.0)
-    assert tolerance(bare, layout, **options).score == tolerance(small, layout, **options).score
+    assert tolerance(bare, layout, **options).score == tolerance(scene, layout, **options).score
 
 
-def test_the_objective_is_the_callers(small):
-    layout = inspe_jax.strategy(small, "Cam-d1")
-    found = tolerance(small, layout, samples=1, objective=Objective(weights=(1.0, 0.0, 0.0)))
-    assert found.score == pytest.approx(inspe_jax.evaluate(small, layout).coverage, abs=1e-6)
+def test_the_objective_is_the_callers(scene):
+    layout = inspe_jax.strategy(scene, "Cam-d1")
+    found = tolerance(scene, layout, samples=1, objective=Objective(weights=(1.0, 0.0, 0.0)))
+    assert found.score == pytest.approx(inspe_jax.evaluate(scene, layout).coverage, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -93,6 +87,6 @@ def test_the_objective_is_the_callers(small):
         (dict(seed=-1), "seed -1: a whole number, 0 or more"),
     ],
 )
-def test_options_out_of_range(small, options, message):
+def test_options_out_of_range(scene, options, message):
     with pytest.raises(InspeError, match=message):
-        tolerance(small, inspe_jax.strategy(small, "L-c"), **options)
+        tolerance(scene, inspe_jax.strategy(scene, "L-c"), **options)

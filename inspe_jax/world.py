@@ -81,6 +81,17 @@ class World:
     split: Tile | None = None
 
     @property
+    def voxel_occupancy(self) -> Float[np.ndarray, " V"]:
+        """p̂ of the voxels as the scene has them; 0 where it is 1, which has no entropy either."""
+        there = self.tiles.tile.there
+        found = np.zeros((there.size, self.tiles.tile.heights.shape[-2]))
+        share = np.asarray(self.occupancy, float)
+        unsure = share > 0  # the others fill it up
+        column, level = (np.asarray(at)[unsure] for at in (self.column, self.level))
+        found[column, level] = share[unsure]
+        return self.tiles.of_voxels(found.reshape(*there.shape, -1))
+
+    @property
     def bucketed(self) -> "World":
         """The world without what has a length of its own in every scene: what is compiled for it
         serves others too."""

@@ -189,6 +189,25 @@ def test_a_world_is_kept_as_long_as_its_scene():
     assert made.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
 
 
+@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5])
+def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel):
+    """Each centre against each box, by hand; where it always is, 0 does as well as 1."""
+    scene = world(voxel=voxel, radius=10.0, frames=3, count=9, slope=0.05)
+    t, inside = scene.traffic, []
+    for k in range(3):
+        away = scene.voxels.centers[:, None] - t.center[k]  # (V, B, 3)
+        cos, sin = np.cos(t.yaw[k]), np.sin(t.yaw[k])
+        along, aside = (
+            away[..., 0] * cos + away[..., 1] * sin,
+            away[..., 1] * cos - away[..., 0] * sin,
+        )
+        within = np.abs(np.stack([along, aside], -1)) < t.size[k, :, :2] / 2
+        inside.append((within.all(-1) & (away[..., 2] < t.size[k, :, 2] / 2) & t.valid[k]).any(1))
+    share = np.mean(inside, 0)
+    assert 0.01 < ((share > 0) & (share < 1)).mean() < 0.5
+    np.testing.assert_allclose(made.world_of(scene).voxel_occupancy, share % 1, atol=1e-6)
+
+
 @pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5, 2.0])
 def test_tiles_hold_every_voxel_once(voxel):
     scene = world(voxel=voxel, radius=10.0, slope=0.1)

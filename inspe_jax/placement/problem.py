@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax import metrics
-from inspe_jax.arrays import on_host
+from inspe_jax.arrays import on_device, on_host
 from inspe_jax.cores import Job, run
 from inspe_jax.errors import InspeError
 from inspe_jax.evaluation import check_entropy, check_options
@@ -206,12 +206,11 @@ class Problem:
         """Every case's arrays in full."""
         found = []
         for case in self.cases:
-            ground = about_center(case.scene)
-            occupancy = _occupancy(ground)
+            world = world_of(case.scene)
             if self.objective.weights[2] > 0:
-                check_entropy(case.scene, metrics.entropy(occupancy).sum())
-            weight = jnp.asarray(case.scene.voxels.weight, float)
-            found.append(Field(ground, weight, occupancy))
+                check_entropy(case.scene, metrics.entropy(world.occupancy).sum())
+            arrays = case.scene.voxels.weight, world.voxel_occupancy
+            found.append(Field(about_center(case.scene), *(on_device(x, float) for x in arrays)))
         return tuple(found)
 
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
@@ -378,17 +377,6 @@ def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:
     """``count`` evenly spread indices of ``total``, from a random first one."""
     count = min(count, total)
     return ((rng.uniform() + np.arange(count)) * total / count).astype(int).clip(0, total - 1)
-
-
-@jax.jit
-def _occupancy(ground: Ground) -> Float[Array, " V"]:
-    """p̂, the share of frames in which each voxel is inside a vehicle."""
-
-    def add(total: Array, prisms: Prism) -> tuple[Array, None]:
-        return total + step(solid_top(ground.columns, prisms)[:, None] - ground.heights), None
-
-    total = jax.lax.scan(add, jnp.zeros_like(ground.heights), ground.prisms)[0]
-    return total.reshape(-1) / len(ground.prisms.top)
 
 
 @partial(jax.jit, static_argnames="reference")

@@ -153,7 +153,7 @@ def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
     def score(*at: Any) -> tuple[Any, Any]:
         *given, drawn, softness = at
         value, slope = problem.slope(forward(*given), problem.take(drawn), softness)
-        return jnp.asarray(-value, float), back(-slope, *given)
+        return on_host(-value, float), back(-slope, *given)
 
     return score
 

@@ -235,10 +235,10 @@ class Problem:
             measures.append(found)
         return self._combined(scores(measures, self.terms.weights, self.terms.failures))
 
-    def _combined(self, scores: Float[Array, " N"]) -> float:
+    def _combined(self, each: Float[Array, " N"]) -> float:
         """The objective of P_sm in every case."""
         combine = COMBINATIONS[self.objective.over][1]
-        return float(combine(np.asarray(scores, float))) - self.price
+        return float(combine(np.asarray(each, float))) - self.price
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
         """Evenly spread columns and frames of each case from a random first one; all if fewer.

@@ -1,16 +1,15 @@
 """The gradient methods: that they climb, that a seed repeats, that a checkpoint goes on."""
 
 import gc
-import io
 import weakref
 from functools import cache, partial
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from checkpoints import Checkpoint
 from mounts import assert_mountable, lanes_of
 
 from inspe_jax.arrays import on_host
@@ -19,6 +18,7 @@ from inspe_jax.metrics import surrogate
 from inspe_jax.numerics import Softness
 from inspe_jax.placement import greedy_adam
 from inspe_jax.placement.adam import annealed, charted_score
+from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.gradient import GRADIENTS
 from inspe_jax.placement.problem import Problem, take
 from inspe_jax.placement.rounds import scaled_score
@@ -70,9 +70,7 @@ class Known(Problem):
 
     def rough(self, x, sample):
         at = self.at + moved(sample.fields)
-        return np.array(
-            [float(nearness(self.space.poses(jnp.asarray(row, float)), at)) for row in x]
-        )
+        return np.array([float(nearness(row, at)) for row in poses(self.space, x)])
 
     def slope(self, poses, on, softness):
         value, slope = slope_of_nearness(poses, self.at + moved(on))
@@ -97,15 +95,6 @@ def known(scene):
     return Known(scene, cameras(scene, turned=2.0), cameras(scene))
 
 
-class Step(NamedTuple):
-    """A state on the way of a run, and what a checkpoint has beside it."""
-
-    state: dict | None
-    spent: tuple[float, float]
-    scores: int
-    best: int
-
-
 def go(problem, name, seed=0, state=None, run=None, steps=10**9):
     """A method from its start or a state: the run, and every state on the way."""
     method = METHODS[name]
@@ -116,8 +105,7 @@ def go(problem, name, seed=0, state=None, run=None, steps=10**9):
     way = []
 
     def passed(state):
-        spent = run.seconds, run.evaluations
-        way.append(Step(state, spent, len(run.history), len(run.path)))
+        way.append(Checkpoint.of(run, state))
         return state
 
     try:
@@ -247,17 +235,10 @@ def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(tried, name
     """Through a file: no pickle, all as it was."""
     problem, whole, way = tried(name)
     after = len(way) // 2 if at == "half way" else drafted(way) - at.startswith("before")
-    state, spent, scores, best = way[after]
-    file = io.BytesIO()
-    np.savez(file, **state)
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as held:
-        read = {k: held[k] for k in held.files}
-    state = {k: v.item() if v.ndim == 0 else v for k, v in read.items()}
     again = Run(problem, whole.start, seed=0, evaluations=whole.limits[1])
-    again.take_up(*spent, whole.history[:scores], whole.path[:best])
-    go(problem, name, state=state, run=again)
-    assert 1 < scores < len(whole.history)
+    way[after].take_up(again, whole)
+    go(problem, name, state=way[after].state, run=again)
+    assert 1 < way[after].scores < len(whole.history)
     assert [row.score for row in again.history] == [row.score for row in whole.history]
 
 

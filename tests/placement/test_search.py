@@ -1,10 +1,10 @@
 """The baselines on functions with a known optimum, and on a small crossing."""
 
-import io
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from checkpoints import Checkpoint
 from worlds import CAMERA, LIDAR, random_traffic, world
 
 from inspe_jax import exact
@@ -47,20 +47,10 @@ def go(method, run, state=None, steps=10**9, seen=None):
             if state is None:
                 return None
             if seen is not None:
-                seen.append(state)
+                seen.append(Checkpoint.of(run, state))
     except BudgetSpent:
         return None
     return state
-
-
-def saved(state):
-    """Through a file as checkpoints are: no pickle, and numbers and strings as they were."""
-    file = io.BytesIO()
-    np.savez(file, **state)
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as held:
-        found = {k: held[k] for k in held.files}
-    return {k: v.item() if v.ndim == 0 else v for k, v in found.items()}
 
 
 # ── Functions with a known optimum ──────────────────────────────────────────
@@ -117,11 +107,11 @@ def test_cma_restarts_with_twice_the_population_and_finds_the_higher_summit():
         low = np.exp(-((x[:, :4]) ** 2).sum(1))
         return low + 3 * np.exp(-((x[:, :4] - 2) ** 2).sum(1))
 
-    problem, sizes = Bowl(Box(), height), []
+    problem = Bowl(Box(), height)
     run = Heard(problem, np.zeros(5), evaluations=300)
-    states = []
-    go(METHODS["cma-es"], run, seen=states)
-    sizes = [state["told"].shape[1] for state in states if len(state["told"]) == 0]
+    seen = []
+    go(METHODS["cma-es"], run, seen=seen)
+    sizes = [at.state["told"].shape[1] for at in seen if len(at.state["told"]) == 0]
     assert sizes[:2] == [16, 32]
     assert run.best == pytest.approx(height(np.full((1, 4), 2.0))[0], abs=0.02)
 
@@ -206,23 +196,12 @@ def whole(problem, start, runs):
 
     def of(name):
         if name not in runs:
-            run, seen = Heard(problem, start, BUDGET[name]), Kept()
-            seen.run = run
+            run, seen = Heard(problem, start, BUDGET[name]), []
             go(METHODS[name], run, seen=seen)
             runs[name] = run, seen
         return runs[name]
 
     return of
-
-
-class Kept(list):
-    """States, which are flat, as they go through a file, with their run's account at that time."""
-
-    def append(self, state):
-        run = self.run
-        account = run.seconds, run.evaluations, list(run.history), list(run.path)
-        assert all(isinstance(v, np.ndarray | int | float | str | bool) for v in state.values())
-        super().append((saved(state), account))
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -255,13 +234,11 @@ def test_from_any_checkpoint_a_run_goes_on_as_if_nothing_had_come_between(
 ):
     first, seen = whole(name)
     if name == "greedy":
-        assert {state["phase"] for state, _ in seen} == {"look", "place", "exchange", "move"}
+        assert {at.state["phase"] for at in seen} == {"look", "place", "exchange", "move"}
     for stop in {len(seen) // 2, len(seen) - 2}:
-        # Another process has nothing but the state, and the run's own account.
-        state, account = seen[stop - 1]
         later = Heard(problem, start, BUDGET[name])
-        later.take_up(*account)
-        go(METHODS[name], later, state)
+        seen[stop - 1].take_up(later, first)
+        go(METHODS[name], later, seen[stop - 1].state)
         assert later.offers == first.offers, stop
 
 

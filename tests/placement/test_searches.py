@@ -14,8 +14,7 @@ MAPS = {
     "roundabout": tuple(METHODS),
     "t_junction": ("greedy-adam", "grid", "random", "greedy", "cma-es"),
 }
-"""Of the methods that only move within their charts one will do for the second map: the gradients
-of each take half a minute to compile."""
+"""Of the methods that only move within their charts one will do for the second map."""
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def world(quick: bool, seed: int) -> Scene:
         place = read_opendrive(MAPS / "Town03.xodr", junction=222, radius=radius)
     else:
         place = inspe_jax.built_in("four_way")
-    return inspe_jax.build_scene(place, radius=radius, frames=frames, seed=seed)
+    return inspe_jax.build_scene(place, profile="ideal", radius=radius, frames=frames, seed=seed)
 
 
 def random_layout(scene: Scene, specs: list[Spec], rng: np.random.Generator) -> Layout:

@@ -59,14 +59,14 @@ WORKLOADS: dict[str, dict[str, Any]] = {
 
 def workload(name: str, seed: int, **other: Any) -> Scene:
     """One of the workloads, some of its settings changed."""
-    size = WORKLOADS[name] | other
+    size: dict[str, Any] = dict(profile="ideal", seed=seed) | WORKLOADS[name] | other
     if name != "quick" and (MAPS / "Town05.xodr").is_file():
         from inspe_jax.scene.opendrive import read_opendrive
 
         place = read_opendrive(MAPS / "Town05.xodr", junction=53, radius=size["radius"])
     else:
         place = inspe_jax.built_in("four_way")
-    return inspe_jax.build_scene(place, **size, seed=seed)
+    return inspe_jax.build_scene(place, **size)
 
 
 def sensors(scene: Scene, times: int = 1) -> Layout:

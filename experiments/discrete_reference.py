@@ -42,7 +42,12 @@ def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
     """The scene, and one ideal camera on each unit of the paper's Cam-d1."""
     radius, voxel, frames = (25.0, 2.0, 3) if quick else (50.0, 1.0, 10)
     scene = inspe_jax.build_scene(
-        inspe_jax.built_in("four_way"), radius=radius, voxel=voxel, frames=frames, seed=seed
+        inspe_jax.built_in("four_way"),
+        profile="ideal",
+        radius=radius,
+        voxel=voxel,
+        frames=frames,
+        seed=seed,
     )
     given = inspe_jax.strategy(scene, "Cam-d1")
     first = [members[0] for members in given.members()]

@@ -3,8 +3,10 @@
 Every method, several seeds, on three built-in and five town junctions, with 8 cameras, with 4
 LiDARs and with both: 24 cells. All start from the same layout, work on samples of the same size,
 and get the same seconds; each is compiled before its time begins, and what that takes is a column
-of its own. Scores are exact, of the whole scene. Prints the median over the seeds for each cell,
-which methods win, and how soon the gradient reaches what the grid ends with.
+of its own. With ``--cold`` each runs in a process of its own that keeps nothing compiled, and its
+time is its user's: it begins when the search is called, and compiling is part of it. Scores are
+exact, of the whole scene. Prints the median over the seeds for each cell, which methods win, and
+how soon the gradient reaches what the grid ends with.
 
 A run that is stopped goes on from what it has written: rows are appended as they come. To use
 several cores, run it for some places on each, and put their CSVs together; each search then has
@@ -15,6 +17,8 @@ import argparse
 import csv
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +30,7 @@ from rich.console import Console
 
 import inspe_jax
 from inspe_jax import Layout, Scene
+from inspe_jax.compiling import compiled
 from inspe_jax.files import write_text
 from inspe_jax.placement.gradient import GRADIENTS
 from inspe_jax.placement.optimise import METHODS, warming
@@ -44,8 +49,11 @@ PLACES = (*BUILT_INS, *(f"{town} {junction}" for town, junction in TOWNS))
 GRADIENT = [method.name for method in GRADIENTS]
 FIELDS = (
     "place", "mix", "method", "seed", "budget", "start", "score", "evaluations", "seconds",
-    "compiling",
+    "compiling", "clock",
 )  # fmt: skip
+
+Found = Iterator[tuple[int, str, list[Progress], float, float]]
+"""Searches as they come: seed, method, scores, work in exact scores, and seconds of compiling."""
 
 console = Console()
 
@@ -57,6 +65,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
     parser.add_argument("--places", default="", help="only these, with commas")
+    parser.add_argument("--cold", action="store_true", help="compiling is part of the time")
     parser.add_argument("--mixes", default=",".join(MIXES), help="with commas")
     found = parser.parse_args()
     for name, known in (("methods", METHODS), ("mixes", MIXES), ("places", PLACES)):
@@ -64,9 +73,11 @@ def options() -> argparse.Namespace:
             if part and part not in known:
                 parser.error(f"--{name} {part}: some of {', '.join(known)}")
     if found.quick:
-        found.seconds, found.seeds = 2.0, 1
+        found.seconds, found.seeds = 5.0 if found.cold else 2.0, 1
         if found.methods == parser.get_default("methods"):
             found.methods = "greedy-adam,grid,greedy,cma-es"  # the others compile for a minute
+            if found.cold:  # each of them for a quarter of one
+                found.methods = "greedy-adam,greedy"
     found.out.mkdir(parents=True, exist_ok=True)
     return found
 
@@ -95,50 +106,80 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
 
 
 def search(
-    problem: Problem, method: Method, seed: int, **budget: float
+    problem: Problem, method: Method, seed: int, **budget: float | None
 ) -> tuple[Run, list[Progress]]:
     """One search from the given layout, without what comes before and after it."""
     run = Run(problem, problem.space.start(problem.layout)[0], seed=seed, **budget)  # type: ignore[arg-type]
     try:
+        run.compile_ahead(method)
         run.offer(run.start)
         state: Any = method.begin(run)
         while state is not None:
             state = method.step(run, state)
     except BudgetSpent:
         pass
+    finally:
+        run.close()
     return run, run.history
 
 
-def cell(
-    place: str, mix: str, scene: Scene, layout: Layout, given: argparse.Namespace, done: set
-) -> Iterator[tuple[dict[str, Any], list[Progress]]]:
-    """Every method and seed on one cell."""
+def cold_search(
+    scene: Scene, layout: Layout, name: str, seed: int, seconds: float
+) -> tuple[list[Progress], float, float]:
+    """A search in a process that has compiled nothing: its scores, work, and time compiling."""
+    jax.config.update("jax_enable_compilation_cache", False)
+    before, began = compiled().seconds, time.monotonic()
+    problem = Problem(scene, layout)
+    run, history = search(problem, METHODS[name], seed, seconds=seconds, began=began)
+    return history, run.evaluations, compiled().seconds - before
+
+
+def cold_cell(scene: Scene, layout: Layout, seconds: float, todo: list[tuple[int, str]]) -> Found:
+    """Every search in a process of its own, which imports and gets the scene before it begins."""
+    for seed, name in todo:
+        with ProcessPoolExecutor(1, get_context("spawn")) as process:
+            task = process.submit(cold_search, scene, layout, name, seed, seconds)
+            yield seed, name, *task.result()
+
+
+def warm_cell(scene: Scene, layout: Layout, seconds: float, todo: list[tuple[int, str]]) -> Found:
+    """Every search in this process, each method compiled before."""
     problem = Problem(scene, layout)
     problem.exact(problem.space.start(layout)[0])
-    todo = [
-        (seed, name)  # in turns: a machine that is busy for a while then slows all methods alike
-        for seed in range(given.seeds)
-        for name in given.methods.split(",")
-        if (place, mix, name, str(seed)) not in done
-    ]
     compiling = {}
     for name in dict.fromkeys(name for _, name in todo):
         began = time.monotonic()
         search(problem, METHODS[name], 0, evaluations=warming(problem))
         compiling[name] = time.monotonic() - began
     for seed, name in todo:
-        run, history = search(problem, METHODS[name], seed, seconds=given.seconds)
-        row = (place, mix, name, seed, given.seconds, history[0].best, run.best)
-        spent = (run.evaluations, history[-1].seconds, compiling[name])
+        run, history = search(problem, METHODS[name], seed, seconds=seconds)
+        yield seed, name, history, run.evaluations, compiling[name]
+
+
+def cell(
+    place: str, mix: str, scene: Scene, layout: Layout, given: argparse.Namespace, done: set
+) -> Iterator[tuple[dict[str, Any], list[Progress]]]:
+    """Every method and seed on one cell."""
+    todo = [
+        (seed, name)  # in turns: a machine that is busy for a while then slows all methods alike
+        for seed in range(given.seeds)
+        for name in given.methods.split(",")
+        if (place, mix, name, str(seed)) not in done
+    ]
+    searches, clock = (cold_cell, "cold") if given.cold else (warm_cell, "compiled")
+    for seed, name, history, work, compiling in searches(scene, layout, given.seconds, todo):
+        row = (place, mix, name, seed, given.seconds, history[0].best, history[-1].best)
+        spent = (work, history[-1].seconds, compiling, clock)
         yield dict(zip(FIELDS, (*row, *spent), strict=True)), history
 
 
 def append(path: Path, rows: list[dict[str, Any]]) -> None:
     """Add rows to a CSV, with a head if it is new."""
-    new = not path.exists()
+    known = read(path)
+    names = list(known[0] if known else rows[0])  # a file of before may have fewer columns
     with path.open("a", newline="", encoding="utf-8") as f:
-        writer = csv.DictWriter(f, fieldnames=list(rows[0]), lineterminator="\n")
-        if new:
+        writer = csv.DictWriter(f, names, extrasaction="ignore", lineterminator="\n")
+        if not known:
             writer.writeheader()
         writer.writerows(rows)
 
@@ -260,7 +301,7 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
 def main() -> None:
     """Run what is missing; then the table and the picture of all there is."""
     given = options()
-    stem = "gradient_vs_grid_quick" if given.quick else "gradient_vs_grid"
+    stem = "gradient_vs_grid" + "_cold" * given.cold + "_quick" * given.quick
     path, courses_path = given.out / f"{stem}.csv", given.out / f"{stem}_history.csv"
     for row in read(path):
         if float(row["budget"]) != given.seconds:

@@ -53,7 +53,9 @@ def main() -> None:
     place, radius = intersection(options.quick)
     quick = dict(voxel=1.0, density="low", frames=20)
     whole = dict(voxel=0.5, density="medium", frames=200)
-    settings: dict[str, Any] = dict(radius=radius, **(quick if options.quick else whole))
+    settings: dict[str, Any] = dict(
+        profile="ideal", radius=radius, **(quick if options.quick else whole)
+    )
     seeds = range(options.seed, options.seed + (1 if options.quick else 3))
     layouts = ["Cam-d1", "L-d1"] if options.quick else list(STRATEGIES)
 

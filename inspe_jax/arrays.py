@@ -23,6 +23,15 @@ def bucket(count: int, least: int) -> int:
     return length
 
 
+def wide_bucket(count: int, least: int, most: float = np.inf) -> int:
+    """The least of ``least`` times 1, 4, 16, … that holds so many, where what is filled up is
+    skipped; a :func:`bucket` where that would be more than ``most``. 0 for none."""
+    length = least if count > 0 else 0
+    while length < count:
+        length *= 4
+    return length if length <= most else bucket(count, least)
+
+
 def on_host(x: Any, kind: Any = None) -> np.ndarray:
     """In NumPy, in the precision that JAX is set to; ``kind`` is float, or None for that of x."""
     x = np.asarray(x, kind)

@@ -5,10 +5,15 @@ A user waits for it, so who shows progress says so. From the events that JAX rec
 
 import contextlib
 import json
+import os
+import sys
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 import jax
 import jax.monitoring
@@ -46,6 +51,7 @@ class _Watch:
         self._stretches: list[tuple[float, float]] = []
         self._seconds = 0.0  # of all of them
         self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
+        self._whole: set[int] = set()  # threads of which all counts
 
     def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Both events of one program are recorded by the thread that waits for it."""
@@ -53,12 +59,29 @@ class _Watch:
             return
         thread, now = threading.get_ident(), time.monotonic()
         with self._lock:
+            self._programs += event == COMPILED
+            if thread in self._whole:
+                return
             if event == LOWERED:
                 self._since[thread] = now
             else:
                 self._since.pop(thread, None)
-                self._programs += event == COMPILED
             self._add(now - duration_secs, now)
+
+    @contextlib.contextmanager
+    def whole(self) -> Iterator[None]:
+        """All that this thread does meanwhile counts, tracing from its beginning on."""
+        thread, began = threading.get_ident(), time.monotonic()
+        with self._lock:
+            self._whole.add(thread)
+            self._since[thread] = began
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._whole.discard(thread)
+                self._since.pop(thread, None)
+                self._add(began, time.monotonic())
 
     def _add(self, begin: float, end: float) -> None:
         """One more stretch, no earlier in its end than the others: within it there may be some."""
@@ -73,9 +96,14 @@ class _Watch:
         alive = {thread.ident for thread in threading.enumerate()}
         with self._lock:
             self._since = {thread: at for thread, at in self._since.items() if thread in alive}
-            seconds, known = self._seconds, self._stretches[-1][1] if self._stretches else 0.0
+            seconds = self._seconds
             if self._since:
-                seconds += time.monotonic() - max(min(self._since.values()), known)
+                since = min(self._since.values())
+                for first, last in reversed(self._stretches):
+                    if last <= since:
+                        break
+                    seconds -= last - max(first, since)
+                seconds += time.monotonic() - since
             return Compiled(self._programs, seconds, bool(self._since))
 
 
@@ -86,6 +114,11 @@ jax.monitoring.register_event_duration_secs_listener(_watch.hear)
 def compiled() -> Compiled:
     """What this process has compiled since this module was imported."""
     return _watch.compiled()
+
+
+def counts_as_compiling() -> contextlib.AbstractContextManager[None]:
+    """All that this thread does meanwhile counts as compiling: for one that does nothing else."""
+    return _watch.whole()
 
 
 # ── About how long it takes ─────────────────────────────────────────────────
@@ -132,3 +165,31 @@ def _times() -> dict[str, float]:
 def _times_file() -> Path | None:
     folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     return None if folder is None else Path(folder) / TIMES
+
+
+# ── Leaving while something is compiled ─────────────────────────────────────
+
+CACHE = "lru_cache.py"
+"""Where JAX writes what it keeps."""
+WRITING = 0.3
+"""How long that may take at the end [s]."""
+
+
+def leave(status: int) -> NoReturn:
+    """End the process now, unless JAX keeps something compiled on disk just then.
+
+    It writes such a file in place, and never again: cut short, it would be of no use for ever.
+    """
+    deadline = time.monotonic() + WRITING
+    while time.monotonic() < deadline and any(map(_is_writing, sys._current_frames().values())):
+        time.sleep(0.005)
+    os._exit(status)
+
+
+def _is_writing(frame: FrameType | None) -> bool:
+    """Whether a thread is within JAX's cache of what is compiled."""
+    while frame is not None:
+        if frame.f_code.co_filename.endswith(CACHE) and frame.f_code.co_name == "put":
+            return True
+        frame = frame.f_back
+    return False

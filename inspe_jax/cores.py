@@ -7,6 +7,7 @@ that each send a part of their own are run side by side.
 import os
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import cache
 from typing import Any, TypeVar
 
@@ -67,17 +68,23 @@ def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
     return [done[n] for n in range(len(jobs))]
 
 
+def at_precision(double: bool) -> AbstractContextManager[None]:
+    """Double precision or single, in this thread: threads do not inherit it."""
+    # It moved between versions of JAX.
+    switch: Any = jax if hasattr(jax, "enable_x64") else jax.experimental
+    found: AbstractContextManager[None] = switch.enable_x64(double)
+    return found
+
+
 def untraced(work: Callable[[], Result]) -> Result:
     """What ``work`` gives, worked out now even where something is being traced.
 
     In a thread of its own, since nothing is traced there; at the precision of this one.
     """
     double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
-    # It moved between versions of JAX.
-    switch: Any = jax if hasattr(jax, "enable_x64") else jax.experimental
 
     def there() -> Result:
-        with switch.enable_x64(double):
+        with at_precision(double):
             return work()
 
     with ThreadPoolExecutor(1) as pool:

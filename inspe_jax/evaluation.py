@@ -16,15 +16,17 @@ from inspe_jax.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
-from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.ground import from_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.visibility import check_layout
 from inspe_jax.soft import read_softly
 from inspe_jax.world import World, bare_world_of, whole_world_of, world_of
 
-VISIBILITIES = ("in_view", "line_of_sight")
-"""What information gain calls visible: f as in the paper, or f × the share of frames in sight."""
+VISIBILITIES = ("in_view", "line_of_sight", "past_others")
+"""What information gain calls visible. ``in_view``: f, as in the paper; ``line_of_sight``: f × the
+share of frames in which no vehicle hides the voxel; ``past_others``: the same, but for the vehicle
+that the voxel is inside, which does not hide it."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,16 @@ class Scores:
     occlusion: float
     information_gain: float
     surrogate: float
-    information_gain_literal: float
     region_coverage: dict[str, float]
     level_coverage: tuple[float, ...]
     contributions: tuple[Contribution, ...]
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
+
+    @property
+    def information_gain_literal(self) -> float:
+        """IG to the letter of the paper, which falls as sensors see more: for comparison only."""
+        return 1.0 - self.information_gain
 
     @property
     def conditions(self) -> Conditions:
@@ -76,8 +82,8 @@ def evaluate(
     layout: Layout,
     *,
     weights: tuple[float, float, float] = metrics.WEIGHTS,
-    occlusion_reference: str = "roi",
-    visibility: str = "in_view",
+    occlusion_reference: str | None = None,
+    visibility: str | None = None,
     softness: Any = 0.0,
     conditions: Conditions = FAIR,
 ) -> Scores:
@@ -85,7 +91,8 @@ def evaluate(
 
     ``weights`` of C, O, IG in P_sm; ``occlusion_reference`` as in
     :func:`~inspe_jax.metrics.occlusion_terms`; ``visibility`` for information
-    gain, one of :data:`VISIBILITIES`; ``softness`` [m] is 0 for the exact scores, or the width
+    gain, one of :data:`VISIBILITIES`; those two are the scene's profile's where they are not
+    given. ``softness`` [m] is 0 for the exact scores, or the width
     that fields of view and shadows are read with, or a :class:`~inspe_jax.numerics.Softness`. With
     poses P (S, 6) traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
     differentiable in P; read exactly it is a step function, with gradient 0. Such a gradient needs
@@ -98,15 +105,15 @@ def evaluate(
     fit in memory, or there is no traffic and so no entropy to resolve; unless
     information gain has weight 0, and then it is 0.
     """
-    check_options(weights, occlusion_reference, visibility, conditions)
+    options = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **options, conditions=conditions)
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
-    layout = conditions.layout(layout)
+    layout = perceiving(scene, layout, conditions)
     traced, voxel = isinstance(layout.poses, jax.core.Tracer), scene.voxels.size
     each = () if traced else tuple((s,) for s in range(len(layout)))
     width = Softness.of(softness)
     sensors = sensor_array(Crew.of(layout, each), ONE_MORE if width.exact else 0)
-    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
     given = layout.poses
     if width.exact and traced:  # a step function of the poses
         given = jax.lax.stop_gradient(given)
@@ -130,7 +137,6 @@ def evaluate(
         occlusion=total[1],
         information_gain=total[2],
         surrogate=total[3],
-        information_gain_literal=_numbers(measured.information_gain_literal),
         region_coverage={key: _numbers(share) for key, share in regions.items()},
         level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
@@ -140,8 +146,8 @@ def evaluate(
         seen_share=measured.seen_share[world.tiles.place],
         settings=dict(
             weights=list(weights),
-            occlusion_reference=occlusion_reference,
-            visibility=visibility,
+            profile=scene.profile.name,
+            **options,
             softness=softness,
             **conditions.record,
         ),
@@ -164,8 +170,8 @@ def evaluate_many(
     poses: Float[np.ndarray, "M S 6"],
     *,
     weights: tuple[float, float, float] = metrics.WEIGHTS,
-    occlusion_reference: str = "roi",
-    visibility: str = "in_view",
+    occlusion_reference: str | None = None,
+    visibility: str | None = None,
     conditions: Conditions = FAIR,
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M times S world poses.
@@ -175,7 +181,8 @@ def evaluate_many(
     ``poses`` are x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`.
     Raises InspeError as that does, and where ``poses`` has another shape or is traced.
     """
-    check_options(weights, occlusion_reference, visibility, conditions)
+    options = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **options, conditions=conditions)
     try:
         poses = np.asarray(poses, float)
     except (TypeError, ValueError):  # a traced array's error is a TypeError
@@ -194,7 +201,7 @@ def evaluate_many(
     ]
     for one in layouts:
         check_layout(scene, one)
-    layout = conditions.layout(layout)
+    layout = perceiving(scene, layout, conditions)
     world = whole_world_of(scene)
     if weights[2] > 0:
         check_entropy(scene, metrics.entropy(world.occupancy).sum())
@@ -203,8 +210,7 @@ def evaluate_many(
         np.stack([poses_about_center(scene, one) for one in layouts]),
         Crew.of(layout),
         scene.voxels.size,
-        occlusion_reference=occlusion_reference,
-        visibility=visibility,
+        **options,
     )
     return ManyScores(c, o, ig, np.asarray(metrics.surrogate(c, o, ig, weights)))
 
@@ -242,6 +248,16 @@ def _numbers(x: Any) -> Any:
     if not isinstance(x, jax.core.Tracer):
         return np.asarray(x, float).tolist()
     return [_numbers(row) for row in x] if x.ndim else x
+
+
+def options_of(
+    scene: Scene, occlusion_reference: str | None = None, visibility: str | None = None
+) -> dict[str, str]:
+    """The two options by name, as the scene's profile has what is not given."""
+    return dict(
+        occlusion_reference=occlusion_reference or scene.profile.occlusion_reference,
+        visibility=visibility or scene.profile.visibility,
+    )
 
 
 def check_options(

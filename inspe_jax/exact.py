@@ -13,19 +13,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num, UInt
+from jaxtyping import Array, Float, Num, UInt
 
 from inspe_jax import masks, metrics, sharding
-from inspe_jax.cores import Job, parts_of, run
+from inspe_jax.cores import Job, run
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array
+from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array, spares_own
 from inspe_jax.numerics import Groups, leave_one_out
-from inspe_jax.sensing.rays import Kind, Rays, RayTable
-from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.sensing.shadows import casts, clear_masks
-from inspe_jax.sensing.tiles import Tile
+from inspe_jax.sensing.tiles import Tile, nothing_of
 from inspe_jax.sensing.view_masks import view_masks
-from inspe_jax.world import Share, World
+from inspe_jax.world import UNSURE, World, dealt
 
 
 def measure_exactly(
@@ -60,8 +59,8 @@ def count_exactly(
     """:func:`measure_exactly` of arrays that are filled up: of the tiles' columns, and with a row
     for each group of failures that there is room for."""
     views = in_view_of(world, poses, sensors, voxel / 2)
-    sighted = visibility == "line_of_sight"
-    watched = _watch_all(world, views, poses[:, :3], sensors.failures, occlusion_reference, sighted)
+    options = occlusion_reference, visibility
+    watched = _watch_all(world, views, poses[:, :3], sensors.failures, *options)
     bare = replace(world.bucketed, shares=())
     return _measures(bare, views, watched, sensors.reliability, sensors.failures)
 
@@ -85,7 +84,9 @@ def in_view_of(
             work = partial(_split_view(), rays, poses[s], world.split, half)
         jobs.append(((view_masks, kind, lengths, tile.heights.shape), work))
     views = np.zeros((len(poses), *tile.there.shape), tile.there.dtype)
-    views[present] = [np.asarray(view) for view in run(jobs)]
+    order = slice(None) if world.split is None else dealt(views.shape[1])
+    for s, view in zip(present, run(jobs), strict=True):
+        views[s, order] = view
     return views
 
 
@@ -120,8 +121,9 @@ class Watched(NamedTuple):
     """Voxels counted over the frames; or, softly, readings summed.
 
     |V_orig| − |V_occ| in row 0 of ``seen``, less what is lost without group g in row 1 + g, and
-    |V_orig| likewise in ``original``; in how many frames each voxel of a column is seen, summed
-    over the column (``columns``), and in how many each sensor sees it (``sights``, or None).
+    |V_orig| likewise in ``original``; in how many frames each voxel of a column is seen outside
+    vehicles, summed over the column (``columns``), and in how many each sensor sees it
+    (``sights``, or None).
     """
 
     seen: Num[Array | np.ndarray, "1+G T"]
@@ -136,10 +138,11 @@ def _watch_all(
     sensors: Float[Array | np.ndarray, "S 3"],
     failures: Groups | None,
     reference: str,
-    sighted: bool,
+    visibility: str,
 ) -> Watched:
     """Go through the frames, tile by tile."""
-    options: dict[str, Any] = dict(reference=reference, sighted=sighted)
+    options: dict[str, Any] = dict(reference=reference, visibility=visibility)
+    sighted = visibility != "in_view"
     if isinstance(views, jax.core.Tracer):
         return joined(
             [
@@ -153,14 +156,15 @@ def _watch_all(
         few = views[:, share.tiles]
         watch: Callable[..., Watched] = partial(_watch, **options)
         if share.split:
-            watch = _split_watch(reference, sighted)
+            watch = _split_watch(reference, visibility)
         work = partial(watch, share.tile, few, share.solid, share.prisms, sensors, failures)
         shapes = few.shape, share.prisms.top.shape, groups, share.split
         jobs.append(((_watch, *options.values(), *shapes), work))
     seen = np.zeros((2, 1 + groups, world.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
     levels = world.tiles.tile.heights.shape[1] if sighted else 0
-    sights = np.zeros((*views.shape, levels), np.int32)
+    kind = np.uint16 if world.frame_count < 2**16 else np.int32
+    sights = np.zeros((*views.shape, levels), kind)
     for share, part in zip(world.shares, run(jobs), strict=True):
         seen[:, :, share.frames] += np.stack([part.seen, part.original])
         _add(columns[share.tiles], part.columns)
@@ -176,25 +180,31 @@ def joined(parts: list[Watched]) -> Watched:
         jnp.concatenate(seen, 1),
         jnp.concatenate(original, 1),
         sum(columns[1:], columns[0]),
-        None if sights[0] is None else sum(sights[1:], sights[0]),
+        None if sights[0] is None else sum((_wide(part) for part in sights[1:]), _wide(sights[0])),
     )
+
+
+def _wide(counts: Array) -> Array:
+    """Counts with room for more of them; soft ones as they are."""
+    return counts.astype(int) if jnp.issubdtype(counts.dtype, jnp.integer) else counts
 
 
 def _add(total: np.ndarray, counts: Any) -> None:
     """Add counts to a total; those of several devices stand one after another."""
-    total += np.asarray(counts).reshape(-1, *total.shape).sum(0)
+    total += np.asarray(counts).reshape(-1, *total.shape).sum(0, dtype=total.dtype)
 
 
 @cache
-def _split_watch(reference: str, sighted: bool) -> Callable[..., Watched]:
+def _split_watch(reference: str, visibility: str) -> Callable[..., Watched]:
     """:func:`_watch`, every device for its frames."""
-    watch = partial(_watch, reference=reference, sighted=sighted)
+    watch = partial(_watch, reference=reference, visibility=visibility)
+    sighted = visibility != "in_view"
     whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
     gives: Any = Watched(second, second, first, first if sighted else None)  # type: ignore[arg-type]
     return sharding.split(watch, (whole, whole, second, first, whole, whole), gives)
 
 
-@partial(jax.jit, static_argnames=("reference", "sighted"))
+@partial(jax.jit, static_argnames=("reference", "visibility"))
 def _watch(
     tile: Tile,
     views: UInt[Array, "S n C"],
@@ -204,16 +214,19 @@ def _watch(
     failures: Groups | None,
     *,
     reference: str,
-    sighted: bool,
+    visibility: str,
 ) -> Watched:
-    """Go through some of the tiles and of the frames.
+    """Go through some of the tiles and of the frames; tiles that are empty are skipped.
 
     In a tile only the sensors that have some of it in view are gone through, one group after the
     other. What ``once`` has is seen by a sensor, what ``twice`` has by two groups; so a group alone
-    sees what it sees of the rest, and that is lost without it.
+    sees what it sees of the rest, and that is lost without it. Where somebody asks for what is
+    inside vehicles, others alone hide it; in how many frames a voxel is seen or in sight is counted
+    without it, unless ``visibility`` is ``past_others``.
     """
     count, frames = len(sensors), len(prisms.top)
-    spare_own = reference == "targets"
+    spare, sighted = spares_own(reference, visibility), visibility != "in_view"
+    kind = jnp.uint8 if frames <= masks.BYTE else jnp.int32
     cast = jax.vmap(casts, (0, None))(sensors, prisms)
     # Sensors group by group; without failures all are one.
     groups = 0 if failures is None else len(failures.first)
@@ -234,19 +247,19 @@ def _watch(
         def look(i: Array, state: tuple) -> tuple:
             once, twice, before, kept, sights = state
             s = listed[i]
-            clear = clear_masks(
-                sensors[s], jax.tree.map(lambda leaf: leaf[s], cast), tile, spare_own=spare_own
-            )
+            own = jax.tree.map(lambda leaf: leaf[s], cast)
+            clear = clear_masks(sensors[s], own, tile, solid if spare else None)
             visible = views[s][None] & clear
             before = jnp.where(opens(i), once, before)
             if groups:
                 kept = kept.at[i].set(visible)
             if sighted:
-                sights = sights.at[s].set(masks.tally(visible, len(tile.heights)))
+                in_sight = visible if visibility == "past_others" else visible & ~solid
+                sights = sights.at[s].set(masks.tally(in_sight, len(tile.heights)))
             return once | visible, twice | (before & visible), before, kept, sights
 
         none = jnp.zeros((frames, views.shape[1]), views.dtype)
-        sights = jnp.zeros((count, views.shape[1], len(tile.heights)) if sighted else (0,), int)
+        sights = jnp.zeros((count, views.shape[1], len(tile.heights)) if sighted else (0,), kind)
         once, twice, _, kept, sights = jax.lax.fori_loop(
             0, number, look, (none, none, none, kept, sights)
         )
@@ -267,11 +280,18 @@ def _watch(
         else:
             original = jnp.broadcast_to(masks.count(counted).sum(1), (1 + groups, frames))
         rows = jnp.concatenate([seen[None], seen[None] - lost])
-        return kept, (rows, original, masks.count(once).sum(0), sights)
+        return kept, (rows, original, masks.count(once & ~solid).sum(0), sights)
 
     kept = jnp.zeros((count if groups else 0, frames, views.shape[2]), views.dtype)
     by_tile = (tile, views.swapaxes(0, 1), solid)
-    seen, original, columns, sights = jax.lax.scan(step, kept, by_tile)[1]
+
+    def skip(kept: Array, part: tuple[Tile, Array, Array]) -> tuple[Array, tuple]:
+        return kept, nothing_of(step, kept, part)[1]
+
+    def unless_empty(kept: Array, part: tuple[Tile, Array, Array]) -> tuple[Array, tuple]:
+        return jax.lax.cond((part[0].there != 0).any(), step, skip, kept, part)
+
+    seen, original, columns, sights = jax.lax.scan(unless_empty, kept, by_tile)[1]
     return Watched(
         seen.sum(0), original.sum(0), columns, sights.swapaxes(0, 1) if sighted else None
     )
@@ -292,28 +312,55 @@ def _measures(
     shares = counts.astype(float) / levels
     by_level = masks.tally(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(-1)
 
-    if watched.sights is None:
-        words = views.reshape(len(views), -1)[:, world.column]
-        one = words.dtype.type(1)
-        q = ((words >> world.level.astype(words.dtype)[None]) & one).astype(float)
-    else:
-        at = watched.sights.reshape(len(views), -1, watched.sights.shape[-1])
-        q = at[:, world.column, world.level].astype(float) / world.frame_count
-    resolved = leave_one_out(q * reliability[:, None], failures)
-    return summed_up(world, shares, by_level, resolved, watched)
+    terms = _entropy_terms(world, views, watched.sights, reliability, failures)
+    return summed_up(world, shares, by_level, terms, watched)
+
+
+def _entropy_terms(
+    world: World,
+    views: UInt[Array, "S N C"],
+    sights: Num[Array | np.ndarray, "S *N C Z"] | None,
+    reliability: Float[Array, " S"],
+    failures: Groups | None,
+) -> tuple[Float[Array, " 1+G"], Float[Array, ""]]:
+    """:func:`~inspe_jax.metrics.entropy_terms` of all voxels: as many parts as there are some in,
+    not as many as there is room for."""
+    sensors, number = len(views), len(world.occupancy)
+    together = UNSURE if number and number % UNSURE == 0 else number
+    last = jnp.where(world.occupancy > 0, jnp.arange(number), -1).max(initial=-1)
+    words = views.reshape(sensors, -1)
+    counts = None if sights is None else sights.reshape(sensors, -1, sights.shape[-1])
+
+    def add(part: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        column, level, occupancy = (
+            jax.lax.dynamic_slice_in_dim(of_voxels, part * together, together)
+            for of_voxels in (world.column, world.level, world.occupancy)
+        )
+        if counts is None:
+            bit = words[:, column] >> level.astype(words.dtype)[None]
+            q = (bit & words.dtype.type(1)).astype(float)
+        else:
+            q = counts[:, column, level].astype(float) / world.frame_count
+        resolved = leave_one_out(q * reliability[:, None], failures)
+        remaining, total = metrics.entropy_terms(resolved, occupancy)
+        return sums[0] + remaining, sums[1] + total
+
+    groups = 0 if failures is None else len(failures.first)
+    nothing = jnp.zeros(1 + groups), jnp.zeros(())
+    return jax.lax.fori_loop(0, last // max(together, 1) + 1, add, nothing)
 
 
 def summed_up(
     world: World,
     shares: Float[Array, "1+G MC"],
     by_level: Num[Array, " Z"],
-    resolved: Float[Array, "1+G U"],
+    terms: tuple[Float[Array, " 1+G"], Float[Array, ""]],
     watched: Watched,
 ) -> Measures:
     """The metrics, of what is in view of each column and level, and of what is seen.
 
-    ``shares`` of each tile column's levels, ``by_level`` in columns, ``resolved`` of the voxels
-    that may have entropy. Columns stay those of the tiles.
+    ``shares`` of each tile column's levels, ``by_level`` in columns, ``terms`` of all voxels as
+    :func:`~inspe_jax.metrics.entropy_terms` gives them. Columns stay those of the tiles.
     """
     slabs, levels = world.tiles.slabs, world.tiles.level_count
     seen = watched.columns.reshape(slabs, -1).sum(0)
@@ -321,11 +368,10 @@ def summed_up(
     return Measures(
         metrics.coverage(shares, world.weight),
         metrics.occlusion(*(jnp.asarray(x, float).T for x in (watched.seen, watched.original))),
-        metrics.information_gain(resolved, world.occupancy),
+        metrics.information_gain(*terms),
         column_coverage=shares[0],
         level_coverage=by_level[:levels].astype(float) / there.astype(float).sum(),
-        information_gain_literal=metrics.information_gain_literal(resolved[0], world.occupancy),
-        entropy=metrics.entropy(world.occupancy).sum(),
+        entropy=terms[1],
         seen_share=seen.astype(float) / (world.frame_count * levels),
     )
 
@@ -386,57 +432,3 @@ def _one_each(reference: str, visibility: str) -> Callable[..., Array]:
     return sharding.split(
         lambda poses, *data: one(poses[0], *data)[None], (first, whole, whole, whole), first
     )
-
-
-# ── One sensor at many poses ────────────────────────────────────────────────
-
-TOGETHER = 8
-"""Poses in one compiled call: one shape for any number of them, and the same bits."""
-
-
-def see(
-    grid: RayGrid,
-    half: float,
-    poses: Float[Array, "K 6"],
-    world: World,
-    *,
-    spare_own: bool = False,
-) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
-    """What one sensor has in view and what it sees in each frame, from each of K poses.
-
-    For a world of one share. With ``spare_own`` a vehicle does not hide its own voxels.
-    """
-    (share,) = world.shares
-    assert share.solid is not None  # it is not bare
-    rays = grid.rays
-    lengths = rays.table.rows.shape + rays.table.nearest.shape
-    key = (_see, grid.kind, lengths, share.solid.shape, share.prisms.top.shape, spare_own)
-    jobs: list[Job] = [
-        (key, partial(_see, rays, half, part, share, spare_own=spare_own))
-        for part in parts_of(np.asarray(poses), TOGETHER)
-    ]
-    views, seen = (np.concatenate(found)[: len(poses)] for found in zip(*run(jobs), strict=True))
-    return world.tiles.by_voxel(views), world.tiles.by_voxel(seen)
-
-
-@partial(jax.jit, static_argnames="spare_own")
-def _see(
-    rays: Rays, half: Float[Array, ""], poses: Float[Array, "K 6"], share: Share, *, spare_own: bool
-) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
-    def one(pose: Array) -> tuple[Array, Array]:
-        views = view_masks(rays, pose, share.tile, half)
-        cast = casts(pose[:3], share.prisms)
-
-        def look(part: tuple[Tile, Array]) -> Array:
-            tile, view = part
-            return view[None] & clear_masks(pose[:3], cast, tile, spare_own=spare_own)
-
-        def none(part: tuple[Tile, Array]) -> Array:
-            return jnp.zeros((len(share.prisms.top), len(part[1])), part[1].dtype)
-
-        seen = jax.lax.map(
-            lambda part: jax.lax.cond((part[1] != 0).any(), look, none, part), (share.tile, views)
-        )
-        return views, seen.swapaxes(0, 1)
-
-    return jax.lax.map(one, poses)

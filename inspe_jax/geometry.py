@@ -127,7 +127,7 @@ def shadow_ceiling(
     dy: Float[Array, " L"],
     sensor_z: Float[Array, ""],
     *,
-    spare_own: bool = False,
+    spare_own: bool | Bool[Array, "*b"] = False,
 ) -> Float[Array, " L"]:
     """Height [m] below which one prism hides each column; :data:`NEVER` where it does not.
 
@@ -141,8 +141,8 @@ def shadow_ceiling(
     leaves, entry = _plan_crossings(shade, dx, dy)
     exit_ = jnp.maximum(leaves, 1.0)
     meets = exit_ < entry
-    if spare_own:
-        meets &= leaves >= 1.0
+    if spare_own is not False:
+        meets &= (leaves >= 1.0) | ~jnp.asarray(spare_own)
     ceiling = sensor_z + shade.rise * jnp.where(shade.rise < 0, exit_, entry)
     return jnp.where(meets, ceiling, NEVER)
 

@@ -52,11 +52,30 @@ def without_one(masks: UInt[Array, "S ..."], groups: Groups | None) -> UInt[Arra
     return without_each(masks, groups, jax.lax.bitwise_or, jnp.zeros_like(masks[0]))
 
 
+BYTE = 255
+"""Masks of which a byte can count the bits."""
+
+
 def tally(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
-    """In how many of F masks each of the first ``n`` bits is set."""
-    one = masks.dtype.type(1)
-    each = [(masks >> masks.dtype.type(z)) & one for z in range(n)]
-    return jnp.stack([bit.astype(jnp.int32).sum(0) for bit in each], -1)
+    """In how many of F masks each of the first ``n`` bits is set; in bytes, where they fit.
+
+    Four bits are spread over the four bytes of a word, so that one sum counts all of them.
+    """
+    masks, count = jax.lax.optimization_barrier(masks), len(masks)
+    parts = max(-(-count // BYTE), 1)
+    each = -(-count // parts)
+    masks = jnp.pad(masks, [(0, parts * each - count)] + [(0, 0)] * (masks.ndim - 1))
+    masks = masks.reshape(parts, each, *masks.shape[1:])
+    counts = []
+    for z in range(0, n, 4):
+        four = ((masks >> masks.dtype.type(z)) & masks.dtype.type(15)).astype(jnp.uint32)
+        # Bit k of the four times 2^(7k) is bit 8k, the lowest one of byte k.
+        spread = (four * jnp.uint32(0x00204081)) & jnp.uint32(0x01010101)
+        sums = spread.sum(1, dtype=jnp.uint32)
+        for k in range(min(4, n - z)):
+            counts.append((sums >> jnp.uint32(8 * k)).astype(jnp.uint8))
+    found = jnp.stack(counts, -1)  # (parts, …, Z)
+    return found[0] if parts == 1 else found.astype(jnp.int32).sum(0)
 
 
 def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:

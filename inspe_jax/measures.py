@@ -137,7 +137,7 @@ class Measures(NamedTuple):
 
     ``column_coverage`` and ``level_coverage`` are the shares in view of each column's and of each
     level's voxels; ``seen_share`` is the share of frames and levels in which each column is seen;
-    ``information_gain_literal`` is IG to the letter, ``entropy`` is H(Ω), what there is to gain.
+    ``entropy`` is H(Ω), what there is to gain.
     """
 
     coverage: Float[Array, " 1+G"]
@@ -145,7 +145,6 @@ class Measures(NamedTuple):
     information_gain: Float[Array, " 1+G"]
     column_coverage: Float[Array, " L"]
     level_coverage: Float[Array, " Z"]
-    information_gain_literal: Float[Array, ""]
     entropy: Float[Array, ""]
     seen_share: Float[Array, " L"]
 
@@ -188,20 +187,20 @@ def measure(
         softness.shadow,
         failures=failures,
         reference=occlusion_reference,
-        share_sight=visibility == "line_of_sight",
+        visibility=visibility,
     )
     occupancy = seen.occupancy if field.occupancy is None else field.occupancy
     q = f * (seen.sight_share * jnp.asarray(crew.reliability, float)[:, None])
     covered, resolved = leave_one_out(f, failures), leave_one_out(q, failures)
+    remaining, total = metrics.entropy_terms(resolved, occupancy)
     by_column = covered[0].reshape(ground.heights.shape)
     return Measures(
         metrics.coverage(covered, field.weight),
         seen.occlusion,
-        metrics.information_gain(resolved, occupancy),
+        metrics.information_gain(remaining, total),
         column_coverage=by_column.mean(1),
         level_coverage=by_column.mean(0),
-        information_gain_literal=metrics.information_gain_literal(resolved[0], occupancy),
-        entropy=metrics.entropy(occupancy).sum(),
+        entropy=total,
         seen_share=seen.seen_share.reshape(ground.heights.shape).mean(1),
     )
 
@@ -219,7 +218,12 @@ BLOCK = 1024
 """Columns watched at a time: what they need stays in a core's cache through all frames."""
 
 
-@partial(jax.jit, static_argnames=("reference", "share_sight"))
+def spares_own(reference: str, visibility: str) -> bool:
+    """Whether what is asked for is hidden by other vehicles alone, where it is inside one."""
+    return reference == "targets" or visibility == "past_others"
+
+
+@partial(jax.jit, static_argnames=("reference", "visibility"))
 def watch(
     ground: Ground,
     sensors: Float[Array, "S 3"],
@@ -228,14 +232,15 @@ def watch(
     *,
     failures: Groups | None,
     reference: str,
-    share_sight: bool,
+    visibility: str,
 ) -> Seen:
     """Go through the frames once for each block of columns.
 
     Gives O, the occupancy p̂, and the share of frames in which each voxel is
-    seen; with ``share_sight`` also that in which each sensor has each voxel in
+    seen; unless ``visibility`` is ``in_view`` also that in which each sensor has each voxel in
     line of sight, else 1.
     """
+    share_sight = visibility != "in_view"
     (length, levels), frames = ground.heights.shape, len(ground.prisms.top)
 
     def block(part: tuple[Array, ...]) -> tuple[tuple, tuple]:
@@ -246,14 +251,17 @@ def watch(
 
         @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
         def look(prisms: Prism) -> tuple[tuple, tuple]:
-            spare_own = reference == "targets"
-            clear = sight(sensors, prisms, columns, heights, width, spare_own=spare_own)
             solid = there * step(solid_top(columns, prisms)[:, None] - heights)
+            clear = line = sight(sensors, prisms, columns, heights, width)
+            if spares_own(reference, visibility):
+                others = sight(sensors, prisms, columns, heights, width, spare_own=True)
+                clear = jnp.where(solid[None] > 0, others, line)
             visible = leave_one_out((f * clear).reshape(flat), failures)
             free, inside = (there - solid).ravel(), solid.ravel()
             terms = metrics.occlusion_terms(visible, covered, free, inside, reference)
-            gathered = (inside, visible[0], clear.reshape(flat) if share_sight else jnp.ones(()))
-            return gathered, terms
+            in_sight = clear if visibility == "past_others" else line
+            share = in_sight.reshape(flat) if share_sight else jnp.ones(())
+            return (inside, visible[0] * free, share), terms
 
         def some(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
             gathered, terms = jax.vmap(look)(prisms)

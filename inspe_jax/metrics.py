@@ -82,30 +82,31 @@ def _x_log_x(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return x * jnp.log(jnp.where(x > 0, x, 1.0))
 
 
-def information_gain(
+def entropy_terms(
     resolved: Float[Array, "... V"], occupancy: Float[Array, " V"]
+) -> tuple[Float[Array, "..."], Float[Array, ""]]:
+    """(H(Ω|P), H(Ω)) of some voxels: what of their entropy remains, and all of it.
+
+    ``resolved`` is q_i, reliability × visibility fused over the sensors; ``occupancy``
+    is p̂_i, the share of frames in which a voxel is occupied. H(Ω|P) is read as what
+    remains, Σ (1 − q_i) H_i: for an erasure channel this makes IG the mutual
+    information.
+    """
+    h = entropy(occupancy)
+    return dot(1.0 - resolved, h), dot(jnp.ones_like(h), h)
+
+
+def information_gain(
+    remaining: Float[Array, "..."], total: Float[Array, ""]
 ) -> Float[Array, "..."]:
     """IG = 1 − H(Ω|P)/H(Ω), the share of the occupancy entropy that the sensors resolve.
 
-    ``resolved`` is q_i, reliability × visibility fused over the sensors;
-    ``occupancy`` is p̂_i, the share of frames in which a voxel is occupied. H(Ω|P)
-    is read as what remains, Σ (1 − q_i) H_i: for an erasure channel this makes IG
-    the mutual information. As printed, with H(Ω|P) summed over the visible voxels,
-    IG would fall as sensors see more: :func:`information_gain_literal`.
+    Takes the terms of :func:`entropy_terms`, summed over all voxels; 0 without entropy.
+    As printed, with H(Ω|P) summed over the visible voxels, it would be 1 − IG, and fall
+    as sensors see more.
     """
-    h = entropy(occupancy)
-    total = dot(jnp.ones_like(resolved), h)
     some = total > 0  # without entropy nothing is resolved: 0, not NaN
-    return jnp.where(some, 1.0 - dot(1.0 - resolved, h) / jnp.where(some, total, 1.0), 0.0)
-
-
-def information_gain_literal(
-    resolved: Float[Array, "... V"], occupancy: Float[Array, " V"]
-) -> Float[Array, "..."]:
-    """IG to the letter of the paper: 1 − Σ_visible H_i / Σ H_i; for comparison only."""
-    h = entropy(occupancy)
-    total = dot(jnp.ones_like(resolved), h)
-    return 1.0 - dot(resolved, h) / jnp.where(total > 0, total, 1.0)
+    return jnp.where(some, 1.0 - remaining / jnp.where(some, total, 1.0), 0.0)
 
 
 def surrogate(

@@ -10,19 +10,22 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float, UInt
 
-from inspe_jax import masks
+from inspe_jax import masks, metrics
 from inspe_jax.exact import Watched, joined, summed_up
 from inspe_jax.geometry import Prism
-from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array
+from inspe_jax.measures import Crew, Measures, SensorArray, sensor_array, spares_own
 from inspe_jax.numerics import REACH, Groups, Softness, Width, leave_one_out
 from inspe_jax.sensing.in_view import soft_view
 from inspe_jax.sensing.rays import RayTable
-from inspe_jax.sensing.shadows import casts, may_shade, soft_sight
-from inspe_jax.sensing.tiles import Tile, solid_in
+from inspe_jax.sensing.shadows import WON, casts, may_shade, soft_sight
+from inspe_jax.sensing.tiles import Tile, solid_in, unless_empty
 from inspe_jax.world import World
 
+SIGHTS = "sights"
+"""Name of how often each sensor sees each voxel."""
 FRAMES = 20
 """Frames that are gone through together: what a tile needs of them stays in a core's cache."""
 
@@ -64,7 +67,7 @@ def read_softly(
 ) -> Measures:
     """:func:`measure_softly` of arrays that are filled up: of the tiles' columns, and with a row
     for each group of failures that there is room for."""
-    softness, sighted = jax.lax.stop_gradient(softness), visibility == "line_of_sight"
+    softness = jax.lax.stop_gradient(softness)
     reliability = jnp.asarray(sensors.reliability, float)[:, None, None]
     watch = partial(
         _watch,
@@ -72,26 +75,24 @@ def read_softly(
         width=softness.shadow,
         failures=sensors.failures,
         reference=occlusion_reference,
-        sighted=sighted,
+        visibility=visibility,
     )
 
-    @jax.checkpoint  # kept for the gradient, what every tile needs would be gigabytes
+    # Kept for the gradient, what every tile needs would be gigabytes; but for what would else have
+    # to be found by going through all frames once more.
+    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SIGHTS))
     def look(tile: Tile) -> tuple[Array, Array, Array, Watched]:
         f = _views(tile, poses, sensors, voxel / 2, softness)
         watched = joined([watch(tile, f, share.prisms) for share in world.shares])
         q = f
         if watched.sights is not None:
-            q = f * watched.sights.swapaxes(1, 2) / world.frame_count
+            q = f * checkpoint_name(watched.sights, SIGHTS).swapaxes(1, 2) / world.frame_count
         covered = leave_one_out(f, sensors.failures)
         resolved = leave_one_out(q * reliability, sensors.failures)
         return covered.sum(1), covered[0].sum(1), resolved, watched._replace(sights=None)
 
-    def unless_empty(tile: Tile) -> tuple[Array, Array, Array, Watched]:
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(look, tile))
-        return jax.lax.cond((tile.there != 0).any(), look, lambda _: nothing, tile)
-
     tiles = world.tiles
-    columns, by_level, resolved, watched = jax.lax.map(unless_empty, tiles.tile)
+    columns, by_level, resolved, watched = jax.lax.map(unless_empty(look), tiles.tile)
     columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
     by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(world.column, tiles.tile.there.shape[1])
@@ -99,7 +100,7 @@ def read_softly(
         world,
         columns.sum(1) / tiles.level_count,
         by_level.sum(1).reshape(-1),
-        resolved[tile, :, world.level, column].T,
+        metrics.entropy_terms(resolved[tile, :, world.level, column].T, world.occupancy),
         watched._replace(seen=watched.seen.sum(0), original=watched.original.sum(0)),
     )
 
@@ -130,7 +131,7 @@ def _watch(
     width: Width,
     failures: Groups | None,
     reference: str,
-    sighted: bool,
+    visibility: str,
 ) -> Watched:
     """Go through the frames, in one tile."""
     total, levels = len(prisms.top), f.shape[1]
@@ -144,46 +145,52 @@ def _watch(
         return x.reshape(parts, each, *x.shape[1:])
 
     split = jax.tree.map(in_parts, (prisms, jnp.ones(total)))
-    spare_own, nobody = reference == "targets", jnp.zeros(())
+    sighted, spare = visibility != "in_view", spares_own(reference, visibility)
+    nobody = jnp.zeros(())
 
     def bits(words: UInt[Array, "..."]) -> Float[Array, "..."]:
         """(…) as (Z, …)."""
         z = jnp.arange(levels, dtype=words.dtype).reshape(-1, *[1] * words.ndim)
         return ((words[None] >> z) & words.dtype.type(1)).astype(float)
 
-    there, solid = tile.there[None], solid_in(tile, prisms)
-    counted = solid & there if reference == "targets" else there & ~solid
+    there, inside = tile.there[None], solid_in(tile, prisms)
+    # What is inside a vehicle is in sight for O, and not for IG.
+    apart = spare and visibility == "line_of_sight"
     covered = leave_one_out(f, failures)
     whole = covered if reference == "covered" else jnp.ones_like(covered)
 
     @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
     def some(part: tuple[tuple[Prism, Array], Array]) -> tuple[Array, ...]:
-        (prisms, real), counted = part
+        (prisms, real), inside = part
+        solid, free = bits(inside), bits(there & ~inside)
 
-        def clear(one: tuple[Array, Array]) -> Float[Array, "Z F C"]:
+        def clear(one: tuple[Array, Array]) -> list[Float[Array, "Z F C"]]:
             sensor, f = one
 
-            @jax.checkpoint
-            def shaded(sensor: Array) -> Array:
+            @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(WON))
+            def shaded(sensor: Array) -> list[Array]:
                 fixed = jax.lax.stop_gradient(sensor)
                 cast = casts(fixed, prisms, reach)
                 marked = masks.marks(may_shade(fixed, cast, tile))
                 at = sensor, prisms, marked, tile.columns, tile.heights, width
-                return soft_sight(*at, spare_own=spare_own)
+                found = soft_sight(*at, spare_own=(solid > 0) if spare else False)
+                return [found, soft_sight(*at)] if apart else [found]
 
             nothing = jnp.zeros((levels, each, f.shape[1]), f.dtype)
-            return jax.lax.cond((f > 0).any(), shaded, lambda _: nothing, sensor)
+            none = [nothing] * (2 if apart else 1)
+            return jax.lax.cond((f > 0).any(), shaded, lambda _: none, sensor)
 
-        clears = jax.lax.map(clear, (sensors, f))  # (S, Z, F, C)
+        clears, *lines = jax.lax.map(clear, (sensors, f))  # (S, Z, F, C)
+        in_sight = lines[0] if apart else clears
         visible = leave_one_out(f[:, :, None] * clears, failures)
-        counts = bits(counted)
+        counts = solid if reference == "targets" else free
         return (
             (visible * counts[None]).sum(1).sum(-1),
             (whole[:, :, None] * counts[None]).sum(1).sum(-1),
-            (visible[0].sum(0) * real[:, None]).sum(0),
-            (clears * real[None, None, :, None]).sum(2).swapaxes(1, 2) if sighted else nobody,
+            ((visible[0] * free).sum(0) * real[:, None]).sum(0),
+            (in_sight * real[None, None, :, None]).sum(2).swapaxes(1, 2) if sighted else nobody,
         )
 
-    seen, original, columns, sights = jax.lax.map(some, (split, in_parts(counted)))
+    seen, original, columns, sights = jax.lax.map(some, (split, in_parts(inside)))
     seen, original = (x.swapaxes(0, 1).reshape(len(whole), -1)[:, :total] for x in (seen, original))
     return Watched(seen, original, columns.sum(0), sights.sum(0) if sighted else None)

@@ -17,7 +17,7 @@ from inspe_jax.exact import ONE_MORE, in_view_of
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.ground import poses_about_center
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.shadows import Casts, casts, clear_masks
@@ -107,7 +107,7 @@ def _views(
     """The layout as it is in the conditions, the tiles, what each sensor has in view, and where it
     is; with room for some more sensors."""
     check_layout(scene, layout)
-    layout, world = conditions.layout(layout), whole_world_of(scene)
+    layout, world = perceiving(scene, layout, conditions), whole_world_of(scene)
     sensors = sensor_array(Crew.of(layout), ONE_MORE)
     poses = sensors.filled(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(world, poses, sensors, scene.voxels.size / 2))

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax import masks, sharding
-from inspe_jax.arrays import bucket, on_device
+from inspe_jax.arrays import on_device, wide_bucket
 from inspe_jax.cores import cores, untraced
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Field
@@ -28,7 +28,10 @@ FRAMES = 128
 """Frames that are gone through together: what a tile needs of them stays in a core's cache."""
 
 UNSURE = 4096
-"""Voxels that may have entropy that there is room for, at least."""
+"""Voxels that may have entropy that there is room for, at least, and that are gone through
+together."""
+MANY = 2**18
+"""Such voxels up to which three of four may be padding: gradients have numbers for each."""
 
 
 @jax.tree_util.register_dataclass
@@ -68,7 +71,7 @@ class World:
     ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
     of the voxels that may have entropy, and 0 in the end, to fill it up; ``column`` and ``level``
     (U,) say which they are: column among the tiles' columns, level in the slab. ``split`` are the
-    tiles, every device having some; None where there is one device.
+    tiles as they are :func:`dealt` to the devices; None where there is one device.
     """
 
     tiles: Tiles
@@ -137,7 +140,7 @@ def _make_whole(scene: Scene, bare: bool = False) -> World:
     return replace(world, shares=tuple(shares), split=None)
 
 
-def _some(arrays: Any, rows: slice) -> Any:
+def _some(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
     """Some rows of arrays: taken in NumPy, which has nothing to compile for another shape."""
     return jax.tree.map(lambda leaf: on_device(np.asarray(leaf)[rows]), arrays)
 
@@ -162,7 +165,7 @@ def _make_world(scene: Scene) -> World:
             shares.append(Share(tile, prisms, own, first, step, begin))
     counts = counts.reshape(-1, counts.shape[-1])
     column, level = np.nonzero((counts > 0) & (counts < total))
-    spare = bucket(len(column), UNSURE) - len(column)
+    spare = wide_bucket(len(column), UNSURE, MANY) - len(column)
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
     return World(
@@ -173,8 +176,18 @@ def _make_world(scene: Scene) -> World:
         on_device(column),
         on_device(level),
         total,
-        sharding.put(tiles.tile, 0) if sharding.divides(len(tiles.tile.there)) else None,
+        _split(tiles.tile) if sharding.divides(len(tiles.tile.there)) else None,
     )
+
+
+def _split(tile: Tile) -> Tile:
+    return sharding.put(_some(tile, dealt(len(tile.there))), 0)
+
+
+def dealt(tiles: int) -> Int[np.ndarray, " N"]:
+    """Tiles by their numbers, those of one device after those of another: dealt out one by one, so
+    that the padding at the end is shared too."""
+    return np.arange(tiles).reshape(-1, sharding.devices()).T.ravel()
 
 
 def _runs(total: int) -> list[tuple[int, int, bool]]:

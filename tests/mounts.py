@@ -21,7 +21,9 @@ SCENES: dict[str, Scene] = {}
 def scene_named(name: str) -> Scene:
     if name not in SCENES:
         place = built_in(name)
-        SCENES[name] = build_scene(place, radius=40.0, voxel=2.0, density="none", frames=1)
+        SCENES[name] = build_scene(
+            place, profile="ideal", radius=40.0, voxel=2.0, density="none", frames=1
+        )
     return SCENES[name]
 
 

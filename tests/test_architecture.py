@@ -15,7 +15,7 @@ LADDER = [
     ("errors",),
     ("files", "arrays", "numerics", "masks", "cores", "sharding"),
     ("compiling",),
-    ("geometry", "carla_frame"),
+    ("geometry", "carla_frame", "profiles"),
     ("scene",),
     ("sensing",),
     ("metrics", "measures", "world", "exact", "soft", "evaluation", "viewshed"),

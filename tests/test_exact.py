@@ -21,12 +21,20 @@ from worlds import (
 from inspe_jax import exact, masks, metrics
 from inspe_jax import world as made
 from inspe_jax.measures import Crew, Field, measure
+from inspe_jax.placement.candidate_views import see
 from inspe_jax.sensing import view_masks
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.tiles import tiles_of
 
 SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
+
+
+def slow(*case):
+    """A case that shows more of what the others show."""
+    return pytest.param(*case, marks=pytest.mark.slow)
+
+
 UNITS = ((0, 2), (1,), (3,))  # as failures: several sensors in a group, not in order
 SCENES = {
     "plain": dict(),
@@ -78,7 +86,7 @@ def test_masks_count_what_numbers_add_up_to(name):
     assert_same(dense, counted)
 
 
-READINGS = list(product(metrics.OCCLUSION_REFERENCES, ["in_view", "line_of_sight"]))
+READINGS = list(product(metrics.OCCLUSION_REFERENCES, ["in_view", "line_of_sight", "past_others"]))
 
 
 def check_reading(reference, visibility, failures):
@@ -92,6 +100,22 @@ def check_reading(reference, visibility, failures):
 def test_every_reading_is_counted_alike(reference, visibility):
     """With all sensors, and without those of each unit."""
     check_reading(reference, visibility, UNITS)
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        TALL | dict(count=2),  # the upper levels' columns stand in vehicles, without a solid voxel
+        slow(dict(voxel=1.0, radius=20.0, count=20)),
+        dict(slope=0.3, count=20),
+    ],
+)
+def test_above_a_vehicle_that_spares_its_own_voxels_it_hides(size):
+    """Of sensors lower than its top."""
+    scene = world(seed=7, **size)
+    layout = random_layout(scene, SPECS, seed=8, heights=(0.3, 1.2))
+    options = dict(occlusion_reference="roi", visibility="past_others")
+    assert_same(*both(scene, layout, UNITS, **options))
 
 
 @pytest.mark.parametrize(
@@ -154,7 +178,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     assert_same(compiled_measure(field, poses, crew, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    views, seen = exact.see(grid, voxel / 2, s, sample)
+    views, seen = see(grid, voxel / 2, s, sample)
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])
@@ -189,7 +213,7 @@ def test_a_world_is_kept_as_long_as_its_scene():
     assert made.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
 
 
-@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5])
+@pytest.mark.parametrize("voxel", slow_but([TALL["voxel"], 0.5], 0.5))
 def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel):
     """Each centre against each box, by hand; where it always is, 0 does as well as 1."""
     scene = world(voxel=voxel, radius=10.0, frames=3, count=9, slope=0.05)

@@ -54,3 +54,12 @@ def test_marks_are_visited_once_and_in_order(number):
     )
     for row, flag in zip(visited[:, ::-1], flags.T, strict=True):
         np.testing.assert_array_equal(row[row >= 0], np.flatnonzero(flag))
+
+
+@pytest.mark.parametrize(("number", "bits"), [(1, 3), (100, 8), (255, 5), (256, 20), (600, 32)])
+def test_bits_are_tallied_one_by_one(number, bits):
+    """Against a sum of the bits; all of them set in one column, more than a byte can count."""
+    flags = np.random.default_rng(bits).random((number, 7, bits)) < 0.7
+    flags[:, 0] = True
+    found = masks.tally(jnp.asarray(masks.pack(flags)[..., 0]), bits)
+    np.testing.assert_array_equal(found, flags.sum(0))

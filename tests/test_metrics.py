@@ -48,18 +48,25 @@ def test_entropy_against_numpy():
     assert metrics.entropy(jnp.array([0.0, 1.0])).tolist() == [0, 0]
 
 
+def gain(q, p):
+    return float(metrics.information_gain(*metrics.entropy_terms(jnp.array(q), jnp.array(p))))
+
+
 def test_information_gain_by_hand():
     """p̂ = ½, ½, 0: two voxels carry one bit each. Seeing one of them resolves half."""
     p = jnp.array([0.5, 0.5, 0.0])
-    assert float(metrics.information_gain(jnp.array([1.0, 0, 1]), p)) == pytest.approx(0.5)
-    assert float(metrics.information_gain(jnp.array([0.4, 0.4, 0]), p)) == pytest.approx(0.4)
-    assert float(metrics.information_gain(jnp.ones(3), p)) == pytest.approx(1)
+    assert gain([1.0, 0, 1], p) == pytest.approx(0.5)
+    assert gain([0.4, 0.4, 0], p) == pytest.approx(0.4)
+    assert gain([1.0, 1, 1], p) == pytest.approx(1)
 
 
 def test_the_printed_formula_falls_as_sensors_see_more():
+    """1 − Σ_visible H / Σ H, which is what IG leaves."""
     p = jnp.array([0.5, 0.5, 0.0])
-    assert float(metrics.information_gain_literal(jnp.array([1.0, 0, 1]), p)) == pytest.approx(0.5)
-    assert float(metrics.information_gain_literal(jnp.ones(3), p)) == pytest.approx(0)
+    for q, printed in (([1.0, 0, 1], 0.5), ([1.0, 1, 1], 0.0)):
+        h = np.asarray(metrics.entropy(p))
+        assert 1 - (np.array(q) * h).sum() / h.sum() == pytest.approx(printed)
+        assert 1 - gain(q, p) == pytest.approx(printed)
 
 
 def test_information_gain_is_the_mutual_information_of_an_erasure_channel():
@@ -72,14 +79,12 @@ def test_information_gain_is_the_mutual_information_of_an_erasure_channel():
         on = joint > 0
         mutual += (joint[on] * np.log(joint[on] / product[on])).sum()
         total += -pi * np.log(pi) - (1 - pi) * np.log(1 - pi)
-    ours = float(metrics.information_gain(jnp.array(q), jnp.array(p)))
-    assert ours == pytest.approx(mutual / total, rel=1e-5)
+    assert gain(q, p) == pytest.approx(mutual / total, rel=1e-5)
 
 
 def test_no_entropy_is_no_gain_and_no_nan():
     for p in (jnp.zeros(3), jnp.ones(3)):
-        assert float(metrics.information_gain(jnp.ones(3), p)) == 0
-        assert float(metrics.information_gain_literal(jnp.ones(3), p)) == 1
+        assert gain([1.0, 1, 1], p) == 0
 
 
 def test_surrogate_and_its_weights():
@@ -88,3 +93,24 @@ def test_surrogate_and_its_weights():
     for weights in ((0.3, 0.5, 0.3), (1.5, -0.5, 0.0), (0.5, 0.5)):
         with pytest.raises(InspeError, match="sum to 1"):
             metrics.surrogate(1.0, 0.5, 0.25, weights)
+
+
+@pytest.mark.parametrize(
+    ("placement", "c", "o", "ig", "surrogate"),
+    # InSPE (arXiv 2504.08240), Table 2, means.
+    [
+        ("Cam-c", 0.605, 0.502, 0.253, 0.483),
+        ("Cam-d1", 0.680, 0.549, 0.295, 0.538),
+        ("Cam-d2", 0.691, 0.514, 0.306, 0.526),
+        ("L-c", 0.626, 0.609, 0.442, 0.581),
+        ("L-d1", 0.872, 0.794, 0.679, 0.794),
+        ("L-d2", 0.794, 0.721, 0.555, 0.710),
+        ("Cam-c/L-c", 0.815, 0.703, 0.509, 0.698),
+        ("Cam-d1/L-d1", 0.917, 0.901, 0.724, 0.871),
+        ("Cam-d2/L-d2", 0.899, 0.870, 0.637, 0.832),
+    ],
+)
+def test_the_weights_are_those_of_the_papers_table(placement, c, o, ig, surrogate):
+    """P_sm of the paper's own C, O and IG is the paper's P_sm, to what it rounds off."""
+    ours = metrics.surrogate(*(jnp.asarray(x, float) for x in (c, o, ig)), metrics.WEIGHTS)
+    assert float(ours) == pytest.approx(surrogate, abs=1e-3)

@@ -81,9 +81,11 @@ def test_softness_to_zero_is_the_exact_score(name):
 @pytest.mark.parametrize(
     ("reference", "visibility"),
     [
-        ("targets", "line_of_sight"),
+        slow("targets", "line_of_sight"),
         ("covered", "in_view"),
+        ("roi", "past_others"),
         slow("covered", "line_of_sight"),
+        slow("targets", "past_others"),
         slow("targets", "in_view"),
     ],
 )
@@ -134,7 +136,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
 @pytest.mark.parametrize(
     "size",
     [
-        TALL | dict(count=2),  # more levels than a word has bits
+        slow(TALL | dict(count=2)),  # more levels than a word has bits
         dict(voxel=2.0, radius=20.0, frames=131, count=3),  # two runs of frames
     ],
 )

@@ -141,6 +141,7 @@ def world(
     *,
     radius: float = 20.0,
     voxel: float = 0.5,
+    spacing: float | None = None,
     frames: int = 4,
     count: int = 12,
     seed: int = 0,
@@ -150,7 +151,8 @@ def world(
     """A test crossing with random traffic."""
     place = crossing(slope, center)
     traffic = random_traffic(place, frames, count, radius, seed) if count else no_traffic()
-    return Scene(build_voxels(place, radius=radius, voxel=voxel), traffic, place)
+    voxels = build_voxels(place, radius=radius, voxel=voxel, spacing=spacing)
+    return Scene(voxels, traffic, place)
 
 
 def with_boxes(scene: Scene, *boxes: tuple[float, float, float, float, float, float]) -> Scene:

@@ -5,7 +5,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,6 +43,14 @@ LightOption = Annotated[str, typer.Option(help="Light: midday, dusk or night.")]
 WeatherOption = Annotated[
     str, typer.Option(help="Weather: clear; rain:10, in mm/h; or fog:200, in m of optical range.")
 ]
+ProfileOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Profile that a built-in is built under: paper, if not given, or ideal (see "
+        "`inspe profiles`).",
+    ),
+]
 PlotOption = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Draw it: .png, .svg or .pdf.")
 ]
@@ -50,6 +58,22 @@ PlotOption = Annotated[
 
 def main() -> None:
     """Run the command line; an error that the user can mend is one line and status 2."""
+    try:
+        _run()
+    except SystemExit as e:
+        # Only if a search has compiled: importing it would take longer than most commands.
+        ahead = sys.modules.get("inspe_jax.placement.ahead")
+        if ahead is not None and ahead.compiles():
+            from inspe_jax.compiling import leave
+
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError):  # nobody reads it any more
+                    stream.flush()
+            leave(e.code if isinstance(e.code, int) else int(e.code is not None))
+        raise
+
+
+def _run() -> None:
     try:
         app()
     except InspeError as e:
@@ -131,11 +155,11 @@ def known(source: str) -> str:
     return source
 
 
-def scene_and_layout(source: str, sensors: str) -> "tuple[Scene, Layout]":
+def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[Scene, Layout]":
     """A scene, and the layout that a file or a strategy's name gives on it."""
     from inspe_jax.scene.scene import load_scene
 
-    world = load_scene(source)
+    world = load_scene(source, profile)
     return world, layout_on(world, sensors)
 
 
@@ -148,13 +172,22 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     from inspe_jax.sensing.layout import load_layout
 
     if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
-        return load_layout(sensors, world, unit_rule=unit_rule)
+        layout = load_layout(sensors, world, unit_rule=unit_rule)
+        note_other_profile(world, layout)
+        return layout
     if sensors.lower() not in (name.lower() for name in STRATEGIES):
         raise InspeError(
             f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"
             + nearest(sensors, tuple(STRATEGIES))
         )
     return strategy(world, sensors)
+
+
+def note_other_profile(world: "Scene", layout: "Layout") -> None:
+    """Say so where a layout was made under another profile than its scene."""
+    here = world.profile.name
+    if layout.profile not in (None, here):
+        note([f"{layout.name} was made under the profile {layout.profile}, the scene under {here}"])
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import WeatherOption
+from inspe_jax.cli.common import ProfileOption, WeatherOption
 from inspe_jax.errors import InspeError
 
 if TYPE_CHECKING:
@@ -87,6 +87,7 @@ class SearchOptions:
         ),
     ] = "midday"
     weather: WeatherOption = "clear"
+    profile: ProfileOption = None
 
     def seconds_each(self) -> float | None:
         """The budget in seconds of each of several searches."""
@@ -103,7 +104,7 @@ class SearchOptions:
         from inspe_jax.placement.problem import Case
         from inspe_jax.scene.scene import load_scene
 
-        worlds = [scene, *(load_scene(other) for other in self.also or ())]
+        worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
         return [Case(world, conditions) for world in worlds for conditions in self.conditions()]
 
     def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":

@@ -14,6 +14,7 @@ from inspe_jax.cli.common import (
     DEFAULT_SCENE,
     LayoutArgument,
     LightOption,
+    ProfileOption,
     SceneArgument,
     WeatherOption,
     app,
@@ -90,7 +91,7 @@ def pareto(
     wanted = counts(device or list(DEFAULT_DEVICES))
     total = len(mixes(wanted, objective))
     with busy(f"reading {source}"):
-        cases = options.cases(load_scene(source))
+        cases = options.cases(load_scene(source, options.profile))
     with search_bar("searching") as tell:
         found = search(
             cases,
@@ -135,6 +136,7 @@ def tolerance(
     weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
+    profile: ProfileOption = None,
     record: Annotated[
         str | None,
         typer.Option("--json", metavar="FILE|-", help="Write it all as JSON; - for stdout."),
@@ -161,7 +163,7 @@ def tolerance(
     objective.check()
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors)
+        world, placed = scene_and_layout(source, sensors, profile)
     with progress("installations") as report:
         found = installed(
             Case(world, conditions),

@@ -14,6 +14,7 @@ from inspe_jax.cli.common import (
     LayoutArgument,
     LightOption,
     PlotOption,
+    ProfileOption,
     SceneArgument,
     WeatherOption,
     app,
@@ -53,18 +54,28 @@ def scene(
             help="Centre [m] instead of a junction id, for a place of several junctions.",
         ),
     ] = None,
-    radius: Annotated[
-        float | None, typer.Option(help="Radius of the region of interest [m]; 50 if not given.")
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Profile: has what is not given below, and what is scored (see `inspe profiles`); "
+            "paper if not given.",
+        ),
     ] = None,
-    voxel: Annotated[
-        float | None, typer.Option(help="Edge of a voxel [m]; 0.5 if not given.")
+    radius: Annotated[
+        float | None, typer.Option(help="Radius of the region of interest [m].")
+    ] = None,
+    voxel: Annotated[float | None, typer.Option(help="Edge of a voxel [m].")] = None,
+    spacing: Annotated[
+        float | None,
+        typer.Option(
+            help="One voxel in each cell of this edge [m]; the profile's for voxels of its size, "
+            "and for others all voxels."
+        ),
     ] = None,
     density: Annotated[
         str | None,
-        typer.Option(
-            help="Traffic: none, low, medium, high (0, 20, 40, 60 objects) or a number; "
-            "medium if not given."
-        ),
+        typer.Option(help="Traffic: none, low, medium, high (0, 20, 40, 60 objects) or a number."),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Frames of traffic; 100 if not given.")] = None,
     step: Annotated[
@@ -94,12 +105,13 @@ def scene(
 
     - `inspe scene roundabout --plot roundabout.png`
     - `inspe scene MAP.xodr --list`
-    - `inspe scene MAP.xodr --junction 189 --radius 50 --voxel 0.5 --density medium --out j189.npz`
+    - `inspe scene MAP.xodr --junction 189 --radius 50 --density medium --out j189.npz`
     - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
     from inspe_jax.files import check_output
+    from inspe_jax.profiles import DEFAULT_PROFILE, profile_of
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scene_table
@@ -122,8 +134,10 @@ def scene(
     options: dict[str, Any] = {
         name: value
         for name, value in dict(
+            profile=profile,
             radius=radius,
             voxel=voxel,
+            spacing=spacing,
             density=density,
             frames=frames,
             step=step,
@@ -159,10 +173,9 @@ def scene(
                     f"{source}: say which place: --junction ID, or --center X Y; "
                     "--list shows the junctions"
                 )
+            size = profile_of(profile or DEFAULT_PROFILE).of_scene(radius=radius)["radius"]
             with busy(f"reading {path.name}"):
-                place = read_map(
-                    path, junction=junction, center=center, radius=options.get("radius", 50.0)
-                )
+                place = read_map(path, junction=junction, center=center, radius=size)
         else:
             if junction is not None or center is not None:
                 raise InspeError(f"{source}: --junction and --center are for maps")
@@ -187,6 +200,7 @@ def layout(
     ] = DEFAULT_LAYOUT,
     camera: Annotated[str | None, typer.Option(help="Camera device (see `inspe devices`).")] = None,
     lidar: Annotated[str | None, typer.Option(help="LiDAR device (see `inspe devices`).")] = None,
+    profile: ProfileOption = None,
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
     ] = None,
@@ -208,7 +222,7 @@ def layout(
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
     }
     check_output(save, (".yaml", ".yml"))
-    placed = place(load_scene(source), strategy, **devices)
+    placed = place(load_scene(source, profile), strategy, **devices)
     out.print(layout_table(placed))
     if save:
         save_layout(placed, save)
@@ -229,13 +243,22 @@ def score(
         typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
     ] = (0.3, 0.5, 0.2),
     occlusion_reference: Annotated[
-        str, typer.Option(help="What occlusion is a share of: roi, covered or targets.")
-    ] = "roi",
+        str | None,
+        typer.Option(
+            help="What occlusion is a share of: roi, covered or targets; the profile's if not "
+            "given."
+        ),
+    ] = None,
     visibility: Annotated[
-        str, typer.Option(help="Visibility in information gain: in_view or line_of_sight.")
-    ] = "in_view",
+        str | None,
+        typer.Option(
+            help="Visibility in information gain: in_view, line_of_sight or past_others; the "
+            "profile's if not given."
+        ),
+    ] = None,
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
+    profile: ProfileOption = None,
 ) -> None:
     """Score a layout on a scene: coverage, occlusion, information gain and P_sm.
 
@@ -245,6 +268,7 @@ def score(
     - `inspe score roundabout Cam-c/L-c --plot roundabout.png`
     - `inspe score j189.npz layout.yaml --json -`
     - `inspe score j189.npz layout.yaml --light night --weather rain:10`
+    - `inspe score four_way L-d1 --profile ideal`
     """
     from inspe_jax.evaluation import evaluate
     from inspe_jax.files import check_output
@@ -257,7 +281,7 @@ def score(
     check_record(record)
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors)
+        world, placed = scene_and_layout(source, sensors, profile)
     with busy("scoring"):
         scores = evaluate(
             world,
@@ -283,6 +307,19 @@ def devices() -> None:
     from inspe_jax.sensing.devices import devices as catalogue
 
     out.print(devices_table(catalogue()))
+
+
+@app.command()
+def profiles() -> None:
+    """List the profiles that a scene can be built under: every value, with the reason for it.
+
+    Example: `inspe profiles`; then `inspe score four_way L-d1 --profile ideal`.
+    """
+    from inspe_jax.profiles import profiles as known
+    from inspe_jax.report.tables import profile_table
+
+    for profile in known().values():
+        out.print(profile_table(profile))
 
 
 def _warn_of_full_roads(built: "Scene") -> None:

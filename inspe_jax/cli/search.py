@@ -77,7 +77,7 @@ def optimise(
     check_output(checkpoint, (".npz",))
     objective, constraints = options.checked()
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors)
+        world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     with search_bar("searching") as tell:
         result = search.optimise(
@@ -145,7 +145,7 @@ def compare(
     names = [name.strip() for name in methods.split(",") if name.strip()] or list(search.METHODS)
     objective, constraints = options.checked()
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors)
+        world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     runs = [(name, seed) for name in names for seed in range(seeds)]
 

@@ -16,6 +16,7 @@ from inspe_jax.cli.common import (
     DEFAULT_SCENE,
     LayoutArgument,
     LightOption,
+    ProfileOption,
     SceneArgument,
     WeatherOption,
     app,
@@ -64,6 +65,7 @@ def report(
     weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
+    profile: ProfileOption = None,
 ) -> None:
     """Write a page to hand on: scores side by side, maps, the scene in three dimensions.
 
@@ -88,7 +90,7 @@ def report(
     check_output(pdf, (".pdf",))
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
-        world = load_scene(source)
+        world = load_scene(source, profile)
         check_frame(world, frame)
         placed = [found_or_placed(world, given) for given in sensors or [DEFAULT_LAYOUT]]
         mixes = load_pareto(front) if front else []
@@ -153,6 +155,7 @@ def view(
     weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
+    profile: ProfileOption = None,
 ) -> None:
     """Serve a page on which sensors are dragged and the scores follow.
 
@@ -179,7 +182,7 @@ def view(
     check_output(path, (".yaml", ".yml"))
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
-        world = load_scene(source)
+        world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)
     door = Door(host) if token else Door(host, token="")
     if not (token or door.local):

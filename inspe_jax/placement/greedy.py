@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Bool, Float
 
+from inspe_jax.placement.ahead import Job
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, coordinates, poses, project
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run, State
@@ -32,6 +33,9 @@ MOVE_COST, PLACE_COST, EXCHANGE_COST = 2.2, 0.45, 0.125
 """A finer move of one sensor, which then sees more than most candidates do; placing all sensors
 greedily, for each candidate; and exchanging a unit, for each candidate of each of its sensors; in
 views (2.0 to 2.6, 0.3 to 0.7, and 0.11 to 0.13)."""
+
+VIEWS = "views"
+"""What is compiled ahead."""
 
 _LEAST = 1e-6  # a gain smaller than this is rounding
 
@@ -216,7 +220,25 @@ def step(run: Run, state: State) -> State:
     moves end with an exact score; moves that made it worse are taken back. The next round has
     another sample and candidates between the first ones.
     """
+    run.wait(VIEWS)
     return _PHASES[state["phase"]](run, state)
+
+
+def ahead(run: Run) -> dict[str, Job]:
+    """What a sensor of each kind sees of a sample, compiled while the start is scored."""
+    problem = run.problem
+    if VIEWS in problem.known:
+        return {}
+    _ = problem.fields  # here: two threads would each make them
+
+    def look() -> bool:
+        table = Table.of(problem, run.rng(0, 0))
+        for part in range(sum(kind.parts > 0 for kind in table.kinds)):
+            table.look(part)
+        problem.known.add(VIEWS)
+        return True
+
+    return {VIEWS: look}
 
 
 def _charge(run: Run, tally: Tally, views: float) -> None:
@@ -243,6 +265,8 @@ def _look(run: Run, state: State) -> State:
     if state["round"] == 0 and part == len(table.kinds) < len(table.parts):
         picks, _ = lazy_greedy(table)
         run.offer(table.layout(run.start, picks))
+    if part >= len(table.kinds):  # one chunk of each kind
+        run.problem.known.add(VIEWS)
     return state | {"part": part, "phase": "place" if part == len(table.parts) else "look"}
 
 
@@ -335,4 +359,5 @@ GREEDY = Method(
     "sensor by sensor the best candidate pose, then exchanges and finer moves",
     begin,
     step,
+    ahead,
 )

@@ -9,6 +9,7 @@ import numpy as np
 
 from inspe_jax.placement import greedy
 from inspe_jax.placement.adam import advance, charted, charted_again, layouts
+from inspe_jax.placement.ahead import Job
 from inspe_jax.placement.run import Method, Run, State
 
 DRAFT = 0.05
@@ -29,8 +30,13 @@ VAIN = 3
 """A round ends after so many bursts in a row that were for nothing, …"""
 TRIAL = 3
 """… or if it is behind the best round after as many bursts, of this many at least."""
+COMPILES = 1.5
+"""How long the gradient compiles beside greedy placement, in what all that came before took."""
 WIDTH = 0.36
 """Width of the first finer moves, in typical steps."""
+
+GRADIENT = "gradient"
+"""What is compiled ahead, after what greedy placement needs."""
 
 _WITHIN = "greedy "  # what a state of greedy placement has before its keys
 
@@ -48,6 +54,34 @@ def begin(run: Run) -> State:
     } | _within(greedy.begin(run))
 
 
+def ahead(run: Run) -> dict[str, Job]:
+    """What greedy placement needs compiled; then the gradient, if it will be of use in time."""
+    jobs, problem, began = greedy.ahead(run), run.problem, run.spent
+    if "slope" in problem.known:
+        return jobs
+    _ = problem.fields
+
+    def gradient() -> bool:
+        took = run.spent - began
+        if run.share(run.spent + COMPILES * took) >= UNTIL:
+            return False
+        trial = Run(problem, run.start, evaluations=np.finfo(float).max)
+        burst = charted(problem, run.start[None]) | {"line": np.zeros(1, int), "count": 0}
+        advance(trial, burst, lambda: (SOFTNESS, RATE), 1)
+        return True
+
+    return jobs | {GRADIENT: gradient}
+
+
+def _has_gradients(run: Run, state: State) -> bool:
+    """Whether there is a gradient: not while it compiles, nor where that took too long.
+
+    Until there is, the search is greedy placement, step by step.
+    """
+    too_late = state["polished"] < 0 and run.done >= UNTIL
+    return run.ready(GRADIENT) and not too_late
+
+
 def step(run: Run, state: State) -> State | None:
     """Rounds of greedy placement, exchanges and Adam; then finer moves, and rounds again.
 
@@ -55,18 +89,21 @@ def step(run: Run, state: State) -> State | None:
     as leave time for the moves, which are of the best layout of all.
     """
     if "line" in state:
+        run.wait(GRADIENT)  # of a search taken up again in another process
         return _burst(run, state)
-    if state["drafted"]:
-        return _from_draft(run, state)
     placing = _placing(state)
-    late = placing["round"] == 0 and run.share(run.spent - state["aside"]) >= BEFORE
-    if state["polished"] < placing["round"] and (placing["phase"] == "move" or late):
-        return _before_adam(run, state, placing)
+    if _has_gradients(run, state):
+        late = placing["round"] == 0 and run.share(run.spent - state["aside"]) >= BEFORE
+        if state["polished"] < placing["round"] and (placing["phase"] == "move" or late):
+            return _before_adam(run, state, placing)
+        if state["drafted"]:
+            return _from_draft(run, state)
     scored = len(run.history)
     after = greedy.step(run, placing)
     began = state["began"] if after["round"] == placing["round"] else run.spent
     drafted = after["phase"] == "look" and len(run.history) > scored
     drafted = drafted and run.share(run.spent - began) <= DRAFT
+    drafted = drafted or state["drafted"]  # its burst waits for the gradient
     return _beside(state) | {"began": began, "drafted": drafted} | _within(after)
 
 
@@ -95,13 +132,14 @@ def _before_adam(run: Run, state: State, placing: State) -> State:
     If that has had a burst, then from where placement ended if it came further without one.
     """
     further = placing["phase"] == "move" and placing["value"] > state["draft"]
-    own = placing["round"] > 0 or further
+    own = state["polished"] >= 0 or further
     x, value = (placing["x"], placing["value"]) if own else (run.best_x, run.best)
     return (
         state
         | charted(run.problem, x[None])
         | {
             "polished": placing["round"],
+            "drafted": False,
             "placed": run.spent,
             "line": np.zeros(1, int),
             "softness": SOFTNESS,
@@ -166,4 +204,5 @@ GREEDY_ADAM = Method(
     "rounds of greedy placement over candidate poses and Adam from there, then finer moves",
     begin,
     step,
+    ahead,
 )

@@ -202,6 +202,7 @@ def _drive(run: Run, row: Method, keeper: Keeper | None = None) -> str:
         return keeper.ended
     status = ""
     try:
+        run.compile_ahead(row)
         if not run.history:
             run.offer(run.start)
         following: State | None = state or row.begin(run)
@@ -218,6 +219,8 @@ def _drive(run: Run, row: Method, keeper: Keeper | None = None) -> str:
         if not run.history:  # nothing to hand back
             raise
         status = "interrupted"
+    finally:
+        run.close()
     if keeper:
         keeper.end(run, state, status)
     return status

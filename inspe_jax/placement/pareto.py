@@ -111,7 +111,7 @@ def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
             site.lidar(post, foot) if spec.kind == "lidar" else site.camera(post, foot, site.center)
         )
         views.append((view, spec))
-    return join(called(counts), scene.intersection, views)
+    return replace(join(called(counts), scene.intersection, views), profile=scene.profile.name)
 
 
 def pareto(

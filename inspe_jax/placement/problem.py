@@ -6,7 +6,7 @@ rank candidates by. *Soft*: margins read softly on a sample; what gradients are 
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, wraps
 from typing import Any, NamedTuple
 
@@ -19,16 +19,17 @@ from inspe_jax import metrics
 from inspe_jax.arrays import on_device, on_host
 from inspe_jax.cores import Job, run
 from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import check_entropy, check_options
-from inspe_jax.exact import measure_exactly, see
+from inspe_jax.evaluation import check_entropy, check_options, options_of
+from inspe_jax.exact import measure_exactly
 from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.measures import Crew, Field, sensor_array
+from inspe_jax.measures import Crew, Field, sensor_array, spares_own
 from inspe_jax.numerics import step
+from inspe_jax.placement.candidate_views import see
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints, Space
 from inspe_jax.placement.readings import COMBINATIONS, Terms, hard_scores, scores, soft_slope
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.devices import device
 from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
@@ -47,15 +48,16 @@ class Objective:
     """What is maximised: a mean or a worst case of P_sm, less what the sensors cost.
 
     ``weights`` of C, O, IG; ``occlusion_reference`` and ``visibility`` as in
-    :func:`inspe_jax.evaluate`; ``over`` several scenes, "mean" or "worst"; with ``failures`` the
-    score is N−1: the mean over the units of the score without that unit. ``price_weight`` is how
-    much score a thousand US dollars must bring; ``budget`` the most the layout may cost [US
-    dollars]; ``prices`` of devices [US dollars], before the catalogue's.
+    :func:`inspe_jax.evaluate`, those of the scenes' profile if not given; ``over`` several scenes,
+    "mean" or "worst"; with ``failures`` the score is N−1: the mean over the units of the score
+    without that unit. ``price_weight`` is how much score a thousand US dollars must bring;
+    ``budget`` the most the layout may cost [US dollars]; ``prices`` of devices [US dollars], before
+    the catalogue's.
     """
 
     weights: tuple[float, float, float] = metrics.WEIGHTS
-    occlusion_reference: str = "roi"
-    visibility: str = "in_view"
+    occlusion_reference: str | None = None
+    visibility: str | None = None
     over: str = "mean"
     failures: bool = False
     price_weight: float = 0.0
@@ -64,7 +66,7 @@ class Objective:
 
     def check(self) -> None:
         """Raise InspeError where a setting is unknown or out of range."""
-        check_options(self.weights, self.occlusion_reference, self.visibility)
+        check_options(self.weights, self.occlusion_reference or "roi", self.visibility or "in_view")
         if self.over not in COMBINATIONS:
             raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
         if not self.price_weight >= 0:
@@ -170,21 +172,35 @@ class Problem:
         """
         self.cases = cases_of(scenes)
         self.layout = layout
-        self.objective = objective or Objective()
-        self.objective.check()
+        wanted = objective or Objective()
+        wanted.check()
         first = self.cases[0].scene
+        self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
+        self.objective = replace(
+            wanted,
+            occlusion_reference=self.options["occlusion_reference"],
+            visibility=self.options["visibility"],
+        )
         for case in self.cases[1:]:
             if not np.allclose(case.scene.voxels.center, first.voxels.center, atol=1e-6):
                 raise InspeError(
                     f"{case.scene.name} has another centre than {first.name}: scenes searched "
                     "together are of one intersection, with other traffic or other light"
                 )
+            if case.scene.profile != first.profile:
+                raise InspeError(
+                    f"{case.scene.name} is of the profile {case.scene.profile.name} and "
+                    f"{first.name} of {first.profile.name}: scenes searched together are of one"
+                )
         check_layout(first, layout)
         self.price = self.objective.price(layout)
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self.crews = tuple(Crew.of(case.conditions.layout(layout), failures) for case in self.cases)
+        self.crews = tuple(
+            Crew.of(perceiving(case.scene, layout, case.conditions), failures)
+            for case in self.cases
+        )
         self.terms = Terms(
             tuple(sensor_array(crew) for crew in self.crews),
             tuple(case.scene.voxels.size for case in self.cases),
@@ -219,7 +235,7 @@ class Problem:
 
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors."""
-        poses, options = poses_about_center(self.cases[0].scene, layout), self.objective
+        poses = poses_about_center(self.cases[0].scene, layout)
         measures = []
         for case, crew in zip(self.cases, self.crews, strict=True):
             found = measure_exactly(
@@ -227,10 +243,9 @@ class Problem:
                 poses,
                 crew,
                 case.scene.voxels.size,
-                occlusion_reference=options.occlusion_reference,
-                visibility=options.visibility,
+                **self.options,
             )
-            if options.weights[2] > 0:
+            if self.objective.weights[2] > 0:
                 check_entropy(case.scene, found.entropy)
             measures.append(found)
         return self._combined(scores(measures, self.terms.weights, self.terms.failures))
@@ -280,15 +295,12 @@ class Problem:
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of many layouts, read hard on a sample; layouts side by side."""
         worlds = tuple(world.bucketed for world in sample.worlds)
-        options = dict(
-            reference=self.objective.occlusion_reference, visibility=self.objective.visibility
-        )
         shapes = tuple(leaf.shape for leaf in jax.tree.leaves((worlds, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
-        key = (hard_scores, *options.values(), kinds, shapes)
+        key = (hard_scores, *self.options.values(), kinds, shapes)
         filled = [self.terms.sensors[0].filled(row) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(hard_scores, row, worlds, self.terms, **options)) for row in filled
+            (key, partial(hard_scores, row, worlds, self.terms, **self.options)) for row in filled
         ]
         return np.array([self._combined(row) for row in run(jobs)])
 
@@ -304,8 +316,7 @@ class Problem:
             on,
             self.terms,
             softness,
-            reference=self.objective.occlusion_reference,
-            visibility=self.objective.visibility,
+            **self.options,
             over=self.objective.over,
         )
         return float(value) - self.price, np.asarray(slope)[: len(poses)]
@@ -316,7 +327,7 @@ class Problem:
         """What each voxel of a sample counts for."""
         parts = []
         for part in sample.fields:
-            free = np.asarray(_free(part, self.objective.occlusion_reference), float)
+            free = np.asarray(_free(part, self.options["occlusion_reference"]), float)
             weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
             entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
             filled = np.maximum((free.sum(1) > 0).sum(), 1)
@@ -333,12 +344,12 @@ class Problem:
 
         Poses are about the scene's centre. With :meth:`shares`, for a set of sensors: C is the sum
         of ``weight`` over voxels in view of some, O that of ``free`` over voxels and frames seen by
-        some, IG that of ``entropy``·(1 − ∏(1 − reliability·view)).
+        some, IG that of ``entropy``·(1 − ∏(1 − reliability·view)), where visibility is ``in_view``.
         """
         views, seen = [], []
         for case, world, crew in zip(self.cases, sample.worlds, self.crews, strict=True):
             grid = next(grid for grid, index in crew.groups if s in index)
-            own = self.objective.occlusion_reference == "targets"
+            own = spares_own(*self.options.values())
             half = case.scene.voxels.size / 2
             f, v = see(grid, half, jnp.asarray(poses, float), world, spare_own=own)
             views.append(f)

@@ -51,17 +51,17 @@ def scores(
     return jnp.stack(found)
 
 
-@partial(jax.jit, static_argnames=("reference", "visibility"))
+@partial(jax.jit, static_argnames=("occlusion_reference", "visibility"))
 def hard_scores(
     poses: Float[Array, "S 6"],
     worlds: tuple[World, ...],
     terms: Terms,
     *,
-    reference: str,
+    occlusion_reference: str,
     visibility: str,
 ) -> Float[Array, " N"]:
     """P_sm of every case, read hard, of poses about the centre that are filled up."""
-    options = dict(occlusion_reference=reference, visibility=visibility)
+    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
     measures = [
         count_exactly(world, poses, sensors, voxel, **options)
         for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
@@ -69,20 +69,20 @@ def hard_scores(
     return scores(measures, terms.weights, terms.failures)
 
 
-@partial(jax.jit, static_argnames=("reference", "visibility", "over"))
+@partial(jax.jit, static_argnames=("occlusion_reference", "visibility", "over"))
 def soft_slope(
     poses: Float[Array, "S 6"],
     on: tuple[Field, ...] | tuple[World, ...],
     terms: Terms,
     softness: Float[Array, ""],
     *,
-    reference: str,
+    occlusion_reference: str,
     visibility: str,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
     """The score of all cases, read softly [m], and its slope in the poses; on samples or worlds."""
     width = Softness.of(softness)
-    options = dict(occlusion_reference=reference, visibility=visibility)
+    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
     worlds = [world_in_one_tile(part) if isinstance(part, Field) else part for part in on]
 
     def score(poses: Array) -> Array:

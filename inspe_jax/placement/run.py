@@ -5,7 +5,7 @@ state to the next, so that a search can be stopped after any step and taken up a
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.errors import InspeError
+from inspe_jax.placement.ahead import Ahead, Job
 from inspe_jax.placement.problem import Problem, Sample
 
 State = dict[str, Any]
@@ -36,13 +37,15 @@ class Method:
     """A row of the registry: a name, a line about it, how it begins, and one step of it.
 
     ``step`` does about a second of work and gives the next state, or None where nothing is left
-    to do. Neither changes the state that it is given.
+    to do. Neither changes the state that it is given. ``ahead`` gives, by name and in order, what
+    is to be compiled while the start is scored and the first steps are done.
     """
 
     name: str
     summary: str
     begin: "Callable[[Run], State]"
     step: "Callable[[Run, State], State | None]"
+    ahead: "Callable[[Run], Mapping[str, Job]]" = lambda run: {}
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,7 @@ class Run:
         self.limits = (seconds, evaluations)
         self._clock, self._progress, self._found = clock, progress, found
         self._began = clock() if began is None else began
+        self._ahead = Ahead({})
 
     @property
     def best_x(self) -> Float[np.ndarray, " N"]:
@@ -174,6 +178,30 @@ class Run:
         """Count work before it is done, in exact scores that take as long. Raises BudgetSpent."""
         self._check_left()
         self.evaluations += float(evaluations)
+
+    def compile_ahead(self, method: Method) -> None:
+        """Begin to compile what the method will need, in a thread of its own.
+
+        Where seconds are counted: with evaluations alone a seed repeats, and what is found must
+        not depend on how long compiling takes.
+        """
+        if self.limits[0] is not None:
+            self._ahead = Ahead(method.ahead(self))
+
+    def ready(self, name: str) -> bool:
+        """Whether what the method named is compiled, or need not be ahead of its use.
+
+        Raises what compiling it raised.
+        """
+        return self._ahead.ready(name)
+
+    def wait(self, name: str) -> None:
+        """Wait until what the method named is compiled, if that was begun; raises as it did."""
+        self._ahead.wait(name)
+
+    def close(self) -> None:
+        """Compile nothing more than what has been begun."""
+        self._ahead.close()
 
     def report(self) -> None:
         """Tell whoever listens how far the search has come."""

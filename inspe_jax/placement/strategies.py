@@ -20,7 +20,7 @@ with its intersection.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,7 @@ from inspe_jax.placement.site import (
     kerb,
     spread,
 )
+from inspe_jax.profiles import DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device
@@ -156,11 +157,11 @@ Rule = Callable[[Site], list[View]]
 
 @dataclass(frozen=True)
 class Strategy:
-    """A named placement: its rules, the LiDAR the paper gives it, and the heights allowed [m]."""
+    """A named placement: its rules, how many beams its LiDARs have, and the heights allowed [m]."""
 
     cameras: Rule | None = None
     lidars: Rule | None = None
-    lidar: str = "paper-lidar-64"
+    beams: int = 64
     heights: tuple[float, float] = POLE_HEIGHTS
 
 
@@ -169,10 +170,10 @@ STRATEGIES: dict[str, Strategy] = {
     "Cam-d1": Strategy(cameras=corner_cameras),
     "Cam-d2": Strategy(cameras=roadside_cameras),
     "L-c": Strategy(lidars=central_lidar, heights=CENTRAL_HEIGHTS),
-    "L-d1": Strategy(lidars=corner_lidars, lidar="paper-lidar-32"),
+    "L-d1": Strategy(lidars=corner_lidars, beams=32),
     "L-d2": Strategy(lidars=roadside_lidars),
     "Cam-c/L-c": Strategy(central_cameras, central_lidar, heights=CENTRAL_HEIGHTS),
-    "Cam-d1/L-d1": Strategy(corner_cameras, corner_lidars, "paper-lidar-32"),
+    "Cam-d1/L-d1": Strategy(corner_cameras, corner_lidars, 32),
     "Cam-d2/L-d2": Strategy(roadside_cameras, roadside_lidars),
 }
 """The nine placements of the paper's Table 2. Adding one is adding a row."""
@@ -182,7 +183,7 @@ def strategy(
     scene: Scene,
     name: str,
     *,
-    camera: str | Spec = "paper-camera",
+    camera: str | Spec | None = None,
     lidar: str | Spec | None = None,
     camera_height: float | None = None,
     lidar_height: float | None = None,
@@ -190,20 +191,24 @@ def strategy(
 ) -> Layout:
     """The layout that a strategy of :data:`STRATEGIES` gives on a scene.
 
-    ``name`` in any case. ``camera`` and ``lidar`` name devices of the catalogue, or are specs;
-    None is the paper's LiDAR for the strategy (its discussion of L-d2 has the
-    32-beam one: ``lidar="paper-lidar-32"``). ``camera_height`` and
-    ``lidar_height`` [m above the ground] replace the usual 6 and 5 m, at the
-    centre 7 and 6.5 m; ``camera_pitch_deg`` [degrees, negative is down] replaces
-    what each camera is aimed at. What the strategy has no sensor for is checked
-    and has no effect.
+    ``name`` in any case. ``camera`` and ``lidar`` name devices of the catalogue, or are specs.
+    ``camera_height`` and ``lidar_height`` [m above the ground], and ``camera_pitch_deg``
+    [degrees, negative is down]. What is not given is as the scene's profile has it; where that
+    leaves it open, cameras hang at 6 m and LiDARs at 5 m, at the centre at 7 and 6.5 m, and each
+    camera is aimed at what it is for. The paper's discussion of L-d2 has the 32-beam LiDAR:
+    ``lidar="paper-lidar-32"``. What the strategy has no sensor for is checked and has no effect.
 
     Raises InspeError on an unknown name or device, a device of the other kind, a
     height or pitch out of range, and where the intersection has fewer than two
     arms or nowhere to put a pole.
     """
-    chosen = choose(name, camera, lidar, camera_height, lidar_height, camera_pitch_deg)
-    row, place = STRATEGIES[chosen.name], scene.intersection
+    own, place = scene.profile, scene.intersection
+    camera_height = own.camera_height if camera_height is None else camera_height
+    lidar_height = own.lidar_height if lidar_height is None else lidar_height
+    if camera_pitch_deg is None:
+        camera_pitch_deg = own.camera_pitch_deg
+    chosen = choose(name, camera, lidar, camera_height, lidar_height, camera_pitch_deg, own)
+    row = STRATEGIES[chosen.name]
     if len(place.arms) < 2:
         raise InspeError(
             f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
@@ -215,7 +220,7 @@ def strategy(
     views: list[tuple[View, Spec]] = []
     for rule, spec in ((row.cameras, chosen.camera), (row.lidars, chosen.lidar)):
         views += [(view, spec) for view in rule(site)] if rule else []
-    return join(chosen.name, place, views)
+    return replace(join(chosen.name, place, views), profile=own.name)
 
 
 class Chosen(NamedTuple):
@@ -228,13 +233,16 @@ class Chosen(NamedTuple):
 
 def choose(
     name: str,
-    camera: str | Spec = "paper-camera",
+    camera: str | Spec | None = None,
     lidar: str | Spec | None = None,
     camera_height: float | None = None,
     lidar_height: float | None = None,
     camera_pitch_deg: float | None = None,
+    profile: Profile | None = None,
 ) -> Chosen:
-    """What the options of :func:`strategy` mean on any scene; raises InspeError as that does."""
+    """What the options of :func:`strategy` mean on any scene of a profile, the default one if
+    None; raises InspeError as that does."""
+    own = profile or profile_of(DEFAULT_PROFILE)
     known = {key.lower(): key for key in STRATEGIES}
     key = known.get(name.strip().lower())
     if key is None:
@@ -252,8 +260,9 @@ def choose(
         raise InspeError(
             f"camera_pitch_deg {camera_pitch_deg:g}: between -90, straight down, and 0"
         )
-    seeing = _device("camera", camera, CameraSpec)
-    return Chosen(key, seeing, _device("lidar", lidar or row.lidar, LidarSpec))
+    seeing = _device("camera", camera or own.camera, CameraSpec)
+    usual = {32: own.lidar_32, 64: own.lidar_64}[row.beams]
+    return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec))
 
 
 def _device(option: str, of: str | Spec, kind: type[CameraSpec] | type[LidarSpec]) -> Spec:

@@ -31,7 +31,11 @@ class Tally:
         self._weight = c * shares.weight
         self._free = o * shares.free
         self._entropy = ig * shares.entropy
-        self._sighted = objective.visibility == "line_of_sight"
+        self._sighted = objective.visibility != "in_view"
+        # What is inside a vehicle counts for O alone, where nothing else asks for it.
+        inside = objective.occlusion_reference == "targets"
+        inside &= objective.visibility == "line_of_sight"
+        self._in_sight = ~(shares.free > 0) if inside else np.ones(shares.free.shape, bool)
         self._voxels = len(shares.weight)
         everyone = range(len(problem.layout))
         # Who is there, in each of the cases whose mean the score is.
@@ -66,7 +70,7 @@ class Tally:
         """The chance that sensor ``s`` alone resolves each voxel."""
         v = self._voxels
         if self._sighted:
-            seen = row[..., v:].reshape(*row.shape[:-1], -1, v)
+            seen = row[..., v:].reshape(*row.shape[:-1], -1, v) & self._in_sight
             return seen.mean(-2) * self._reliability[s]
         return row[..., :v] * self._reliability[s]
 
@@ -88,7 +92,7 @@ class Tally:
             rest += free.reshape(rest.shape)
             resolved = entropy * self._reliability[s]
             if self._sighted:
-                rest += resolved / len(rest)
+                rest += resolved / len(rest) * self._in_sight
             else:
                 first += resolved
         return (worth / len(self._there)).astype(np.float32)

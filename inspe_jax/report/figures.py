@@ -73,7 +73,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     place, grid = scene.intersection, scene.voxels
     notes = [f"• {note}" for note in (f"source: {place.source}", *place.notes)]
     facts = (
-        f"radius {grid.radius:g} m, voxel {grid.size:g} m: {len(grid.columns):,} columns × "
+        f"radius {grid.radius:g} m, {grid.words}: {len(grid.columns):,} columns × "
         f"{grid.level_count} levels = {grid.count:,} voxels\n"
         f"{len(place.arms)} arms, {len(_near_poles(scene))} poles; {_users(scene, frame)}"
     )
@@ -108,7 +108,7 @@ def plan_view(
         f"coverage C {scores.coverage:.3f},  occlusion O {scores.occlusion:.3f},  "
         f"information gain IG {scores.information_gain:.3f},  "
         f"surrogate $P_{{sm}}$ {scores.surrogate:.3f}\n"
-        f"radius {scene.voxels.radius:g} m, voxel {scene.voxels.size:g} m; {_users(scene, frame)}"
+        f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}"
     )
     keys = plan_keys(scene, layout)
     rows = 8 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
@@ -142,11 +142,11 @@ def column_raster(
             f"scores of another scene: their columns' values have shape {values.shape}, expected "
             f"({len(voxels.columns)},), one value a column"
         )
-    half = int(np.ceil(voxels.radius / voxels.size))
-    index = np.round((voxels.columns - voxels.center[:2]) / voxels.size - 0.5).astype(int) + half
+    half = int(np.ceil(voxels.radius / voxels.spacing))
+    index = np.round((voxels.columns - voxels.center[:2]) / voxels.spacing - 0.5).astype(int) + half
     raster = np.full((2 * half, 2 * half), np.nan)
     raster[index[:, 1], index[:, 0]] = values
-    (x, y), reach = voxels.center[:2].tolist(), half * voxels.size
+    (x, y), reach = voxels.center[:2].tolist(), half * voxels.spacing
     return raster, (x - reach, x + reach, y - reach, y + reach)
 
 

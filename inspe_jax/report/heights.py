@@ -17,7 +17,7 @@ def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
     ``scored`` has each layout's name and scores.
     """
     grid = scene.voxels
-    middle = grid.size * (np.arange(grid.level_count) + 0.5)
+    middle = grid.levels
     with house_style():
         fig = Figure(figsize=(WIDTH, 2.9), facecolor="white")
         ax = fig.add_axes((0.085, 0.14, 0.56, 0.64))
@@ -29,7 +29,7 @@ def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
         low = min(min(scores.level_coverage) for _, scores in scored)
         ax.set(
             xlim=(min(0.9, np.floor(10 * low) / 10), 1.005),
-            ylim=(0, grid.size * grid.level_count),
+            ylim=(0, grid.spacing * grid.level_count),
             xlabel="share of the level's voxels in view",
             ylabel="height above the ground [m]",
         )
@@ -37,7 +37,7 @@ def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
         ax.set_axisbelow(True)
         title = fit(f"Coverage against height at {scene.name}", 68)
         fig.text(0.085, 0.965, title, size=10, weight="bold", va="top", parse_math=False)
-        facts = f"radius {grid.radius:g} m, voxel {grid.size:g} m; traffic does not matter here"
+        facts = f"radius {grid.radius:g} m, {grid.words}; traffic does not matter here"
         fig.text(0.085, 0.88, facts, va="top", parse_math=False)
         fig.legend(loc="upper left", bbox_to_anchor=(0.66, 0.80), frameon=False)
     return fig

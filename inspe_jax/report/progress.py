@@ -79,7 +79,7 @@ def before_after(
         title = fit(f"{before.name} at {scene.name}{scores.conditions.words}", 68)
         fig.text(left, 1 - 0.10 / height, title, size=10, weight="bold", va="top",
                  parse_math=False)  # fmt: skip
-        facts = f"radius {radius:g} m, voxel {scene.voxels.size:g} m; frame {frame} of the traffic"
+        facts = f"radius {radius:g} m, {scene.voxels.words}; frame {frame} of the traffic"
         fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
         both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)
         for k, ((layout, poses, layer, raster, extent), when, of_scores) in enumerate(both):

@@ -118,10 +118,10 @@ class Stage:
                 self._forget(name)
                 continue
             column, low, high = runs(own)
-            foot = grid.ground[column] + grid.size * low
-            tall = grid.size * (high - low)
+            foot = grid.ground[column] + grid.spacing * low
+            tall = grid.spacing * (high - low)
             center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
-            wide = np.full(len(column), 0.94 * grid.size)
+            wide = np.full(len(column), 0.94 * grid.spacing)
             size = np.column_stack([wide, wide, tall])
             opacity = FAINT * opacity if faint else opacity
             self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
@@ -215,14 +215,14 @@ class Stage:
     def _draw_ground(self) -> None:
         """A mesh for each region, its corners on the ground."""
         grid = self.scene.voxels
-        index = np.round((grid.columns - grid.center[:2]) / grid.size - 0.5).astype(int)
+        index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)
         for region, color in GROUND_COLORS.items():
             own = index[grid.region == region]
             if not len(own):
                 continue
             corner = own[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]  # (L, 4, 2)
             at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
-            points = self._on_ground(grid.center[:2] + grid.size * at, lift=0.0)
+            points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=0.0)
             square = which.reshape(-1, 4)
             faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
             name = f"ground/{region.key}"

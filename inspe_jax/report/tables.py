@@ -17,6 +17,7 @@ from inspe_jax.evaluation import Scores
 from inspe_jax.placement.pareto import Mix
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.tolerance import POSITION_STEP, Tolerance
+from inspe_jax.profiles import Profile
 from inspe_jax.scene.procedural import BUILT_INS, built_in
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
@@ -246,8 +247,8 @@ def scene_table(scene: Scene) -> RenderableType:
         "source": place.source,
         "centre": _position(place.center),
         "region of interest": f"radius {grid.radius:g} m",
-        "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels of "
-        f"{grid.size:g} m = {grid.count:,} voxels",
+        "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels = {grid.count:,}; "
+        f"{grid.words}",
         "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
         "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
         "settings": ", ".join(f"{key} {value}" for key, value in scene.settings),
@@ -313,6 +314,14 @@ def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> Renderabl
         words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
         sources.append(Text(words, style="dim"))
     return Group(table, "", *sources)
+
+
+def profile_table(profile: Profile) -> RenderableType:
+    """A profile for people: every value, and why."""
+    table = table_of(f"{profile.name}: {profile.title}", "setting", "value", "reason")
+    for key, reason in profile.reasons.items():
+        table.add_row(key, f"{getattr(profile, key)}", reason)
+    return table
 
 
 def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:

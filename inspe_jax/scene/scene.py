@@ -15,6 +15,7 @@ import shapely
 
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import check_input, check_output, whole_file
+from inspe_jax.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps import is_map
@@ -53,7 +54,8 @@ class _Earlier(Exception):
 class Scene:
     """What the sensors look at. Frozen; arrays in world metres and radians; equal only to itself.
 
-    ``settings`` say how it was made (radius, voxel, density, frames, step, mix, traffic, seed).
+    ``settings`` say how it was made (profile, radius, voxel, spacing, density, frames, step, mix,
+    traffic, seed).
     """
 
     voxels: VoxelGrid
@@ -66,23 +68,32 @@ class Scene:
         """The intersection's name."""
         return self.intersection.name
 
+    @property
+    def profile(self) -> Profile:
+        """What it was built under, and what is scored on it."""
+        return profile_of(dict(self.settings).get("profile", BEFORE_PROFILES))
+
 
 def build_scene(
     intersection: Intersection,
     *,
-    radius: float = 50.0,
-    voxel: float = 0.5,
-    density: str | int = "medium",
+    profile: str = DEFAULT_PROFILE,
+    radius: float | None = None,
+    voxel: float | None = None,
+    spacing: float | None = None,
+    density: str | int | None = None,
     frames: int = 100,
     step: float = 1.0,
-    mix: str = "mixed",
+    mix: str | None = None,
     traffic: str | os.PathLike[str] = "waypoints",
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """Voxelise an intersection and fill it with traffic.
 
-    ``radius`` and ``voxel`` in metres; ``density`` is ``none``, ``low``,
+    ``profile`` names what else is open, one of :func:`~inspe_jax.profiles.profiles`; values that
+    are not given are its own. ``radius``, ``voxel`` and ``spacing`` in metres, as
+    :func:`~inspe_jax.scene.voxels.build_voxels` has them; ``density`` is ``none``, ``low``,
     ``medium``, ``high`` or a mean number of objects; ``mix`` as in
     :func:`~inspe_jax.scene.waypoint_traffic.waypoint_traffic`; frames are ``step`` seconds apart.
     ``traffic`` is where it comes from: ``waypoints``, the paper's model; ``sumo``, for an
@@ -90,8 +101,13 @@ def build_scene(
     and mix. ``progress`` is called with (steps done, steps). Raises InspeError on a value out of
     range, and as the source of the traffic does.
     """
-    voxels = build_voxels(intersection, radius=radius, voxel=voxel)
-    settings = dict(radius=f"{radius:g}", voxel=f"{voxel:g}")
+    given = dict(radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix)
+    own = profile_of(profile).of_scene(**given)
+    radius, density, mix = own["radius"], own["density"], own["mix"]
+    lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
+    voxels = build_voxels(intersection, **lengths)
+    lengths["spacing"] = voxels.spacing
+    settings = {"profile": profile} | {key: f"{value:g}" for key, value in lengths.items()}
     if str(traffic).endswith(LOG_SUFFIXES):
         found = log_traffic(intersection, Path(traffic), radius=radius, frames=frames, step=step)
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
@@ -126,14 +142,16 @@ def traffic_source(name: str) -> Callable[..., TrafficFrames]:
     )
 
 
-def load_scene(source: str | os.PathLike[str]) -> Scene:
-    """A built-in intersection by name, at default settings, or a saved ``.npz`` scene.
+def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:
+    """A built-in intersection by name, as a profile has it, or a saved ``.npz`` scene.
 
-    Needs no map reader. Raises InspeError where there is no such built-in or
-    file, or the file is not a scene.
+    Needs no map reader. Raises InspeError where there is no such built-in, profile or
+    file, the file is not a scene, or one of another ``profile`` than is asked for.
     """
+    if profile is not None:
+        profile_of(profile)
     if str(source) in BUILT_INS:
-        return build_scene(built_in(str(source)))
+        return build_scene(built_in(str(source)), profile=profile or DEFAULT_PROFILE)
     path = Path(source)
     if is_map(path):
         raise InspeError(
@@ -149,13 +167,22 @@ def load_scene(source: str | os.PathLike[str]) -> Scene:
     with path.open("rb") as f:
         try:
             with np.load(f, allow_pickle=False) as data:
-                return _unpack({k: data[k] for k in data.files})
+                scene = _unpack({k: data[k] for k in data.files})
         except _Earlier:
             raise InspeError(
                 f"{path}: saved by another version of this package; build it again: inspe scene"
             ) from None
         except _NOT_A_SCENE as e:
             raise InspeError(f"{path}: not a scene saved by this package") from e
+    own = dict(scene.settings).get("profile", BEFORE_PROFILES)
+    if own not in profiles():
+        raise InspeError(f"{path}: its profile '{own}' is none of {', '.join(profiles())}")
+    if profile not in (None, own):
+        raise InspeError(
+            f"{path}: was built under the profile {own}, not {profile}; build it again: "
+            f"inspe scene … --profile {profile}"
+        )
+    return scene
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -197,7 +224,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
         "notes": place.notes,
         "arms": [[*a.mouth, a.bearing, a.width] for a in place.arms],
         "routes": [[r.width, r.user, list(r.through)] for r in place.routes],
-        "grid": [grid.size, grid.radius, grid.level_count],
+        "grid": [grid.size, grid.radius, grid.level_count, grid.spacing],
         "settings": scene.settings,
         "regions": [r.key for r in place.regions],
     }
@@ -241,9 +268,13 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         ground_points=data["ground_points"],
         notes=tuple(record["notes"]),
     )
-    size, radius, level_count = record["grid"]
+    size, radius, level_count, *spacing = record["grid"]  # none in older files
     grid = VoxelGrid(
-        **{k: data[f"grid_{k}"] for k in _GRID}, size=size, radius=radius, level_count=level_count
+        **{k: data[f"grid_{k}"] for k in _GRID},
+        size=size,
+        radius=radius,
+        level_count=level_count,
+        spacing=spacing[0] if spacing else size,
     )
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     return Scene(grid, traffic, place, tuple((k, v) for k, v in record["settings"]))

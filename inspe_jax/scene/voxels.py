@@ -19,6 +19,8 @@ RADIUS_LIMITS = (10.0, 200.0)
 """Allowed radius of the region of interest, D_inf [m]."""
 VOXEL_LIMITS = (0.05, 2.0)
 """Allowed edge of a voxel [m]."""
+SPACING_LIMIT = 4.0
+"""Widest spacing of voxels [m]; it is the voxel's edge at least."""
 BYTES_PER_VOXEL = 50
 """Peak memory of scoring, per voxel and sensor (and once more for all): what is checked."""
 
@@ -28,11 +30,11 @@ BYTES_PER_VOXEL = 50
 class VoxelGrid:
     """Voxels as columns × levels, in world metres.
 
-    ``columns`` (L, 2) are plan centres on a lattice that has a corner at
-    ``center``; ``ground`` (L,) is the ground's height under each; ``region``
-    (L,) its label. Level k spans ground + [k, k + 1]·size, so every voxel is a
-    cube and the voxels of a column share one plan square. Voxel number v is
-    column v // Z, level v % Z.
+    ``columns`` (L, 2) are plan centres on a lattice of ``spacing`` [m] that has a corner
+    at ``center``; ``ground`` (L,) is the ground's height under each; ``region`` (L,) its
+    label. Level k has its centre at ground + (k + ½)·spacing. Every voxel is a cube of
+    edge ``size`` [m] in the middle of its cell of the lattice: with a wider spacing, a
+    sample of all voxels of that size. Voxel number v is column v // Z, level v % Z.
     """
 
     columns: Float[np.ndarray, "L 2"]
@@ -42,11 +44,18 @@ class VoxelGrid:
     size: float = field(metadata={"static": True})
     radius: float = field(metadata={"static": True})
     level_count: int = field(metadata={"static": True})
+    spacing: float = field(metadata={"static": True})
+
+    @property
+    def words(self) -> str:
+        """How large voxels are, and how far apart if that is more."""
+        apart = f", one every {self.spacing:g} m" if self.spacing > self.size else ""
+        return f"voxel {self.size:g} m{apart}"
 
     @property
     def levels(self) -> Float[np.ndarray, " Z"]:
         """Height of each level's centre above the ground [m]."""
-        return (np.arange(self.level_count) + 0.5) * self.size
+        return (np.arange(self.level_count) + 0.5) * self.spacing
 
     @property
     def count(self) -> int:
@@ -73,22 +82,30 @@ class VoxelGrid:
 
 
 def build_voxels(
-    intersection: Intersection, *, radius: float = 50.0, voxel: float = 0.5
+    intersection: Intersection,
+    *,
+    radius: float = 50.0,
+    voxel: float = 0.5,
+    spacing: float | None = None,
 ) -> VoxelGrid:
     """Voxelise an intersection: every column within ``radius`` [m] that lies in some region.
 
     ``voxel`` is the edge of a cube [m]; the column is labelled by its centre. The
-    levels come as near to 4 m as whole voxels can.
+    levels come as near to 4 m as whole cells of the lattice can. ``spacing`` [m], if wider
+    than a voxel, leaves one voxel in each cell of that edge: a sample of all, for
+    (voxel / spacing)³ of the work.
     Raises InspeError where a value is out of range, the grid would not fit in
     memory, or no region lies within the radius.
     """
     _check_range("radius", radius, RADIUS_LIMITS)
     _check_range("voxel", voxel, VOXEL_LIMITS)
-    level_count = max(1, int(ROI_HEIGHT / voxel + 0.5))
-    half = int(np.ceil(radius / voxel))
-    check_memory(np.pi * (radius / voxel) ** 2 * level_count, 4)
+    spacing = voxel if spacing is None else spacing
+    _check_range("spacing", spacing, (voxel, SPACING_LIMIT))
+    level_count = max(1, int(ROI_HEIGHT / spacing + 0.5))
+    half = int(np.ceil(radius / spacing))
+    check_memory(np.pi * (radius / spacing) ** 2 * level_count, 4)
 
-    lattice = (np.arange(-half, half) + 0.5) * voxel
+    lattice = (np.arange(-half, half) + 0.5) * spacing
     offset = np.stack(np.meshgrid(lattice, lattice, indexing="ij"), -1).reshape(-1, 2)
     offset = offset[np.hypot(offset[:, 0], offset[:, 1]) <= radius]
     columns = offset + intersection.center[:2]
@@ -116,6 +133,7 @@ def build_voxels(
         size=float(voxel),
         radius=float(radius),
         level_count=level_count,
+        spacing=float(spacing),
     )
 
 
@@ -137,5 +155,5 @@ def check_memory(voxels: float, sensors: int) -> None:
         raise InspeError(
             f"the grid is too large for memory: {voxels / 1e6:,.0f} million voxels and {sensors} "
             f"sensors take about {needed / 2**30:,.0f} GiB, and this machine has "
-            f"{memory / 2**30:,.0f} GiB; use a larger voxel or a smaller radius"
+            f"{memory / 2**30:,.0f} GiB; use larger voxels, a wider spacing or a smaller radius"
         )

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.special import lambertw
 
 from inspe_jax.errors import InspeError, nearest
+from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 
@@ -120,6 +121,23 @@ class Conditions:
         seen = {sensor.spec: self.spec(sensor.spec) for sensor in layout.sensors}
         sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in layout.sensors)
         return replace(layout, sensors=tuple(sensors))
+
+
+def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
+    """The sensors as they perceive on a scene in these conditions: reliability is a device's own,
+    times what the scene's profile says of its kind, times what the conditions leave."""
+    share = scene.profile.reliability
+    there = conditions.layout(layout)
+    if set(share.values()) == {1.0}:
+        return there
+    seen = {
+        sensor.spec: replace(
+            sensor.spec, reliability=sensor.spec.reliability * share[sensor.spec.kind]
+        )
+        for sensor in there.sensors
+    }
+    sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in there.sensors)
+    return replace(there, sensors=tuple(sensors))
 
 
 def effective_depth(depth: float, extinction: float) -> float:

@@ -18,6 +18,8 @@ as one that is like another but for some of them::
 
     devices:
       my-camera: {like: paper-camera, depth_m: 45}
+
+``profile: paper`` says which profile it was made under.
 """
 
 import os
@@ -34,6 +36,7 @@ from pydantic import BaseModel, Field
 from inspe_jax.errors import InspeError
 from inspe_jax.files import STRICT, check_model, read_yaml, write_text
 from inspe_jax.geometry import rotation
+from inspe_jax.profiles import profile_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.devices import device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
@@ -73,13 +76,15 @@ class Layout:
 
     ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians:
     the only part that is differentiated. What the sensors are and which unit
-    carries them is static.
+    carries them is static. ``profile`` names the one that it was made under, None
+    where that is not known.
     """
 
     poses: Float[Array | np.ndarray, "S 6"]
     sensors: tuple[Sensor, ...] = field(metadata={"static": True})
     units: tuple[Unit, ...] = field(metadata={"static": True})
     name: str = field(metadata={"static": True}, default="layout")
+    profile: str | None = field(metadata={"static": True}, default=None)
 
     def __len__(self) -> int:
         return len(self.sensors)
@@ -202,6 +207,7 @@ class _UnitEntry(_Strict):
 
 class _LayoutFile(_Strict):
     name: str | None = None
+    profile: str | None = None
     devices: dict[str, Any] = {}
     units: Annotated[list[_UnitEntry], Field(min_length=1)]
 
@@ -226,6 +232,11 @@ def parse_layout(
     if not content:
         raise InspeError(f"{where}: the layout is empty: it needs 'units', each with 'sensors'")
     entry = check_model(_LayoutFile, content, where)
+    if entry.profile is not None:
+        try:
+            profile_of(entry.profile)
+        except InspeError as e:
+            raise InspeError(f"{where}: profile: {e}") from None
     own = {
         key: spec_of(table, key, f"{where}: devices.{key}") for key, table in entry.devices.items()
     }
@@ -246,9 +257,10 @@ def parse_layout(
             (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
             poses.append(Pose(x + dx, y + dy, z + height, *angles.tolist()))
-    return make_layout(
+    layout = make_layout(
         sensors, units, np.array(poses), entry.name or name, where, unit_rule=unit_rule
     )
+    return replace(layout, profile=entry.profile)
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
@@ -287,7 +299,8 @@ def layout_text(layout: Layout) -> str:
                 )
             )
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
-    content = {"name": layout.name, **({"devices": own} if own else {}), "units": units}
+    made = {"profile": layout.profile, "devices": own}
+    content = {"name": layout.name, **{k: v for k, v in made.items() if v}, "units": units}
     check_model(_LayoutFile, content, f"{layout.name}, to be saved")
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     return "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text

@@ -53,8 +53,8 @@ def exact(
     border between columns the rays are walked on both sides of it, as one along
     the border touches both.
     """
-    from_border = (origin[:2] - grid.center[:2]) / grid.size
-    on_border = np.abs(from_border - np.round(from_border)) * grid.size < TIE
+    from_border = (origin[:2] - grid.center[:2]) / grid.spacing
+    on_border = np.abs(from_border - np.round(from_border)) * grid.spacing < TIE
     sides = [(-TIE, TIE) if on else (0.0,) for on in on_border]
     for dx, dy in product(*sides):
         _walk(grid, origin + [dx, dy, 0.0], directions, reach, seen)
@@ -67,7 +67,7 @@ def _walk(
     reach: float | Float[np.ndarray, " R"],
     seen: Bool[np.ndarray, " V"],
 ) -> None:
-    h = grid.size
+    h = grid.spacing
     start = (origin[:2] - grid.center[:2]) / h
     slope = directions[:, :2] / h
     cell = np.repeat(np.floor(start)[None].astype(int), len(directions), 0)
@@ -81,9 +81,11 @@ def _walk(
     column_at, half = _lookup(grid)
     while len(alive):
         leaving = np.minimum(border.min(1), far)
-        z_in, z_out = (origin[2] + t * directions[alive, 2] for t in (entry, leaving))
+        first, last = _within(grid, origin, directions[alive], cell, entry, leaving)
+        met = last >= first
+        z_in, z_out = (origin[2] + t[met] * directions[alive[met], 2] for t in (first, last))
         low, high = np.minimum(z_in, z_out) - TIE, np.maximum(z_in, z_out) + TIE
-        _mark(grid, column_at, half, cell, low, high, seen)
+        _mark(grid, column_at, half, cell[met], low, high, seen)
         axis = border.argmin(1)
         rows = np.arange(len(alive))
         cell[rows, axis] += forward[rows, axis]
@@ -96,6 +98,28 @@ def _walk(
         border, per_cell, entry, far = border[on], per_cell[on], entry[on], far[on]
 
 
+def _within(
+    grid: VoxelGrid,
+    origin: Float[np.ndarray, "3"],
+    directions: Float[np.ndarray, "R 3"],
+    cell: Int[np.ndarray, "R 2"],
+    entry: Float[np.ndarray, " R"],
+    leaving: Float[np.ndarray, " R"],
+) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, " R"]]:
+    """From where to where rays are over the voxels of their cells: all the way, unless these are
+    smaller than the cells. Nowhere where the second is less."""
+    if grid.size == grid.spacing:
+        return entry, leaving
+    middle = grid.center[:2] + (cell + 0.5) * grid.spacing
+    along = np.abs(middle - origin[:2]) <= grid.size / 2
+    parallel = directions[:, :2] == 0
+    slope = np.where(parallel, 1.0, directions[:, :2])
+    one, two = ((middle + side * grid.size / 2 - origin[:2]) / slope for side in (-1, 1))
+    low = np.where(parallel, np.where(along, -np.inf, np.inf), np.minimum(one, two))
+    high = np.where(parallel, np.where(along, np.inf, -np.inf), np.maximum(one, two))
+    return np.maximum(entry, low.max(1) - TIE), np.minimum(leaving, high.min(1) + TIE)
+
+
 def bresenham(
     grid: VoxelGrid,
     origin: Float[np.ndarray, "3"],
@@ -106,8 +130,10 @@ def bresenham(
     """Mark in ``seen`` the voxels on each ray's Bresenham line, end point included.
 
     The lattice is level, through the scene's centre; a cell's centre height over
-    its column's ground gives the level.
+    its column's ground gives the level. Raises InspeError where voxels stand apart.
     """
+    if grid.spacing != grid.size:
+        raise InspeError("Bresenham's lines need voxels that touch: leave out the spacing")
     h = grid.size
     first = np.floor((origin - grid.center) / h).astype(int)
     last = np.floor((origin + reach * directions - grid.center) / h).astype(int)
@@ -128,8 +154,8 @@ WALKS: dict[str, Callable[..., None]] = {"bresenham": bresenham, "exact": exact}
 
 def _lookup(grid: VoxelGrid) -> tuple[Int[np.ndarray, "N N"], int]:
     """Column number by lattice cell, −1 where none; and half the square's edge, in cells."""
-    half = int(np.ceil(grid.radius / grid.size))
-    cell = np.floor((grid.columns - grid.center[:2]) / grid.size).astype(int) + half
+    half = int(np.ceil(grid.radius / grid.spacing))
+    cell = np.floor((grid.columns - grid.center[:2]) / grid.spacing).astype(int) + half
     table = np.full((2 * half, 2 * half), -1)
     table[cell[:, 0], cell[:, 1]] = np.arange(len(cell))
     return table, half
@@ -149,8 +175,7 @@ def _mark(
     column = column_at[tuple(cell[inside].T + half)]
     there = column >= 0
     column, low, high = column[there], low[inside][there], high[inside][there]
-    bottom = np.floor((low - grid.ground[column]) / grid.size).astype(int)
-    top = np.floor((high - grid.ground[column]) / grid.size).astype(int)
-    for level in range(grid.level_count):
-        hit = (bottom <= level) & (level <= top)
+    for level, height in enumerate(grid.levels):
+        middle = grid.ground[column] + height
+        hit = (low < middle + grid.size / 2) & (high >= middle - grid.size / 2)
         seen[column[hit] * grid.level_count + level] = True

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from inspe_jax.arrays import wide_bucket
 from inspe_jax.sensing.rays import Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
@@ -115,10 +116,7 @@ class RayGrid:
 
 def _filled(x: np.ndarray, least: int) -> np.ndarray:
     """A table in one of a few lengths: ``least``, or four times as long, or four times that."""
-    length = least
-    while length < len(x):
-        length *= 4
-    return longer(x, length)
+    return longer(x, wide_bucket(len(x), least))
 
 
 def longer(x: Any, length: int) -> np.ndarray:

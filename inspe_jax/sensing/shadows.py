@@ -1,9 +1,11 @@
 """Line of sight: does a vehicle cut the line to the voxel's centre? The rays do not matter."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax import masks
@@ -54,6 +56,9 @@ def shadow_ceilings(
 
 WINNERS = 2
 """Prisms a column that soft sight lines are read against: those that hide most of it."""
+WON = "won"
+"""Name of who they are, for what is kept for a gradient: the sweep that finds them is most of the
+work, and they take the least room."""
 
 
 def sight(
@@ -91,7 +96,7 @@ def soft_sight(
     heights: Float[Array, "Z C"],
     width: Width,
     *,
-    spare_own: bool = False,
+    spare_own: bool | Bool[Array, "Z F C"] = False,
 ) -> Float[Array, "Z F C"]:
     """Chance that the marked prisms (F, B) of each frame leave the lines to some voxels clear.
 
@@ -99,14 +104,18 @@ def soft_sight(
     :data:`WINNERS` prisms that hide most of a column are multiplied, p being the reading of how
     deep the line cuts in sideways times that of how far below the top; prisms that narrowly miss
     count. Who wins is found without differentiation, by how much they hide of the lines to the
-    first of ``heights``, the lowest.
+    first of ``heights``, the lowest. ``spare_own``: a prism does not hide the columns it stands on;
+    or which voxels there it does not, and then one sweep finds who wins with and without it.
     """
+    both = not isinstance(spare_own, bool)
     if exact(width):
 
-        def ceilings(prisms: Prism) -> Float[Array, " C"]:
-            return shadow_ceilings(sensor[None], prisms, columns.T, spare_own=spare_own)[0]
+        def clear(own: bool) -> Float[Array, "Z F C"]:
+            ceilings = partial(shadow_ceilings, sensor[None], columns=columns.T, spare_own=own)
+            over = jax.vmap(lambda prisms: ceilings(prisms=prisms)[0])(prisms)
+            return step(heights[:, None] - over[None])
 
-        return step(heights[:, None] - jax.vmap(ceilings)(prisms)[None])
+        return jnp.where(spare_own, clear(True), clear(False)) if both else clear(bool(spare_own))
     x, y = columns[:, None]
     fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
     # (7, F, B): a prism as it lies, to be fetched by its number.
@@ -119,38 +128,58 @@ def soft_sight(
     frames, count = prisms.top.shape
     spare = jnp.uint32(2 ** max(count - 1, 1).bit_length() - 1)
 
-    def enter(best: tuple[Array, ...], index: Array, some: Array) -> tuple[Array, ...]:
+    sets = (False, True) if both else (spare_own,)
+
+    def enter(best: Any, index: Array, some: Array) -> Any:
         prism = table[:, jnp.arange(frames), index][:, :, None]
-        hides = _hides(fixed, prism, x, y, heights[:1], soft, spare_own)
+        hides, stands = _hides(fixed, prism, x, y, heights[:1], soft)
         # The number in the last bits of how much it hides: the best are then kept by max alone.
         key = jax.lax.bitcast_convert_type(hides.astype(jnp.float32), jnp.uint32)
         key = (key & ~spare) | index.astype(jnp.uint32)[:, None]
         key = jnp.where((hides > 0) & some[:, None], key, jnp.uint32(0))
         kept = []
-        for held in best:
-            kept.append(jnp.maximum(held, key))
-            key = jnp.minimum(held, key)
+        for held, own in zip(best, sets, strict=True):
+            new, ranks = jnp.where(stands, jnp.uint32(0), key) if own else key, []
+            for k in range(len(held)):
+                ranks.append(jnp.maximum(held[k], new))
+                new = jnp.minimum(held[k], new)
+            kept.append(tuple(ranks))
         return tuple(kept)
 
     nobody = jnp.zeros((frames, x.shape[-1]), jnp.uint32)
-    best = masks.fold_marked(marked, enter, (nobody,) * min(WINNERS, count))
+    none = ((nobody,) * min(WINNERS, count),) * len(sets)
+    best = checkpoint_name(masks.fold_marked(marked, enter, none), WON)
     # The sensor at every point: slopes are then added up point by point, and summed but once.
     sx, sy, sz = (jnp.broadcast_to(s, nobody.shape) for s in sensor)
-    cuts = []
-    for key in best:
-        won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
-        cut = plan_cut(_own_frame(won, sx, sy, x, y), (won[4], won[5]))
-        hides = jnp.where(key > spare, step(cut.beside, width), 0.0)
-        cuts.append((cut, won[6] - sz, hides))
 
-    @jax.checkpoint
-    def level(z: Float[Array, "1 C"]) -> Float[Array, "F C"]:
-        clear = jnp.ones_like(sz)
-        for cut, rise, hides in cuts:
-            clear *= 1.0 - hides * step(below_top(cut, rise, sz - z), width)
-        return clear
+    def clear_of(best: tuple[Array, ...]) -> Float[Array, "Z F C"]:
+        cuts = []
+        for key in best:
+            won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
+            cut = plan_cut(_own_frame(won, sx, sy, x, y), (won[4], won[5]))
+            hides = jnp.where(key > spare, step(cut.beside, width), 0.0)
+            cuts.append((cut, won[6] - sz, hides))
 
-    return jax.lax.map(level, heights[:, None])
+        @jax.checkpoint
+        def level(z: Float[Array, "1 C"]) -> Float[Array, "F C"]:
+            clear = jnp.ones_like(sz)
+            for cut, rise, hides in cuts:
+                clear *= 1.0 - hides * step(below_top(cut, rise, sz - z), width)
+            return clear
+
+        return jax.lax.map(level, heights[:, None])
+
+    if not both:
+        return clear_of(best[0])
+    nothing = jnp.zeros((len(heights), *nobody.shape), sz.dtype)
+
+    def read(one: tuple[Array, Array]) -> Float[Array, "Z F C"]:
+        asked, best = one
+        return jax.lax.cond(asked, clear_of, lambda _: nothing, tuple(best))
+
+    asked = jnp.stack([jnp.array(True), jnp.any(spare_own)])
+    line, others = jax.lax.map(read, (asked, jnp.stack([jnp.stack(ranks) for ranks in best])))
+    return jnp.where(spare_own, others, line)
 
 
 def _own_frame(prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: Array) -> Line:
@@ -170,11 +199,11 @@ def _hides(
     y: Float[Array, "*n"],
     lowest: Float[Array, "*n"],
     width: Float[Array, ""],
-    spare_own: bool,
-) -> Float[Array, "*n"]:
+) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
     """How much of a column a prism hides, in a cheap soft way: the reading of how deep the line to
     its lowest voxel cuts in, times how far that passes below the top [m]. Where the line leaves the
-    prism is taken as where the stretch ends that the prism takes up along it.
+    prism is taken as where the stretch ends that the prism takes up along it. And whether the prism
+    stands on the column.
     """
     a, b, top = prism[4:]
     line = _own_frame(prism, sensor[0], sensor[1], x, y)
@@ -182,10 +211,7 @@ def _hides(
     cut = Cut(beside, *stretch(line, (a, b)))
     below = below_top(cut, top - sensor[2], sensor[2] - lowest)
     hides = step(beside, width) * jnp.maximum(below + REACH * width, 0.0)
-    if spare_own:
-        stands = (jnp.abs(line.x + line.ex) < a) & (jnp.abs(line.y + line.ey) < b)
-        hides = jnp.where(stands, 0.0, hides)
-    return hides
+    return hides, (jnp.abs(line.x + line.ex) < a) & (jnp.abs(line.y + line.ey) < b)
 
 
 # ── Tile by tile ───────────────────────────────────────────────────
@@ -196,8 +222,8 @@ class Casts(NamedTuple):
 
     ``shade`` (T, B) for the sight lines; of the circle about each prism, (B, T) each: its bearing
     ``x``, ``y``, the cosine and sine of half the angle it takes up, whether it is ``around`` the
-    sensor, how far away it begins (``near`` [m]), and how far its shadow falls for each metre that
-    the sensor is above the ground (``fall``).
+    sensor, how far away it begins (``near`` [m]), its radius (``span`` [m]), and how far its shadow
+    falls for each metre that the sensor is above the ground (``fall``).
     """
 
     shade: Shade
@@ -207,6 +233,7 @@ class Casts(NamedTuple):
     sin: Float[Array, "B T"]
     around: Bool[Array, "B T"]
     near: Float[Array, "B T"]
+    span: Float[Array, "B T"]
     fall: Float[Array, "B T"]
 
 
@@ -220,7 +247,7 @@ def casts(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> Casts:
     above = sensor[2] - prisms.top - wider
     fall = jnp.where(above > CLOSE, (away + span) / jnp.maximum(above, CLOSE), FAR)
     near = jnp.where(prisms.valid, away - span, FAR)
-    columns = x / away, y / away, jnp.sqrt(1.0 - sin * sin), sin, away <= span, near, fall
+    columns = x / away, y / away, jnp.sqrt(1.0 - sin * sin), sin, away <= span, near, span, fall
     return Casts(shade(sensor, prisms), *(leaf.T for leaf in columns))
 
 
@@ -242,26 +269,73 @@ def may_shade(sensor: Float[Array, "3"], casts: Casts, tile: Tile) -> Bool[Array
     return (overlap | casts.around | (away <= span)) & (casts.near <= away + span) & reaches
 
 
+def stand_on(
+    sensor: Float[Array, "3"], casts: Casts, tile: Tile, solid: UInt[Array, "T C"]
+) -> Bool[Array, "B T"]:
+    """Whether a prism may stand on a column of a tile, with or without a ``solid`` voxel in it.
+
+    By the circles about both; if not, it is :data:`~inspe_jax.sensing.tiles.CLOSE` away from all
+    columns. Where no voxel is solid, only a prism may that is lower than some column's lowest.
+    """
+    away = casts.near + casts.span
+    x = sensor[0] + away * casts.x - tile.center[0]
+    y = sensor[1] + away * casts.y - tile.center[1]
+    low = (casts.shade.rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
+    close = jnp.hypot(x, y) <= casts.span + tile.radius + CLOSE
+    return close & (low | (solid != 0).any(1)[None])
+
+
+OWN = 16
+"""Frames that are gone through together for the prisms that stand on a tile."""
+
+
 def clear_masks(
-    sensor: Float[Array, "3"], casts: Casts, tile: Tile, *, spare_own: bool = False
+    sensor: Float[Array, "3"],
+    casts: Casts,
+    tile: Tile,
+    spared: UInt[Array, "T C"] | None = None,
 ) -> UInt[Array, "T C"]:
     """Masks of the voxels of one tile that are in line of sight of one sensor, in each frame.
 
-    As :func:`shadow_ceilings` has it, but only the prisms are looked at that :func:`may_shade`
-    leaves, the first of every frame, then the second: some two of forty.
+    ``spared`` are masks of voxels inside vehicles that other vehicles alone may hide. As
+    :func:`shadow_ceilings` has it, but only the prisms are looked at that :func:`may_shade`
+    leaves, the first of every frame, then the second: some two of forty. Those that
+    :func:`stand_on` the tile spare their own columns there, and hide in a second sweep, of few
+    frames and fewer prisms, what is not ``spared``.
     """
     dx, dy = tile.columns[0] - sensor[0], tile.columns[1] - sensor[1]
-    frames = jnp.arange(casts.x.shape[1])
+    shading = may_shade(sensor, casts, tile)
+    every = jnp.arange(shading.shape[1])
 
-    def lift(ceiling: Array, prism: Array, some: Array) -> Array:
-        of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], casts.shade)  # (T, 1)
-        new = shadow_ceiling(of, dx[None], dy[None], sensor[2], spare_own=spare_own)
-        return jnp.maximum(ceiling, jnp.where(some[:, None], new, NEVER))
+    def above(frames: Array, marked: Array, standing: Array | None) -> UInt[Array, "F C"]:
+        """Masks of what is above the ceilings of the marked prisms."""
 
-    start = jnp.full((len(frames), len(dx)), NEVER, dx.dtype)
-    marked = masks.marks(may_shade(sensor, casts, tile))
-    ceiling = masks.fold_marked(marked, lift, start)
-    return levels(tile.heights[:, None] > ceiling[None], tile.there.dtype)
+        def lift(ceiling: Array, prism: Array, some: Array) -> Array:
+            of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], casts.shade)  # (F, 1)
+            own = False if standing is None else standing[prism, frames][:, None]
+            new = shadow_ceiling(of, dx[None], dy[None], sensor[2], spare_own=own)
+            return jnp.maximum(ceiling, jnp.where(some[:, None], new, NEVER))
+
+        start = jnp.full((len(frames), len(dx)), NEVER, dx.dtype)
+        ceiling = masks.fold_marked(marked, lift, start)
+        return levels(tile.heights[:, None] > ceiling[None], tile.there.dtype)
+
+    if spared is None:
+        return above(every, masks.marks(shading), None)
+    standing = shading & stand_on(sensor, casts, tile, spared)
+    clear = above(every, masks.marks(shading), standing)
+    number = standing.sum(0)
+    order, marked = jnp.argsort(-number), masks.marks(standing)
+    together = min(OWN, len(every))
+
+    def hide(part: Array, clear: Array) -> Array:
+        # The last part may go back to frames of the one before, which hides nothing more.
+        frames = jax.lax.dynamic_slice_in_dim(order, part * together, together)
+        others = above(frames, marked[:, frames], None)
+        return clear.at[frames].set(clear[frames] & (spared[frames] | others))
+
+    parts = -(-(number > 0).sum() // together)
+    return jax.lax.fori_loop(0, parts, hide, clear)
 
 
 @jax.jit

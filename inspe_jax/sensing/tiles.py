@@ -4,8 +4,10 @@ What scores go through, exact and soft. A tile is small enough to be told apart 
 shadows and fields of view as a whole, and large enough to be worked on at once.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 
 from inspe_jax import masks
-from inspe_jax.arrays import bucket, on_device
+from inspe_jax.arrays import on_device, wide_bucket
 from inspe_jax.geometry import NEVER, Prism, top_over
 from inspe_jax.sensing.ground import Ground
 
@@ -21,6 +23,8 @@ COLUMNS = (96, 320)
 """Columns of a tile, in a sample of few and else."""
 SHARES = 8
 """Least number of tiles, which divides every other, so that they can be shared out evenly."""
+WIDE = 512
+"""Tiles up to which three of four may be padding: of more, their masks would take gigabytes."""
 CLOSE = 1e-2
 """What tells whole tiles apart is wider by this [m], more than single precision is off by."""
 
@@ -84,7 +88,7 @@ def tiles_of(ground: Ground) -> Tiles:
     few = -(-len(columns) // SHARES)
     size = next((size for size in COLUMNS if size >= few), COLUMNS[-1])
     parts = _halved(columns, np.arange(len(columns)), -(-len(columns) // size))
-    number = bucket(len(parts), SHARES)
+    number = wide_bucket(len(parts), SHARES, WIDE)
     index, real = np.zeros((number, size), int), np.zeros((number, size), bool)
     for t, part in enumerate(parts):
         index[t], real[t, : len(part)] = part[0], True
@@ -161,7 +165,21 @@ def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "s
 @jax.jit
 def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
     """Masks of the voxels of N tiles that are inside a vehicle, in each of T frames."""
-    return jax.lax.map(lambda one: solid_in(one, prisms), tile)
+    return jax.lax.map(unless_empty(lambda one: solid_in(one, prisms)), tile)
+
+
+def unless_empty(work: Callable[[Tile], Any]) -> Callable[[Tile], Any]:
+    """``work`` on a tile; zeros, at once, of one that is nothing but padding."""
+
+    def done(tile: Tile) -> Any:
+        return jax.lax.cond((tile.there != 0).any(), work, partial(nothing_of, work), tile)
+
+    return done
+
+
+def nothing_of(work: Callable[..., Any], *given: Any) -> Any:
+    """Zeros, of the shapes of what ``work`` gives."""
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(work, *given))
 
 
 def solid_in(tile: Tile, prisms: Prism) -> UInt[Array, "T C"]:

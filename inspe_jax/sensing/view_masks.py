@@ -56,7 +56,8 @@ def view_masks(
 
     def one(tile: Tile) -> tuple[Array, Array]:
         none = jnp.zeros_like(tile.there)
-        return jax.lax.cond(touches(rays, half, stance, tile), look, lambda _: (none, none), tile)
+        some = touches(rays, half, stance, tile) & (tile.there != 0).any()
+        return jax.lax.cond(some, look, lambda _: (none, none), tile)
 
     seen, unsure = jax.lax.map(one, tiles)
     return _settle(rays, half, stance, tiles, seen, unsure)

@@ -17,8 +17,8 @@ The file; paths are relative to it, and every setting is one value or a list of 
     devices:                         # of your own, in the keys of the catalogue
       far: {like: paper-camera, depth_m: 60}
     settings:
-      density: [low, medium, high]   # of scenes: radius, voxel, density, frames, step, mix,
-                                     #   traffic (waypoints or sumo), seed
+      density: [low, medium, high]   # of scenes: profile, radius, voxel, spacing, density, frames,
+                                     #   step, mix, traffic (waypoints or sumo), seed
       light: [midday, night]         # of the sensors: light, weather
       weather: [clear, "rain:10"]    # of the scores: weights, occlusion_reference, visibility
       method: [none, greedy-adam]    # score as it is, or search first: method, seconds,
@@ -41,6 +41,7 @@ from inspe_jax.files import check_model, read_yaml
 from inspe_jax.placement.checkpoint import digest
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
+from inspe_jax.profiles import DEFAULT_PROFILE, profile_of
 from inspe_jax.study.settings import (
     CHECKS,
     CONDITIONS,
@@ -66,7 +67,10 @@ from inspe_jax.study.sources import (
 
 AS_IT_IS = "none"
 """The method that only scores."""
-BUILD = ("radius", "voxel", "density", "frames", "step", "mix", "traffic", "seed")
+BUILD = (
+    *("profile", "radius", "voxel", "spacing", "density", "frames", "step", "mix", "traffic"),
+    "seed",
+)
 """Settings that a scene is built with."""
 SCORE = ("weights", "occlusion_reference", "visibility")
 SEARCH = ("method", "seconds", "evaluations", "search_seed")
@@ -122,6 +126,8 @@ _Weights = Annotated[list[_One], Field(min_length=3, max_length=3)]
 
 
 class _Build(WorldSettings):
+    profile: Several[str] = Field(default=[])
+    spacing: Several[Length] = Field(default=[])
     frames: Several[_Frames] = Field(default=[])
     step: Several[Length] = Field(default=[])
 
@@ -180,27 +186,37 @@ def make_study(
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
     layouts = layout_sources(entry, folder, where)
-    defaults = _defaults()
     jobs: dict[str, Job] = {}
     for _, item, source, given in each_scene(entry.scenes, BUILD, whole, folder, where):
-        for build in combinations(given, BUILD, defaults):
-            for layout in layouts:
-                for rest in combinations(given, (*CONDITIONS, *SCORE, *SEARCH), defaults):
-                    settings = build | _searched(conditioned(rest))
-                    job = Job(source, layout, settings, dict(item.tags))
-                    jobs.setdefault(job.key, job)
+        for profile in given["profile"] or [DEFAULT_PROFILE]:
+            of = given | dict(profile=[profile])
+            defaults = _defaults(profile, sized=bool(given["voxel"]))
+            for build in combinations(of, BUILD, defaults):
+                for layout in layouts:
+                    for rest in combinations(of, (*CONDITIONS, *SCORE, *SEARCH), defaults):
+                        settings = build | _searched(conditioned(rest))
+                        job = Job(source, layout, settings, dict(item.tags))
+                        jobs.setdefault(job.key, job)
     return Study(entry.name or name, tuple(jobs.values()))
 
 
-def _defaults() -> dict[str, list[Any]]:
-    return defaults_of((*BUILD, *CONDITIONS)) | dict(
-        weights=[list(metrics.WEIGHTS)],
-        occlusion_reference=["roi"],
-        visibility=["in_view"],
-        method=[AS_IT_IS],
-        seconds=[None],
-        evaluations=[None],
-        search_seed=[0],
+def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
+    """What is not given, as a profile has it; the spacing for voxels ``sized`` by the study is
+    found where a scene is built."""
+    own = profile_of(profile)
+    lattice = dict(spacing=[None]) if sized else {}
+    return (
+        defaults_of((*BUILD, *CONDITIONS), profile)
+        | lattice
+        | dict(
+            weights=[list(metrics.WEIGHTS)],
+            occlusion_reference=[own.occlusion_reference],
+            visibility=[own.visibility],
+            method=[AS_IT_IS],
+            seconds=[None],
+            evaluations=[None],
+            search_seed=[0],
+        )
     )
 
 

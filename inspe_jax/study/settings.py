@@ -9,6 +9,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import STRICT
+from inspe_jax.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import TRAFFIC, build_scene, density_count
 from inspe_jax.scene.traffic import MIXES
 from inspe_jax.sensing.conditions import FAIR, Conditions
@@ -49,10 +50,11 @@ class WorldSettings(Strict):
     seed: Several[Count] = []
 
 
-def defaults_of(keys: Iterable[str]) -> dict[str, list[Any]]:
+def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str, list[Any]]:
     """Lists of the one value that settings of scenes and conditions have when not given."""
     own = {key: row.default for key, row in inspect.signature(build_scene).parameters.items()}
-    return {key: [(own | FAIR.record)[key]] for key in keys}
+    own |= profile_of(profile).of_scene() | dict(profile=profile) | FAIR.record
+    return {key: [own[key]] for key in keys}
 
 
 def combinations(
@@ -82,6 +84,7 @@ def one_of(known: Collection[str]) -> Callable[[str], None]:
 
 
 CHECKS: dict[str, Callable[[Any], Any]] = {
+    "profile": one_of(profiles()),
     "density": density_count,
     "mix": one_of(MIXES),
     "traffic": one_of(TRAFFIC),

@@ -11,6 +11,7 @@ from pydantic import Field
 from inspe_jax.errors import InspeError, nearest
 from inspe_jax.files import check_input
 from inspe_jax.placement.strategies import choose
+from inspe_jax.profiles import BEFORE_PROFILES
 from inspe_jax.scene.procedural import BUILT_INS
 from inspe_jax.scene.scene import load_scene
 from inspe_jax.sensing.devices import spec_of
@@ -161,7 +162,7 @@ def scene_settings(
     if any(own.values()):
         given = ", ".join(key for key, value in own.items() if value)
         raise InspeError(f"{where}: a saved scene keeps its settings; leave out {given}")
-    kept = dict(load_scene(source.file).settings)
+    kept = {"profile": BEFORE_PROFILES} | dict(load_scene(source.file).settings)
     return {**whole} | {key: [kept.get(key, "")] for key in own}
 
 

@@ -22,12 +22,11 @@ import threading
 import time
 import traceback
 from dataclasses import dataclass, field
-from types import FrameType
 from typing import IO, Any
 
 import jax
 
-from inspe_jax.compiling import compiled, remember_seconds
+from inspe_jax.compiling import compiled, leave, remember_seconds
 from inspe_jax.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import optimise
@@ -44,10 +43,6 @@ SETTINGS = (
 """Settings of JAX that a search takes over from the process that asks for it."""
 EVERY = 0.25
 """Between two messages that it compiles [s]."""
-CACHE = "lru_cache.py"
-"""Where JAX writes what it keeps."""
-WRITING = 0.3
-"""How long that may take at the end [s]."""
 NICE = 5
 """How far behind a page a search stands in line for the cores."""
 
@@ -117,33 +112,13 @@ class _Tasks:
             try:
                 task = pickle.load(self._source)
             except EOFError:
-                _leave(0)
+                leave(0)
             except Exception as e:
                 traceback.print_exception(e)
-                _leave(1)
+                leave(1)
             with self._changed:
                 self._waiting.append(task)
                 self._changed.notify()
-
-
-def _leave(status: int) -> None:
-    """End the process now, unless JAX keeps something compiled on disk just then.
-
-    It writes such a file in place, and never again: cut short, it would be of no use for ever.
-    """
-    deadline = time.monotonic() + WRITING
-    while time.monotonic() < deadline and any(map(_is_writing, sys._current_frames().values())):
-        time.sleep(0.005)
-    os._exit(status)
-
-
-def _is_writing(frame: FrameType | None) -> bool:
-    """Whether a thread is within JAX's cache of what is compiled."""
-    while frame is not None:
-        if frame.f_code.co_filename.endswith(CACHE) and frame.f_code.co_name == "put":
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _search(task: Task, out: _Out) -> None:

@@ -500,6 +500,36 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
     assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
 
 
+def test_things_are_where_the_traffic_has_them(scene):
+    t = scene.traffic
+    on = np.flatnonzero(t.valid[1])
+    for b, thing in zip(on, things_of(t, 1, 0), strict=True):
+        assert (thing.track, thing.yaw) == (t.track[1, b], t.yaw[1, b])
+        for part, whole in ((thing.center, t.center), (thing.size, t.size)):
+            np.testing.assert_array_equal(part, whole[1, b])
+        np.testing.assert_array_equal(thing.velocity, t.velocity[1, b])
+    fast = [thing for thing in things_of(t, 1, 0) if np.hypot(*thing.velocity[:2]) > 3]
+    assert len(fast) > 2
+    for thing in fast:  # the nose is in front
+        ahead = np.array([np.cos(thing.yaw), np.sin(thing.yaw)]) @ thing.velocity[:2]
+        assert ahead > 0.9 * np.hypot(*thing.velocity[:2])
+
+
+def test_another_seed_is_other_noise():
+    """With nobody there, noise is all that the seed is for."""
+    empty, at = world(count=0, radius=20.0, voxel=1.0), [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]
+    layout = place_sensors((SMALL, at), (COARSE, at))
+    frames = [EmbeddedRecorder(empty, layout, seed=seed).frame(0) for seed in (0, 0, 1)]
+    images = [frame.stations[0].images[0] for frame in frames]
+    scans = [frame.stations[1].scans[0] for frame in frames]
+    assert np.array_equal(images[0].rgb, images[1].rgb)
+    off = images[0].rgb.astype(int) - images[2].rgb
+    assert (off != 0).mean() > 0.2
+    assert np.abs(off).mean() < 10
+    assert np.array_equal(scans[0].points, scans[1].points)
+    assert not np.array_equal(scans[0].points, scans[2].points)
+
+
 def test_things_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):

@@ -194,7 +194,8 @@ def test_a_slope_is_that_of_every_vehicle_against_every_column(problem, way):
 
     @jax.jit
     def expected(x):
-        found = measure(field, space.poses(x), problem.crews[0], 1.0, Softness.of(0.5))
+        at = field, space.poses(x), problem.crews[0], 1.0, Softness.of(0.5)
+        found = measure(*at, **problem.options)
         return -surrogate(found.coverage, found.occlusion, found.information_gain)[0]
 
     scale = np.where(space.scale > 0, space.scale, 1)
@@ -294,7 +295,8 @@ def test_adam_begins_where_placement_ended_unless_that_is_behind(problem, round,
     at = {"best": start, "placed": problem.space.random(np.random.default_rng(0), 1)[0]}
     run = SimpleNamespace(problem=problem, best_x=start, best=0.9, spent=np.zeros(2))
     placing = {"phase": "move", "round": round, "x": at["placed"], "value": 0.7}
-    began = greedy_adam._before_adam(run, {"draft": draft}, placing)
+    state = {"draft": draft, "polished": round - 1}
+    began = greedy_adam._before_adam(run, state, placing)
     np.testing.assert_array_equal(began["x"], at[begins])
     assert began["value"] == {"best": 0.9, "placed": 0.7}[begins]
 

@@ -555,7 +555,7 @@ def test_a_checkpoint_of_another_search_names_what_differs(scene, layout, kept, 
     quick("other", climb)
     box = built_in("four_way").mounting.envelope
     for differs, change in {
-        "scene": dict(scene=replace(scene, settings=(("seed", "7"),))),
+        "scene": dict(scene=replace(scene, settings=(*scene.settings, ("seed", "7")))),
         "layout": dict(layout=moved),
         "objective": dict(objective=Objective(failures=True)),
         "constraints": dict(constraints=Constraints(area=box)),

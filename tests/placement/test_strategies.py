@@ -98,7 +98,7 @@ def turned(place: Intersection, degrees: float) -> Intersection:
 
 
 def scene_of(place: Intersection, radius: float = 50.0) -> Scene:
-    return build_scene(place, radius=radius, voxel=2.0, density="none", frames=1)
+    return build_scene(place, profile="ideal", radius=radius, voxel=2.0, density="none", frames=1)
 
 
 SCENES: dict[str, Scene] = {}
@@ -144,10 +144,10 @@ def test_devices_are_the_papers_unless_named():
     def devices(name, **options):
         return {s.spec.name for s in strategy(scene_named("four"), name, **options).sensors}
 
-    assert devices("Cam-c") == {"paper-camera"}
-    assert devices("L-c") == devices("L-d2") == {"paper-lidar-64"}
-    assert devices("Cam-d1/L-d1") == {"paper-camera", "paper-lidar-32"}
-    assert devices("L-d2", lidar="paper-lidar-32") == {"paper-lidar-32"}
+    assert devices("Cam-c") == {"ideal-camera"}
+    assert devices("L-c") == devices("L-d2") == {"ideal-lidar-64"}
+    assert devices("Cam-d1/L-d1") == {"ideal-camera", "ideal-lidar-32"}
+    assert devices("L-d2", lidar="ideal-lidar-32") == {"ideal-lidar-32"}
     assert devices("Cam-d1", camera="basler-aca1600-60gc") == {"basler-aca1600-60gc"}
 
 

@@ -42,7 +42,7 @@ def scores_of(scene, layout, share=None):
     """Scores as they might be; only seen_share and the four numbers are drawn."""
     share = np.linspace(0, 1, len(scene.voxels.columns)) if share is None else share
     parts = tuple(Contribution(s.name, 0.01, 0.02, 0.03, 0.019) for s in layout.sensors)
-    return Scores(0.812, 0.703, 0.651, 0.7253, 0.2, {"driveway": 0.8}, (0.8,), parts, share, {})
+    return Scores(0.812, 0.703, 0.651, 0.7253, {"driveway": 0.8}, (0.8,), parts, share, {})
 
 
 @pytest.fixture(scope="module")

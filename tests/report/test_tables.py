@@ -35,7 +35,6 @@ SCORES = Scores(
     occlusion=0.1 + 0.2,
     information_gain=1 / 3,
     surrogate=0.7004999,
-    information_gain_literal=2 / 3,
     region_coverage={"driveway": 0.901, "crosswalk": 0.456},
     level_coverage=(0.111, 0.222, 0.333),
     contributions=(
@@ -85,6 +84,7 @@ def test_the_record_is_the_scores_exactly(scene, layout):
     assert json.loads(json.dumps(record)) == record
     for name in (*METRICS, "information_gain_literal"):
         assert record[name] == getattr(SCORES, name)
+    assert record["information_gain_literal"] == pytest.approx(2 / 3)
     assert record["region_coverage"] == SCORES.region_coverage
     assert record["level_coverage"] == list(SCORES.level_coverage)
     assert [(c["sensor"], c["unit"], c["device"]) for c in record["contributions"]] == [
@@ -157,7 +157,10 @@ def test_scores_for_people_are_whole(layout, width):
 def test_a_scene_for_people(scene):
     text = shown(scene_table(scene))
     count = len(scene.voxels.columns)
-    assert f"{count:,} columns × 4 levels of 1 m = {4 * count:,} voxels" in text
+    assert f"{count:,} columns × 4 levels = {4 * count:,}; voxel 1 m" in text
+    assert "one every" not in text
+    apart = replace(scene, voxels=replace(scene.voxels, size=0.2))
+    assert "voxel 0.2 m, one every 1 m" in " ".join(shown(scene_table(apart)).split())
     assert f"3 frames, {scene.traffic.mean_count:.1f} road users" in text
     assert "radius 12, seed 0" in text
     for region, key in ((1, "junction"), (3, "sidewalk")):

@@ -56,8 +56,10 @@ def test_the_area_of_the_columns_is_that_of_the_regions():
     assert len(grid.columns) * 0.25**2 == pytest.approx(area, rel=0.01)
 
 
-def test_a_saved_scene_loads_the_same(tmp_path):
-    scene = build_scene(built_in("t_junction"), radius=20, frames=3, density=5)
+@pytest.mark.parametrize("spacing", [None, 1.25])
+def test_a_saved_scene_loads_the_same(tmp_path, spacing):
+    scene = build_scene(built_in("t_junction"), radius=20, spacing=spacing, frames=3, density=5)
+    assert dict(scene.settings)["spacing"] == f"{spacing or 0.5:g}"
     path = tmp_path / "t.npz"
     save_scene(scene, path)
     again = load_scene(path)
@@ -83,6 +85,7 @@ def test_a_saved_scene_loads_the_same(tmp_path):
         (dict(radius=5), "radius 5 m is out of range: between 10 and 200 m"),
         (dict(radius=float("nan")), "radius nan m is out of range"),
         (dict(voxel=0), "voxel 0 m is out of range: between 0.05 and 2 m"),
+        (dict(voxel=0.5, spacing=0.4), "spacing 0.4 m is out of range: between 0.5 and 4 m"),
         (
             dict(radius=200, voxel=0.05),
             r"too large for memory: .* million voxels .* about [\d,]+ GiB",

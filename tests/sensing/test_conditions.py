@@ -10,7 +10,7 @@ from inspe_jax import Conditions, build_scene, built_in, device, evaluate, evalu
 from inspe_jax.errors import InspeError
 from inspe_jax.sensing.conditions import effective_depth, lights
 
-CAMERA, LIDAR = device("paper-camera").spec, device("paper-lidar-64").spec
+CAMERA, LIDAR = device("ideal-camera").spec, device("ideal-lidar-64").spec
 WEATHERS = ("clear", "rain:1", "rain:10", "rain:50", "fog:1000", "fog:200", "fog:50")
 
 
@@ -136,6 +136,7 @@ def test_scores_are_those_of_the_sensors_as_they_are_then(scene):
         assert getattr(scores, name) < getattr(clear, name)
 
 
+@pytest.mark.slow
 def test_soft_scores_have_gradients_in_them(scene):
     layout, around = strategy(scene, "Cam-d1"), Conditions.of("dusk", "rain:20")
 

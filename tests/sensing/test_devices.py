@@ -16,8 +16,10 @@ LIDARS = [name for name, d in DEVICES.items() if d.kind == "lidar"]
 # name, channels, lowest and highest ring, azimuths in a sweep, reach: from the data sheets.
 # Hesai print -25..+15 for both; their tables' ends are the rings behind those rounded figures.
 SHEETS = [
-    ("paper-lidar-32", 32, -25, 2, 1800, 50),
-    ("paper-lidar-64", 64, -25, 2, 1800, 100),
+    ("paper-lidar-32", 32, -22.5, 7, 1440, 50),
+    ("ideal-lidar-32", 32, -25, 2, 1800, 50),
+    ("paper-lidar-64", 64, -22.5, 7, 720, 100),
+    ("ideal-lidar-64", 64, -25, 2, 1800, 100),
     ("velodyne-vlp-16", 16, -15, 15, 1800, 100),
     ("velodyne-vlp-32c", 32, -25, 15, 1800, 200),
     ("velodyne-hdl-64e", 64, -24.33, 2, 2083, 50),
@@ -132,7 +134,9 @@ def test_every_device_says_where_its_figures_come_from(name):
     hash(d)
 
 
-@pytest.mark.parametrize("name", [n for n in LIDARS if not n.startswith(("paper", "livox"))])
+@pytest.mark.parametrize(
+    "name", [n for n in LIDARS if not n.startswith(("paper", "ideal", "livox"))]
+)
 def test_every_real_lidar_says_what_its_range_means(name):
     note = DEVICES[name].note
     assert "10 %" in note or "Maximum range" in note

@@ -80,7 +80,10 @@ def test_a_file_gives_world_poses(tmp_path):
             (GOOD, "units:\n  - base: [0, 0]\n    sensors: []"),
             r"units\[0\].sensors: needs at least 1, has 0",
         ),
-        ((GOOD, "just words"), "the file: must hold keys with values: devices, name, units"),
+        (
+            (GOOD, "just words"),
+            "the file: must hold keys with values: devices, name, profile, units",
+        ),
         ((GOOD, "units: [}"), "not YAML"),
     ],
 )

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from worlds import (
     CAMERA,
     LIDAR,
@@ -42,6 +43,35 @@ def test_in_view_agrees_with_every_ray_walked(name):
     for a, b in zip(ours, walked, strict=True):
         assert w @ a / w.sum() == pytest.approx(w @ b / w.sum(), abs=1e-3)
     assert not (ours & ~walked).sum() > 1e-4 * ours.size  # nothing is seen without a ray
+
+
+def test_voxels_that_stand_apart_are_those_among_all():
+    """Of every third in each direction the same is in view and in sight as in the midst of all."""
+    size = dict(voxel=0.2, radius=12.0, slope=0.03, count=9)
+    scene, apart = (world(spacing=spacing, **size) for spacing in (None, 0.6))
+    assert (scene.voxels.level_count, apart.voxels.level_count) == (20, 7)
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=3, heights=(2.0, 6.0))
+    gap, among = cKDTree(scene.voxels.centers).query(apart.voxels.centers)
+    same = gap < 1e-9  # on a region's border rounding decides which column there is
+    assert same.mean() > 0.95
+    for seen in (in_view, lambda *given: line_of_sight(*given, frame=1)):
+        few, all_ = seen(apart, layout)[:, same], seen(scene, layout)[:, among[same]]
+        assert 0.05 < few.mean() < 0.98
+        assert (few == all_).mean() > 0.999
+    walked = raycast.in_view(apart, layout, "exact")
+    assert (in_view(apart, layout) == walked).mean() > 0.999
+    assert in_view(apart, layout).mean() == pytest.approx(in_view(scene, layout).mean(), abs=0.01)
+    c = apart.voxels.center
+    beside = np.zeros(apart.voxels.count, bool)
+    along = np.array([[1.0, 0, 0], [0, 1.0, 0], [1.0, 0, -0.1], [-1.0, 0, 0]])
+    raycast.exact(apart.voxels, c + [0.05, 0.02, 1.2], along, 30.0, beside)
+    assert not beside.any()  # between the voxels, along their rows
+    raycast.exact(apart.voxels, c + [0.05, 0.3, 1.5], along[:1], 30.0, beside)
+    row = apart.voxels.centers[beside] - c
+    assert len(row) > 4
+    np.testing.assert_allclose(row[:, 1], 0.3)
+    with pytest.raises(InspeError, match="voxels that touch"):
+        raycast.in_view(apart, layout, "bresenham")
 
 
 @pytest.mark.slow

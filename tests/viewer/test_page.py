@@ -158,7 +158,7 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
     place = np.array(viewer.layout.poses[1, :3])
     tab.mouse.click(*on_screen(viewer, place))
     wait_until(tab, lambda: np.allclose(viewer.handle.gizmo.position, place - viewer.stage.shift))
-    assert viewer.panel.chosen == 1
+    wait_until(tab, lambda: viewer.panel.chosen == 1)  # the list follows the handle
     begin = grip(viewer, 1, 0.95)  # the arrow to its left, which is north
     drag(tab, viewer, on_screen(viewer, begin), on_screen(viewer, begin + [0, 5.0, 0]))
     settled(tab, first)

@@ -134,7 +134,8 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     done(viewer, lambda: viewer._searching)
     viewer._hear_better(better, 0.9)
     viewer._hear_end(Ending(better, 0.1, "too large", failed=True))
-    done(viewer, lambda: not viewer._searching)
+    done(viewer, lambda: viewer.told)
+    assert not viewer._searching
     assert viewer.layout is better
     assert any("too large" in words and color == "red" for _, words, color in viewer.told)
     np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
@@ -178,8 +179,8 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
     kept = load_layout(viewer.store.unsaved)  # the search's best so far
     assert (kept.poses != layout.poses).any()
     viewer.stop()
-    done(viewer, lambda: not viewer._searching)
-    assert not viewer.panel.save.disabled
+    done(viewer, lambda: not viewer.panel.save.disabled)
+    assert not viewer._searching
     assert len(viewer.layout) == 2
 
 
@@ -207,6 +208,17 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
     wanted = np.array(layout.poses)
     wanted[0, 2], wanted[0, 5] = 10.0, np.radians(-90)
     np.testing.assert_allclose(viewer.layout.poses, wanted, atol=1e-6)
+
+
+def test_a_place_typed_far_outside_is_brought_to_the_rim(viewer, scene, layout, monkeypatch):
+    moved = []
+    monkeypatch.setattr(viewer.session, "move", lambda s, pose: moved.append(pose))
+    viewer.type_number(0, "x", 1e4)
+    done(viewer, lambda: moved)
+    away = moved[0][:2] - scene.voxels.center[:2]
+    assert np.hypot(*away) == pytest.approx(scene.voxels.radius)
+    toward = np.array([1e4, layout.poses[0, 1]]) - scene.voxels.center[:2]
+    np.testing.assert_allclose(away / np.hypot(*away), toward / np.hypot(*toward))
 
 
 @pytest.mark.parametrize("then", ["save", "optimise", "duplicate", "select", "write_report"])

@@ -1,27 +1,32 @@
 """Claim: one set of what the paper leaves open brings the metrics to its Table 2.
 
 The paper does not say how large its voxels are, how far its cameras see, where LiDARs' beams
-point, and so on. Here those are settings (``CHOICES``), each the same for all placements and all
-intersections, and the mean absolute difference to the paper's C, O and IG is made small by going
-from setting to setting, trying all of its values, until none helps any more. That is done nine
-times more, each time without one of the placements, which is then predicted: what is fitted to
-all nine says how near the model can come, what is left out says whether that means anything.
+point, and so on. Here those are settings, each the same for all placements and all intersections,
+and the mean absolute difference to the paper's C, O and IG is made small: of each that is a choice
+(``CHOICES``) all values are tried, one choice after the other, and the numbers (``KNOBS``) are
+searched by CMA-ES, those of cameras and those of LiDARs in turn, until neither helps any more.
+That is done nine times more, each time without one of the placements, which is then predicted:
+what is fitted to all nine says how near the model can come, what is left out says whether that
+means anything. The search looks at voxels that stand apart (``--spacing``) and few frames; what it
+found is then scored in full.
 
 ``--paper FILE`` is the paper's table as in ``table2.py``; its numbers are not in this repository.
 Without it, or with ``--quick``, a table of the model's own stands in, made at settings drawn by
 ``--seed``: then the claim is that the search finds its way back to a table that is reachable.
 
-Every choice is a study (see ``inspe sweep``) whose jobs are kept, so that a run which was stopped
-goes on where it was; jobs that a choice does not touch are not done again.
+Every step is a study (see ``inspe sweep``) whose jobs are kept, so that a run which was stopped
+goes on where it was; jobs that a setting does not touch are not done again.
 """
 
 import argparse
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cmaes import CMA
 from common import MAPS, command_line, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -50,23 +55,42 @@ from inspe_jax.study.sweep import sweep
 from inspe_jax.study.work import Row
 
 CHOICES: dict[str, tuple[Any, ...]] = {
+    "visibility": ("past_others", "in_view", "line_of_sight"),
     "occlusion_reference": ("roi", "covered", "targets"),
-    "voxel": (0.5, 0.2),
-    "radius": (50.0, 75.0, 100.0),  # the paper's D_inf
-    "camera_depth": (30.0, 40.0, 50.0),
-    "camera_downsample": (0.2, 0.4, 1.0),
-    "camera_reliability": (1.0, 0.8, 0.6, 0.45),
-    "camera_height": (None, 5.0, 8.0),  # None: 6 m, over the centre 7 m
-    "camera_pitch": (None, -10.0, -20.0),  # None: aimed
-    "lidar_elevations": ((-25.0, 2.0), (-25.0, 15.0), (-15.0, 15.0), (-30.0, 10.0)),
-    "lidar_reliability": (1.0, 0.9, 0.8, 0.7),
-    "lidar_height": (None, 6.0, 8.0),  # None: 5 m, over the centre 6.5 m
+    "voxel": (0.2, 0.5),
+    "radius": (50.0, 75.0),  # the paper's D_inf
+    "camera_aim": ("pitch", "aimed"),  # all at camera_pitch, or each at what it is for
+    "camera_downsample": (0.2, 0.44),  # 160 × 120 rays; what 128 × 352 pixels see of a row
+    "azimuths": ("points a second", "alike"),  # shared among the channels, as CARLA has it
     "beams_of_L-d2": (64, 32),
-    "mix": ("largest", "mixed"),
+    "mix": ("mixed", "largest"),
     "density": ("medium", "low", "high"),
 }
 """What the paper leaves open, and the values tried; the first is what the search begins with."""
-QUICK_CHOICES = ("camera_depth", "camera_reliability", "camera_height", "lidar_reliability")
+Knobs = dict[str, tuple[float, float, float]]
+KNOBS: dict[str, Knobs] = {
+    "cameras": {
+        "camera_depth": (20.0, 35.0, 50.0),  # [m]
+        "camera_pitch": (-25.0, -10.0, 0.0),  # [degrees]
+        "camera_height": (5.0, 6.0, 8.0),  # [m]
+        "camera_reliability": (0.2, 0.45, 1.0),
+    },
+    "LiDARs": {
+        "lidar_lowest": (-30.0, -15.0, -10.0),  # elevation of a channel [degrees]
+        "lidar_highest": (2.0, 15.0, 20.0),
+        "azimuth_step": (0.2, 0.355, 0.6),  # of 64 channels [degrees]
+        "lidar_height": (6.0, 6.5, 8.0),  # [m]
+        "lidar_reliability": (0.3, 0.8, 1.0),
+    },
+}
+"""Numbers that the paper leaves open: (least, what the search begins with, most)."""
+START = {name: values[0] for name, values in CHOICES.items()}
+START |= {name: start for block in KNOBS.values() for name, (_, start, _) in block.items()}
+QUICK_CHOICES = ("camera_downsample", "azimuths")
+GENERATIONS, POPULATION = 8, 8
+"""Of a search among the numbers of a block."""
+SIGMA = 0.15
+"""Its first steps, beside the range of a number."""
 FITTED = ("coverage", "occlusion", "information_gain")
 """The metrics whose differences are made small; P_sm follows from them."""
 PASSES = 5
@@ -82,16 +106,21 @@ def options() -> argparse.Namespace:
     parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=0, help="of the traffic and of the stand-in")
     parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
-    parser.add_argument("--frames", type=int, default=20)
+    parser.add_argument("--frames", type=int, default=20, help="in the search; 100 at the end")
+    parser.add_argument("--spacing", type=float, default=0.8, help="of voxels in the search [m]")
+    parser.add_argument("--folds", type=int, default=9, help="placements left out in turn")
+    parser.add_argument("--passes", type=int, default=PASSES, help="through all, at most")
+    parser.add_argument("--generations", type=int, default=GENERATIONS, help="of CMA-ES")
     parser.add_argument("--scenes", type=int, default=10, help="only the first so many of the ten")
-    parser.add_argument("--lights", nargs="+", default=list(LIGHTS), choices=LIGHTS)
+    parser.add_argument("--lights", nargs="+", default=["midday"], choices=LIGHTS,
+                        help="midday if not given: cameras vary more over all of them")  # fmt: skip
     parser.add_argument("--only", nargs="+", default=list(CHOICES), choices=list(CHOICES),
                         metavar="SETTING", help=f"of {', '.join(CHOICES)}")  # fmt: skip
     parser.add_argument("--workers", type=int, help="processes; one a core if not given")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler")
     given = parser.parse_args()
     if given.quick:
-        given.only, given.paper, given.lights = QUICK_CHOICES, None, ["midday"]
+        given.only, given.paper, given.folds, given.passes = QUICK_CHOICES, None, 1, 3
     given.out.mkdir(parents=True, exist_ok=True)
     return given
 
@@ -101,36 +130,50 @@ def options() -> argparse.Namespace:
 
 def layouts(at: Setting) -> dict[str, Any]:
     """A setting's devices and placements, as a study file has them."""
-    beams = {"elevation_range_deg": list(at["lidar_elevations"])}
-    beams |= {"reliability": at["lidar_reliability"]}
-    devices = {f"lidar-{n}": {"like": f"paper-lidar-{n}"} | beams for n in (32, 64)}
+    devices: dict[str, Any] = {}
+    for n in (32, 64):
+        step = at["azimuth_step"] * (n / 64 if at["azimuths"] == "points a second" else 1)
+        devices[f"lidar-{n}"] = dict(
+            like=f"ideal-lidar-{n}",
+            elevation_range_deg=[at["lidar_lowest"], at["lidar_highest"]],
+            azimuth_step_deg=step,
+            reliability=at["lidar_reliability"],
+        )
     devices["camera"] = dict(
-        like="paper-camera",
+        like="ideal-camera",
         depth_m=at["camera_depth"],
         downsample=at["camera_downsample"],
         reliability=at["camera_reliability"],
     )
     entries = []
     for name, row in STRATEGIES.items():
-        entry = {"strategy": name}
+        entry: dict[str, Any] = {"strategy": name}
         if row.cameras:
             entry |= dict(camera="camera", camera_height=at["camera_height"])
-            entry |= dict(camera_pitch_deg=at["camera_pitch"])
+            if at["camera_aim"] == "pitch":
+                entry |= dict(camera_pitch_deg=at["camera_pitch"])
         if row.lidars:
-            beams_ = at["beams_of_L-d2"] if name.endswith("L-d2") else int(row.lidar[-2:])
+            beams_ = at["beams_of_L-d2"] if name.endswith("L-d2") else row.beams
             entry |= dict(lidar=f"lidar-{beams_}", lidar_height=at["lidar_height"])
-        entries.append({key: value for key, value in entry.items() if value is not None})
+        entries.append(entry)
     return dict(devices=devices, layouts=entries)
 
 
-def jobs(at: Setting, given: argparse.Namespace) -> tuple[Job, ...]:
-    """What is to be scored at a setting: LiDARs alone, which need no light, once."""
-    settings = dict(frames=given.frames, seed=given.seed)
-    settings |= {
-        key: at[key] for key in ("occlusion_reference", "voxel", "radius", "mix", "density")
-    }
+SCORED = ("visibility", "occlusion_reference", "voxel", "radius", "mix", "density")
+
+
+def jobs(at: Setting, given: argparse.Namespace, full: bool = False) -> tuple[Job, ...]:
+    """What is to be scored at a setting, of a sample or in ``full``: LiDARs alone, which need no
+    light, once."""
+    whole = full or given.quick
+    apart = at["voxel"] if whole else max(given.spacing, at["voxel"])
+    settings = dict(
+        profile="ideal", spacing=apart, frames=100 if full else given.frames, seed=given.seed
+    )
+    settings |= {key: at[key] for key in SCORED}
     if given.quick:
         settings |= QUICK_SIZE
+        del settings["spacing"]
     content = dict(
         scenes=places(given)[: given.scenes], settings=settings | dict(light=list(given.lights))
     )
@@ -148,11 +191,15 @@ class Tables:
     def __init__(self, given: argparse.Namespace, folder: Path, scheduler: str) -> None:
         self.given, self.folder, self.scheduler = given, folder, scheduler
         self.rows: dict[str, Row] = {}
-        self.known: dict[str, Stats] = {}
+        self.known: dict[tuple[str, bool], Stats] = {}
 
-    def of(self, settings: Sequence[Setting]) -> list[Stats]:
-        """The table of each setting."""
-        wanted = {str(at): jobs(at, self.given) for at in settings if str(at) not in self.known}
+    def of(self, settings: Sequence[Setting], full: bool = False) -> list[Stats]:
+        """The table of each setting, of a sample or in ``full``."""
+        wanted = {
+            (str(at), full): jobs(at, self.given, full)
+            for at in settings
+            if (str(at), full) not in self.known
+        }
         new = {
             job.key: job for group in wanted.values() for job in group if job.key not in self.rows
         }
@@ -160,7 +207,7 @@ class Tables:
             self._do(Study("calibrate", tuple(sorted(new.values(), key=lambda job: job.scene))))
         for at, group in wanted.items():
             self.known[at] = statistics([self.rows[job.key] for job in group])
-        return [self.known[str(at)] for at in settings]
+        return [self.known[str(at), full] for at in settings]
 
     def _do(self, study: Study) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -181,45 +228,102 @@ def loss(ours: Stats, paper: Stats, placements: Sequence[str]) -> float:
     return float(np.mean([difference(ours, paper, placements, metric) for metric in FITTED]))
 
 
-def fit(
-    tables: Tables, paper: Stats, folds: Mapping[str, Sequence[str]], only: Sequence[str]
-) -> dict[str, Setting]:
-    """Each fold's best setting, by coordinate search from the first of all choices.
-
-    All folds go side by side, so that what one needs is there for the others. A setting that is
-    no better than another by more than rounding does not take its place.
-    """
-    start = {name: values[0] for name, values in CHOICES.items()}
-    best = {fold: dict(start) for fold in folds}
-    for number in range(PASSES):
-        before = {fold: dict(at) for fold, at in best.items()}
-        for name in only:
-            tried = {f: [best[f] | {name: value} for value in CHOICES[name]] for f in folds}
-            found = iter(tables.of([at for f in folds for at in tried[f]]))
-            for fold, placements in folds.items():
-                own = tables.of([best[fold]])[0]
-                least = loss(own, paper, placements)
-                for at in tried[fold]:
-                    its = loss(next(found), paper, placements)
-                    if its < least - 1e-6:
-                        best[fold], least = at, its
-            whole = loss(tables.of([best[ALL]])[0], paper, folds[ALL])
-            values = sorted({str(at[name]) for at in best.values()})
-            console.print(f"pass {number + 1}, {name}: {', '.join(values)}; {whole:.4f} off",
-                          highlight=False)  # fmt: skip
-        if best == before:
-            break
-    return best
-
-
 ALL = "all"
+
+
+@dataclass
+class Fit:
+    """Each fold's best setting so far, from the first of all choices and the middle of all numbers.
+
+    All folds go side by side, and each takes the best of what any of them asked for.
+    """
+
+    tables: Tables
+    paper: Stats
+    folds: Mapping[str, Sequence[str]]
+    given: argparse.Namespace
+
+    def __post_init__(self) -> None:
+        self.best = {fold: dict(START) for fold in self.folds}
+
+    def go(self) -> dict[str, Setting]:
+        """Through all choices and all numbers, until nothing helps any more."""
+        for number in range(self.given.passes):
+            before = dict(self.best)
+            for name in self.given.only:
+                self.take([at | {name: x} for at in self.best.values() for x in CHOICES[name]])
+                self.say(number, [name])
+            for block in KNOBS.values():
+                self.evolve(block, number)
+                self.say(number, block)
+            if self.best == before:
+                break
+        return self.best
+
+    def off(self, at: Setting, fold: str) -> float:
+        """What is made small: how far a setting is off what the fold is fitted to."""
+        return loss(self.tables.of([at])[0], self.paper, self.folds[fold])
+
+    def take(self, tried: Sequence[Setting]) -> None:
+        """Let each fold take the best. One that is no better than another by more than rounding
+        does not take its place."""
+        every = [*self.best.values(), *tried]
+        self.tables.of(every)
+        for fold, at in self.best.items():
+            least = self.off(at, fold)
+            for other in every:
+                its = self.off(other, fold)
+                if its < least - 1e-6:
+                    self.best[fold], least = other, its
+
+    def evolve(self, block: Knobs, number: int) -> None:
+        """CMA-ES among the numbers of a block, which begins at each fold's best."""
+        low, high = (np.array([limits[k] for limits in block.values()]) for k in (0, 2))
+        begun = dict(self.best)
+        searches = {
+            fold: CMA(
+                mean=(np.array([at[name] for name in block]) - low) / (high - low),
+                sigma=SIGMA / (1 + number),
+                bounds=np.tile([0.0, 1.0], (len(block), 1)),
+                seed=self.given.seed + number,
+                population_size=POPULATION,
+            )
+            for fold, at in begun.items()
+        }
+
+        def setting(fold: str, x: np.ndarray) -> Setting:
+            values = map(_round, low + x * (high - low))
+            return begun[fold] | dict(zip(block, values, strict=True))
+
+        for _ in range(self.given.generations):
+            asked = {
+                fold: [search.ask() for _ in range(POPULATION)] for fold, search in searches.items()
+            }
+            self.take([setting(fold, x) for fold, rows in asked.items() for x in rows])
+            for fold, search in searches.items():
+                search.tell([(x, self.off(setting(fold, x), fold)) for x in asked[fold]])
+
+    def say(self, number: int, names: Iterable[str]) -> None:
+        """Where the search is."""
+        at, off = self.best[ALL], self.off(self.best[ALL], ALL)
+        values = ", ".join(f"{name} {at[name]}" for name in names)
+        console.print(f"pass {number + 1}: {values}; {off:.4f} off", highlight=False)
+
+
+def _round(x: float) -> float:
+    """To three digits: finer means nothing, and a table that was made is found again."""
+    return float(f"{x:.3g}")
 
 
 def stand_in(tables: Tables, given: argparse.Namespace) -> tuple[Setting, Stats]:
     """A setting drawn by the seed, and its table."""
     random = np.random.default_rng(given.seed)
-    truth = {name: values[0] for name, values in CHOICES.items()}
+    truth = dict(START)
     truth |= {name: CHOICES[name][random.integers(len(CHOICES[name]))] for name in given.only}
+    for block in KNOBS.values():
+        for name, (low, start, high) in block.items():
+            truth[name] = _round(start + random.uniform(-0.2, 0.2) * (high - low))
+            truth[name] = min(max(truth[name], low), high)
     return truth, tables.of([truth])[0]
 
 
@@ -230,18 +334,21 @@ def told(
     best: dict[str, Setting], fitted: Stats, out: Stats, paper: Stats, truth: Setting | None
 ) -> str:
     """Settings and differences, in Markdown; ``out`` has each placement as it was predicted."""
-    names = [name for name in best if name != ALL]
+    names, left = list(dict.fromkeys(name for name, _ in paper)), list(best)[1:]
     text = "| setting | fitted to all | where one was left out |" + (" truth |" if truth else "")
     text += "\n|---|---|---|" + ("---|" if truth else "") + "\n"
     for key, value in best[ALL].items():
-        counts = Counter(str(best[name][key]) for name in names)
+        counts = Counter(str(best[name][key]) for name in left)
         each = ", ".join(f"{other} ({count})" for other, count in counts.items())
         text += f"| {key} | {value} | {each} |" + (f" {truth[key]} |" if truth else "") + "\n"
     text += (
         "\n| metric | Spearman | mean absolute difference, fitted | left out |\n|---|---|---|---|\n"
     )
     for metric, symbol in METRICS.items():
-        off = [f"{difference(of, paper, names, metric):.4f}" for of in (fitted, out)]
+        off = [
+            f"{difference(of, paper, some, metric):.4f}"
+            for of, some in ((fitted, names), (out, left))
+        ]
         rank = correlation(fitted, paper, names, metric)
         text += f"| {symbol} | {rank:.3f} | {' | '.join(off)} |\n"
     return text
@@ -257,7 +364,8 @@ def draw(names: Sequence[str], fitted: Stats, out: Stats, paper: Stats, path: Pa
     ]
     for ax, metric in panels(figure, names):
         for label, of, style in marks:
-            ax.plot([of[name, metric][0] for name in names], ls="", label=label, **style)
+            rows = [of.get((name, metric), (np.nan, 0.0))[0] for name in names]
+            ax.plot(rows, ls="", label=label, **style)
     figure.axes[0].legend(fontsize=8, loc="lower right")
     figure.savefig(path, dpi=150)
 
@@ -277,12 +385,13 @@ def calibrate(given: argparse.Namespace, stem: str, tables: Tables) -> None:
     names = [name for name in STRATEGIES if (name, "surrogate") in paper]
     if len(names) < 3:
         raise SystemExit(f"{given.paper}: {len(names)} placements; at least 3 are needed")
-    folds = {ALL: names} | {name: [n for n in names if n != name] for name in names}
-    best = fit(tables, paper, folds, given.only)
-    fitted, *without = tables.of([best[ALL], *(best[name] for name in names)])
+    folds = {ALL: names}
+    folds |= {name: [n for n in names if n != name] for name in names[: given.folds]}
+    best = Fit(tables, paper, folds, given).go()
+    fitted, *without = tables.of(list(best.values()), full=not given.quick)
     out = {
         (name, metric): fold[name, metric]
-        for name, fold in zip(names, without, strict=True)
+        for name, fold in zip(names, without, strict=False)
         for metric in METRICS
     }
     text = told(best, fitted, out, paper, truth)

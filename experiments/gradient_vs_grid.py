@@ -84,7 +84,7 @@ def options() -> argparse.Namespace:
 
 def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
     """The junctions, one after another; towns where their maps are at hand."""
-    size: dict[str, Any] = dict(radius=50, voxel=0.5, frames=40, density="medium", seed=0)
+    size: dict[str, Any] = dict(radius=50, frames=40, seed=0)
     if quick:
         size |= dict(radius=20, voxel=1.0, frames=5)
     wanted = [name for name in only.split(",") if name]

@@ -60,7 +60,7 @@ def count_exactly(
     for each group of failures that there is room for."""
     views = in_view_of(world, poses, sensors, voxel / 2)
     options = occlusion_reference, visibility
-    watched = _watch_all(world, views, poses[:, :3], sensors.failures, *options)
+    watched = watch_all(world, views, poses[:, :3], sensors.failures, *options)
     bare = replace(world.bucketed, shares=())
     return _measures(bare, views, watched, sensors.reliability, sensors.failures)
 
@@ -132,7 +132,7 @@ class Watched(NamedTuple):
     sights: Num[Array | np.ndarray, "S *N C Z"] | None
 
 
-def _watch_all(
+def watch_all(
     world: World,
     views: UInt[Array | np.ndarray, "S N C"],
     sensors: Float[Array | np.ndarray, "S 3"],

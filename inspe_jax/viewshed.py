@@ -10,10 +10,11 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax import metrics
-from inspe_jax.exact import ONE_MORE, in_view_of
+from inspe_jax.evaluation import options_of
+from inspe_jax.exact import ONE_MORE, in_view_of, watch_all
 from inspe_jax.geometry import Prism
 from inspe_jax.measures import Crew, sensor_array
 from inspe_jax.scene.scene import Scene
@@ -23,7 +24,7 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.shadows import Casts, casts, clear_masks
 from inspe_jax.sensing.tiles import Tile, Tiles
 from inspe_jax.sensing.visibility import check_frame, check_layout
-from inspe_jax.world import by_level, whole_world_of
+from inspe_jax.world import by_level, whole_world_of, world_of
 
 
 class Sight(IntEnum):
@@ -41,7 +42,7 @@ class Viewshed:
 
     ``sensors`` (V,) have it in view; in ``seen`` (V,) of ``frame_count`` frames some sensor sees
     it; in ``occupied`` (V,) it is inside a road user. ``resolved`` (V,) is q_i, the chance that its
-    occupancy is resolved, as information gain has it with visibility ``in_view``.
+    occupancy is resolved, as information gain has it with the visibility of the scene's profile.
     """
 
     sensors: Int[np.ndarray, " V"]
@@ -71,13 +72,33 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         seen += np.asarray(by_level(_look(tiles.tile, views, share.prisms, sensors), levels))
         occupied += np.asarray(by_level(share.solid, levels))
     flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
+    visible = _visible(scene, layout, flags, views, sensors)
     return Viewshed(
         sensors=flags.sum(0),
         seen=tiles.of_voxels(seen),
         occupied=tiles.of_voxels(occupied),
-        resolved=1.0 - np.prod(1.0 - flags * layout.reliability[:, None], axis=0),
+        resolved=1.0 - np.prod(1.0 - visible * layout.reliability[:, None], axis=0),
         frame_count=scene.traffic.frame_count,
     )
+
+
+def _visible(
+    scene: Scene,
+    layout: Layout,
+    flags: Bool[np.ndarray, "S V"],
+    views: UInt[np.ndarray, "s N C"],
+    sensors: Float[np.ndarray, "s 3"],
+) -> Float[np.ndarray, "S V"]:
+    """Visibility of each voxel from each sensor, as information gain has it: whether it is in view,
+    or in what share of the frames in sight. By what is compiled for a score."""
+    reference, visibility = options_of(scene).values()
+    if visibility == "in_view":
+        return flags.astype(float)
+    world = world_of(scene)
+    sights = watch_all(world, views, sensors, None, reference, visibility).sights
+    assert sights is not None  # they are counted unless only views are asked for
+    shares = [world.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
+    return np.stack(shares) / world.frame_count
 
 
 def sight_in(

@@ -72,6 +72,16 @@ def test_scores_are_sums_over_it(scene, layout, shed):
     assert gain == pytest.approx(scores.information_gain, abs=1e-5)
 
 
+def test_what_is_resolved_is_as_the_profile_has_it(scene, layout):
+    as_profile = replace(scene, settings=(("profile", "paper"),))
+    assert as_profile.profile.visibility == "past_others"
+    shed, scores = viewshed(as_profile, layout), evaluate(as_profile, layout)
+    gain = shed.entropy @ shed.resolved / shed.entropy.sum()
+    assert gain == pytest.approx(scores.information_gain, abs=1e-5)
+    in_view_alone = evaluate(as_profile, layout, visibility="in_view").information_gain
+    assert gain < in_view_alone - 0.01
+
+
 def test_conditions_and_sensors_that_perceive_less(scene, layout):
     dim = Conditions.of("night", "fog:100")
     shed, scores = viewshed(scene, layout, conditions=dim), evaluate(scene, layout, conditions=dim)

@@ -148,7 +148,8 @@ def soft_sight(
 
     nobody = jnp.zeros((frames, x.shape[-1]), jnp.uint32)
     none = ((nobody,) * min(WINNERS, count),) * len(sets)
-    best = checkpoint_name(masks.fold_marked(marked, enter, none), WON)
+    best = masks.fold_marked(marked, enter, none)
+    best = jax.tree.map(partial(checkpoint_name, name=WON), best)
     # The sensor at every point: slopes are then added up point by point, and summed but once.
     sx, sy, sz = (jnp.broadcast_to(s, nobody.shape) for s in sensor)
 

@@ -16,9 +16,9 @@ LIDARS = [name for name, d in DEVICES.items() if d.kind == "lidar"]
 # name, channels, lowest and highest ring, azimuths in a sweep, reach: from the data sheets.
 # Hesai print -25..+15 for both; their tables' ends are the rings behind those rounded figures.
 SHEETS = [
-    ("paper-lidar-32", 32, -22.5, 7, 1440, 50),
+    ("paper-lidar-32", 32, -19.4, 7.7, 1280, 50),
     ("ideal-lidar-32", 32, -25, 2, 1800, 50),
-    ("paper-lidar-64", 64, -22.5, 7, 720, 100),
+    ("paper-lidar-64", 64, -19.4, 7.7, 640, 100),
     ("ideal-lidar-64", 64, -25, 2, 1800, 100),
     ("velodyne-vlp-16", 16, -15, 15, 1800, 100),
     ("velodyne-vlp-32c", 32, -25, 15, 1800, 200),

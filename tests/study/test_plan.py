@@ -121,7 +121,7 @@ def test_devices_of_ones_own(read, tmp_path):
         for job in study.jobs
     }
     (far,), (near,) = specs["far"], specs["Cam-d1"]
-    assert (far.name, far.depth, near.name, near.depth) == ("far", 60, "paper-camera", 36)
+    assert (far.name, far.depth, near.name, near.depth) == ("far", 60, "paper-camera", 38)
     own["far"]["depth_m"] = 61
     other = read(STUDY, devices=own, layouts=layouts)
     same = {job.key for job in study.jobs} & {job.key for job in other.jobs}

@@ -243,34 +243,38 @@ def loss(ours: Stats, paper: Stats, placements: Sequence[str]) -> float:
 
 
 class Surrogate:
-    """The table of any numbers, from the tables of some: (rows of ``x``, within 0 and 1).
+    """The table at any numbers, from the tables at some.
 
-    Cubic radial basis functions and a polynomial; a placement of cameras alone does not depend on
-    what LiDARs have, nor the other way round.
+    Cubic radial basis functions and a polynomial for each placement. ``x`` (N, K) are the numbers
+    from 0 to 1 within their ranges, ``tables`` the N tables there.
     """
 
     def __init__(self, x: np.ndarray, tables: Sequence[Stats], names: Sequence[str]) -> None:
-        self.names, self.parts = names, []
+        self.fits = {}
         for name in names:
-            row, list_ = STRATEGIES[name], []
-            for kind, felt in (("cameras", row.cameras), ("LiDARs", row.lidars)):
-                list_ += [i for i, n in enumerate(NUMBERS) if felt and n in KNOBS[kind]]
-            feels = np.array(list_)
-            own, first = np.unique(x[:, feels], axis=0, return_index=True)
-            of = np.array([[tables[i][name, metric][0] for metric in METRICS] for i in first])
-            terms = (len(feels) + 1) * (len(feels) + 2) // 2
-            degree = 2 if len(own) > 2 * terms else 1
-            fit = RBFInterpolator(own, of, kernel="cubic", degree=degree, smoothing=SMOOTH)
-            self.parts.append((feels, fit))
+            own, first = np.unique(x[:, numbers_of(name)], axis=0, return_index=True)
+            found = np.array([[tables[i][name, metric][0] for metric in METRICS] for i in first])
+            count = own.shape[1]
+            degree = 2 if len(own) > (count + 1) * (count + 2) else 1  # twice as many as terms
+            self.fits[name] = RBFInterpolator(
+                own, found, kernel="cubic", degree=degree, smoothing=SMOOTH
+            )
 
     def loss(self, x: np.ndarray, paper: Stats, placements: Sequence[str]) -> np.ndarray:
-        """:func:`loss` of the tables at some rows of numbers."""
+        """:func:`loss` of the tables at each of some numbers (N, K)."""
         off = []
-        for name, (feels, fit) in zip(self.names, self.parts, strict=True):
-            if name in placements:
-                wanted = [paper[name, metric][0] for metric in METRICS]
-                off.append(np.abs(fit(x[:, feels]) - wanted).mean(1))
+        for name in placements:
+            wanted = [paper[name, metric][0] for metric in METRICS]
+            off.append(np.abs(self.fits[name](x[:, numbers_of(name)]) - wanted).mean(1))
         return np.mean(off, axis=0)
+
+
+def numbers_of(placement: str) -> list[int]:
+    """Which of the numbers a placement depends on: those of the sensors that it has."""
+    row = STRATEGIES[placement]
+    own = KNOBS["cameras"] if row.cameras else {}
+    own = own | (KNOBS["LiDARs"] if row.lidars else {})
+    return [i for i, name in enumerate(NUMBERS) if name in own]
 
 
 ALL = "all"

@@ -16,7 +16,9 @@ from inspe_jax.placement.tolerance import tolerance
 @pytest.fixture(scope="module")
 def scene():
     place = inspe_jax.built_in("four_way")
-    return inspe_jax.build_scene(place, radius=30, voxel=0.5, frames=4, density="medium")
+    return inspe_jax.build_scene(
+        place, radius=30, voxel=0.5, frames=4, density="medium", profile="ideal"
+    )
 
 
 @pytest.mark.parametrize("name", slow_but(["Cam-d1", "L-c"], "Cam-d1"))

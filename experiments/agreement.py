@@ -20,8 +20,8 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene, Sensor, Unit
-from inspe_jax.sensing import raycast
 from inspe_jax.sensing.sensors import Spec
+from inspe_jax.visibility import raycast
 
 console = Console()
 
@@ -30,7 +30,7 @@ def world(quick: bool, seed: int) -> Scene:
     """A scene with slopes where the map is at hand, else the built-in four-way."""
     radius, frames = (20.0, 2) if quick else (30.0, 5)
     if not quick and (MAPS / "Town03.xodr").is_file():
-        from inspe_jax.scene.opendrive import read_opendrive
+        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
 
         place = read_opendrive(MAPS / "Town03.xodr", junction=222, radius=radius)
     else:

@@ -37,12 +37,12 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
-from inspe_jax.measures import Crew, Field, measure
-from inspe_jax.sensing import raycast
-from inspe_jax.sensing.ground import about_center, poses_about_center
-from inspe_jax.sensing.shadows import casts, may_shade
-from inspe_jax.sensing.view_masks import in_view_masks
-from inspe_jax.world import world_of
+from inspe_jax.scoring.reference import Crew, Field, measure
+from inspe_jax.scoring.tiled_scene import world_of
+from inspe_jax.visibility import raycast
+from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.shadows import casts, may_shade
+from inspe_jax.visibility.view_masks import in_view_masks
 
 console = Console()
 
@@ -61,7 +61,7 @@ def workload(name: str, seed: int, **other: Any) -> Scene:
     """One of the workloads, some of its settings changed."""
     size: dict[str, Any] = dict(profile="ideal", seed=seed) | WORKLOADS[name] | other
     if name != "quick" and (MAPS / "Town05.xodr").is_file():
-        from inspe_jax.scene.opendrive import read_opendrive
+        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
 
         place = read_opendrive(MAPS / "Town05.xodr", junction=53, radius=size["radius"])
     else:

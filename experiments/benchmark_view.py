@@ -40,7 +40,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from inspe_jax.geometry import rotation
+from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer

@@ -47,9 +47,9 @@ from table2 import (
 )
 
 from inspe_jax.cli.common import progress
-from inspe_jax.errors import InspeError
-from inspe_jax.files import write_text
-from inspe_jax.placement.checkpoint import digest
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.report.tables import METRICS
 from inspe_jax.study.cluster import client

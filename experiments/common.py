@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 import inspe_jax
-from inspe_jax.files import write_text
+from inspe_jax.core.files import write_text
 
 MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 """Town maps beside the checkout, where there are any."""

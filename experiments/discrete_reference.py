@@ -22,13 +22,13 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Constraints, Layout, Scene, Sensor
+from inspe_jax.placement.candidate_table import Kind
+from inspe_jax.placement.candidate_table import Table as Candidates
 from inspe_jax.placement.candidates import lattice
-from inspe_jax.placement.discrete import best_subset
-from inspe_jax.placement.greedy import lazy_greedy
+from inspe_jax.placement.methods.greedy import lazy_greedy
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.table import Kind
-from inspe_jax.placement.table import Table as Candidates
-from inspe_jax.placement.tally import Tally
+from inspe_jax.placement.sample_score import Tally
+from inspe_jax.placement.studies.discrete import best_subset
 
 console = Console()
 ALL = 10**9

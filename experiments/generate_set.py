@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from inspe_jax.cores import cores
+from inspe_jax.core.parallel import cores
 from inspe_jax.dataset import generate, load_generation, open, statistics
-from inspe_jax.dataset.light import LIGHTS
-from inspe_jax.report.dataset import statistics_view
+from inspe_jax.report.dataset_figure import statistics_view
 from inspe_jax.report.frames import frame_view
+from inspe_jax.simulation.embedded.light import LIGHTS
 
 PAPER = 144_000
 """Frames of the paper's set."""

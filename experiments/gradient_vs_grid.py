@@ -30,13 +30,13 @@ from rich.console import Console
 
 import inspe_jax
 from inspe_jax import Layout, Scene
-from inspe_jax.compiling import compiled
-from inspe_jax.files import write_text
-from inspe_jax.placement.gradient import GRADIENTS
+from inspe_jax.core.compiling import compiled
+from inspe_jax.core.files import write_text
+from inspe_jax.placement.methods.gradient import GRADIENTS
 from inspe_jax.placement.optimise import METHODS, warming
-from inspe_jax.placement.pareto import around
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
+from inspe_jax.placement.studies.pareto import around
 
 BUILT_INS = ("four_way", "t_junction", "roundabout")
 TOWNS = (("Town03", 422), ("Town04", 53), ("Town05", 53), ("Town07", 725), ("Town10HD", 189))
@@ -100,7 +100,7 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
         if not path.is_file():
             console.print(f"{name}: no map at hand, left out")
             continue
-        from inspe_jax.scene.opendrive import read_opendrive
+        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
 
         place = read_opendrive(path, junction=junction, radius=size["radius"])
         yield name, inspe_jax.build_scene(place, **size)

@@ -43,21 +43,21 @@ from table2 import LIGHTS, Stats, begin, read_paper
 
 import inspe_jax
 from inspe_jax.cli.common import progress
-from inspe_jax.errors import InspeError
-from inspe_jax.files import write_text
-from inspe_jax.geometry import Prism, rotation, solid_top
-from inspe_jax.metrics import WEIGHTS
-from inspe_jax.numerics import step
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import write_text
+from inspe_jax.core.geometry import Prism, rotation, solid_top
+from inspe_jax.core.numerics import step
 from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.report.tables import METRICS
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing import raycast
-from inspe_jax.sensing.ground import about_center
+from inspe_jax.scoring.metrics import WEIGHTS
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, PinholeGrid, RayGrid, Spec
-from inspe_jax.sensing.shadows import sight
-from inspe_jax.sensing.visibility import in_view
 from inspe_jax.study.work import build, placed
+from inspe_jax.visibility import raycast
+from inspe_jax.visibility.centered_scene import about_center
+from inspe_jax.visibility.queries import in_view
+from inspe_jax.visibility.shadows import sight
 
 console = Console()
 Table = Float[np.ndarray, "P 3"]

@@ -20,9 +20,9 @@ from rich.table import Table
 import inspe_jax
 from inspe_jax import STRATEGIES, Intersection, Scene
 from inspe_jax.report.figures import column_raster
-from inspe_jax.scene.maps import read_map
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.scene import TRAFFIC
-from inspe_jax.viewshed import viewshed
+from inspe_jax.scoring.viewshed import viewshed
 
 console = Console()
 LEVEL = 1.0

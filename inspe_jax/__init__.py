@@ -12,31 +12,30 @@ Conventions, stated once:
   Z levels, T frames, B boxes, R rays.
 """
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Contribution, ManyScores, Scores, evaluate, evaluate_many
-from inspe_jax.numerics import Softness
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.numerics import Softness
+from inspe_jax.core.version import __version__ as __version__
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import compare, methods, optimise
-from inspe_jax.placement.pareto import pareto
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.strategies import STRATEGIES, strategy
-from inspe_jax.placement.tolerance import tolerance
+from inspe_jax.placement.studies.pareto import pareto
+from inspe_jax.placement.studies.tolerance import tolerance
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
-from inspe_jax.scene.traffic import TrafficFrames
+from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
+from inspe_jax.sensing.catalogue import Device, device, devices
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.devices import Device, device, devices
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
-from inspe_jax.sensing.visibility import in_view, line_of_sight
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep
-
-__version__ = "0.1.0"
+from inspe_jax.visibility.queries import in_view, line_of_sight
 
 __all__ = [
     "BUILT_INS",

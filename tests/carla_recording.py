@@ -14,15 +14,16 @@ import numpy as np
 from carla_look import MIDDLE, look_at
 from worlds import MAPS
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import write_frame, write_protocol
-from inspe_jax.dataset.lidar import LidarNoise
-from inspe_jax.dataset.recorder import Recording, Server, recorder_of
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.maps import read_map
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.scene import Scene, build_scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.simulation.backends import recorder_of
+from inspe_jax.simulation.embedded.lidar import LidarNoise
+from inspe_jax.simulation.recorder import Recording, Server
 
 TOWN, JUNCTION = "Town10HD", 189
 FRAMES, RATE, SEED = 8, 10.0, 3

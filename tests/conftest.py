@@ -17,7 +17,7 @@ import pytest
 from browser import CHROMIUM
 from worlds import MAPS
 
-from inspe_jax import compiling, cores
+from inspe_jax.core import compiling, parallel
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -155,4 +155,4 @@ def _forget_what_was_compiled():
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > MAPPINGS:
         jax.clear_caches()
-        cores.compiled.clear()
+        parallel.compiled.clear()

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from inspe_jax.dataset import Frame, Image, Scan, Station, Thing
-from inspe_jax.dataset.record import KINDS, MOST_TRACK
+from inspe_jax.simulation.frame import KINDS, MOST_TRACK
 
 WORLD = {
     "fixed_delta_seconds": 0.05,

@@ -13,10 +13,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from inspe_jax import files
+from inspe_jax.core import files
+from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, Image, Scan, Station, Thing, chunk
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.traffic import CLASSES
+from inspe_jax.scene.traffic.frames import CLASSES
 
 SLOW, DEADLY, ROOM, PIDS = "MADE_UP_SLOW", "MADE_UP_DEADLY", "MADE_UP_ROOM", "MADE_UP_PIDS"
 """Seconds a frame takes; a seed of which frame 3 kills its worker; the files that there is room

@@ -15,7 +15,7 @@ from shapely.geometry import box
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.traffic import TrafficFrames
+from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.voxels import build_voxels
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec

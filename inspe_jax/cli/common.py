@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest
 
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
@@ -62,9 +62,9 @@ def main() -> None:
         _run()
     except SystemExit as e:
         # Only if a search has compiled: importing it would take longer than most commands.
-        ahead = sys.modules.get("inspe_jax.placement.ahead")
+        ahead = sys.modules.get("inspe_jax.placement.compile_ahead")
         if ahead is not None and ahead.compiles():
-            from inspe_jax.compiling import leave
+            from inspe_jax.core.compiling import leave
 
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError):  # nobody reads it any more
@@ -87,7 +87,7 @@ def _run() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from inspe_jax import __version__
+        from inspe_jax.core.version import __version__
 
         out.print(f"inspe_jax {__version__}", highlight=False)
         raise typer.Exit
@@ -145,7 +145,7 @@ def keep_compiled() -> None:
 
 def known(source: str) -> str:
     """The name of a built-in; raises InspeError with all that a scene can come from."""
-    from inspe_jax.scene.procedural import BUILT_INS
+    from inspe_jax.scene.procedural.built_ins import BUILT_INS
 
     if source not in BUILT_INS:
         raise InspeError(
@@ -253,7 +253,7 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None
 
 def check_record(path: str | None) -> None:
     """Raise InspeError where the file of ``--json`` cannot be written; - is stdout."""
-    from inspe_jax.files import check_output
+    from inspe_jax.core.files import check_output
 
     if path != "-":
         check_output(path)
@@ -261,7 +261,7 @@ def check_record(path: str | None) -> None:
 
 def show(table: Any, record: dict[str, Any], path: str | None) -> None:
     """A table, and its record as JSON in the file of ``--json``; for - the record alone."""
-    from inspe_jax.files import write_text
+    from inspe_jax.core.files import write_text
 
     text = json.dumps(record, indent=2)
     if path == "-":

@@ -77,10 +77,11 @@ def generate(
     - `inspe generate towns.yaml --out towns --backend carla --server 192.168.0.7:2000`
     - `inspe generate set/train/SCENARIO/data_protocol.yaml --out again`
     """
+    from inspe_jax.core.files import check_folder
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
-    from inspe_jax.dataset.recorder import Server, check_backend, server_of
-    from inspe_jax.placement.result import check_folder
+    from inspe_jax.simulation.backends import check_backend, server_of
+    from inspe_jax.simulation.recorder import Server
 
     check_folder(folder)
     if backend is not None:

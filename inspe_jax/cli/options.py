@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from inspe_jax.cli.common import ProfileOption, WeatherOption
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.placement.constraints import Constraints

@@ -77,10 +77,10 @@ def pareto(
       --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
     """
+    from inspe_jax.core.files import check_folder
     from inspe_jax.placement.optimise import DEFAULT_METHOD
-    from inspe_jax.placement.pareto import called, mixes, save_pareto
-    from inspe_jax.placement.pareto import pareto as search
-    from inspe_jax.placement.result import check_folder
+    from inspe_jax.placement.studies.pareto import called, mixes, save_pareto
+    from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import pareto_table
@@ -154,7 +154,7 @@ def tolerance(
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
     """
     from inspe_jax.placement.problem import Case, Objective
-    from inspe_jax.placement.tolerance import tolerance as installed
+    from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
     from inspe_jax.sensing.conditions import Conditions
 

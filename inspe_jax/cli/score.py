@@ -27,7 +27,7 @@ from inspe_jax.cli.common import (
     scene_and_layout,
     show,
 )
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
@@ -110,14 +110,13 @@ def scene(
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
-    from inspe_jax.files import check_output
-    from inspe_jax.profiles import DEFAULT_PROFILE, profile_of
+    from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scene_table
-    from inspe_jax.scene.carla_log import LOG_SUFFIXES
-    from inspe_jax.scene.maps import is_map, read_map
-    from inspe_jax.scene.procedural import built_in
+    from inspe_jax.scene.maps.registry import is_map, read_map
+    from inspe_jax.scene.procedural.built_ins import built_in
+    from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
     from inspe_jax.scene.scene import (
         SCENE_SUFFIXES,
         build_scene,
@@ -125,6 +124,7 @@ def scene(
         save_scene,
         traffic_source,
     )
+    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES
 
     if list_:
         _list_places(source)
@@ -212,7 +212,7 @@ def layout(
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
     """
-    from inspe_jax.files import check_output
+    from inspe_jax.core.files import check_output
     from inspe_jax.placement.strategies import strategy as place
     from inspe_jax.report.tables import layout_table
     from inspe_jax.scene.scene import load_scene
@@ -270,11 +270,11 @@ def score(
     - `inspe score j189.npz layout.yaml --light night --weather rain:10`
     - `inspe score four_way L-d1 --profile ideal`
     """
-    from inspe_jax.evaluation import evaluate
-    from inspe_jax.files import check_output
+    from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import scores_record, scores_table
+    from inspe_jax.scoring.evaluate import evaluate
     from inspe_jax.sensing.conditions import Conditions
 
     check_output(plot, FORMATS)
@@ -304,7 +304,7 @@ def devices() -> None:
     Example: `inspe devices`; a layout then says `device: hesai-xt32`.
     """
     from inspe_jax.report.tables import devices_table
-    from inspe_jax.sensing.devices import devices as catalogue
+    from inspe_jax.sensing.catalogue import devices as catalogue
 
     out.print(devices_table(catalogue()))
 
@@ -315,8 +315,8 @@ def profiles() -> None:
 
     Example: `inspe profiles`; then `inspe score four_way L-d1 --profile ideal`.
     """
-    from inspe_jax.profiles import profiles as known
     from inspe_jax.report.tables import profile_table
+    from inspe_jax.scene.profiles import profiles as known
 
     for profile in known().values():
         out.print(profile_table(profile))
@@ -338,7 +338,7 @@ def _warn_of_full_roads(built: "Scene") -> None:
 
 def _list_places(source: str) -> None:
     from inspe_jax.report.tables import built_ins_table, junctions_table
-    from inspe_jax.scene.maps import is_map, list_junctions
+    from inspe_jax.scene.maps.registry import is_map, list_junctions
 
     if is_map(source):
         with busy(f"reading {source}"):

@@ -68,9 +68,9 @@ def optimise(
     - `inspe optimise j189.npz layout.yaml --light midday,night --weather rain:10`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     """
-    from inspe_jax.files import check_output
+    from inspe_jax.core.files import check_folder, check_output
     from inspe_jax.placement import optimise as search
-    from inspe_jax.placement.result import check_folder, save_result
+    from inspe_jax.placement.result import save_result
     from inspe_jax.sensing.conditions import FAIR
 
     check_folder(folder)
@@ -135,8 +135,9 @@ def compare(
     - `inspe compare --methods greedy-adam,grid --seconds 10 --seeds 1`
     - `inspe compare j189.npz layout.yaml --seconds 60 --seeds 5 --out j189_methods`
     """
+    from inspe_jax.core.files import check_folder
     from inspe_jax.placement import optimise as search
-    from inspe_jax.placement.result import check_folder, save_comparison
+    from inspe_jax.placement.result import save_comparison
     from inspe_jax.report.progress import history_view
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import comparison_table

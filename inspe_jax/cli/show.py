@@ -77,14 +77,14 @@ def report(
     - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (better: a search's)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
-    from inspe_jax.files import check_output, whole_file, write_text
-    from inspe_jax.placement.pareto import load_pareto
+    from inspe_jax.core.files import check_output, whole_file, write_text
     from inspe_jax.placement.problem import Case, Objective
-    from inspe_jax.placement.tolerance import tolerance as installed
+    from inspe_jax.placement.studies.pareto import load_pareto
+    from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.page import check_names, entry_of, report_page, report_sheets
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
-    from inspe_jax.sensing.visibility import check_frame
+    from inspe_jax.visibility.queries import check_frame
 
     check_output(path, (".html", ".htm"))
     check_output(pdf, (".pdf",))
@@ -171,8 +171,8 @@ def view(
     - `inspe view j189.npz layout.yaml --out better.yaml --light night`
     - `inspe view roundabout Cam-d1/L-d1 --port 9000 --host 0.0.0.0`
     """
-    from inspe_jax.errors import InspeError
-    from inspe_jax.files import check_output
+    from inspe_jax.core.errors import InspeError
+    from inspe_jax.core.files import check_output
     from inspe_jax.placement.problem import Case
     from inspe_jax.report.server import Door
     from inspe_jax.scene.scene import load_scene

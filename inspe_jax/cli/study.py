@@ -65,7 +65,7 @@ def sweep(
     - `inspe sweep study.yaml --out results --workers 8`
     - `inspe sweep study.yaml --out results --scheduler tcp://cluster:8786`
     """
-    from inspe_jax.placement.result import check_folder
+    from inspe_jax.core.files import check_folder
     from inspe_jax.report.tables import sweep_table
     from inspe_jax.study.plan import load_study
     from inspe_jax.study.sweep import sweep as run

@@ -11,14 +11,15 @@ from typing import Any
 
 from filelock import FileLock
 
-from inspe_jax.dataset.opv2v import PROTOCOL, write_frame, write_protocol
-from inspe_jax.dataset.opv2v_reader import agent_ids
+from inspe_jax.core.files import parse_yaml
+from inspe_jax.dataset.formats.opv2v.reader import agent_ids
+from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL, write_frame, write_protocol
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.dataset.recorder import Recorder, Server, recorder_of
-from inspe_jax.files import parse_yaml
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import layout_text, parse_layout
+from inspe_jax.simulation.backends import recorder_of
+from inspe_jax.simulation.recorder import Recorder, Server
 from inspe_jax.study.sources import SceneSource
 from inspe_jax.study.work import make_room, placed, scene_of, told
 

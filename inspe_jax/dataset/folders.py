@@ -7,10 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from inspe_jax.dataset.opv2v import PROTOCOL
-from inspe_jax.dataset.opv2v_reader import agent_ids, frame_of, read_protocol, stems
-from inspe_jax.dataset.record import Frame
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.dataset.formats.opv2v.reader import agent_ids, frame_of, read_protocol, stems
+from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL
+from inspe_jax.simulation.frame import Frame
 
 SPLITS = ("train", "validate", "test")
 """The splits that come first; a set may have others, such as ``test_culvercity``."""

@@ -8,11 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
-from inspe_jax.dataset.making import Making
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
-from inspe_jax.dataset.recorder import Server, check_backend, server_of
-from inspe_jax.errors import InspeError
+from inspe_jax.dataset.writer import Making
+from inspe_jax.simulation.backends import check_backend, server_of
+from inspe_jax.simulation.recorder import Server
 from inspe_jax.study.engine import dask, done
 from inspe_jax.study.work import told
 

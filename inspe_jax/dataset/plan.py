@@ -37,13 +37,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.recorder import Recording
-from inspe_jax.errors import InspeError
-from inspe_jax.files import check_model
-from inspe_jax.placement.checkpoint import digest
-from inspe_jax.scene.traffic import MOST_FRAMES
+from inspe_jax.scene.traffic.frames import MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
+from inspe_jax.simulation.recorder import Recording
 from inspe_jax.study.settings import (
     CONDITIONS,
     WORLD,

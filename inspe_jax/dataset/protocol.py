@@ -12,6 +12,9 @@ from typing import Annotated, Any
 import yaml
 from pydantic import Field
 
+from inspe_jax.core import version
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import check_model, read_yaml
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.plan import (
     SETTINGS,
@@ -23,12 +26,9 @@ from inspe_jax.dataset.plan import (
     make_generation,
     saved_seconds,
 )
-from inspe_jax.dataset.recorder import BACKENDS
-from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import check_model, read_yaml
-from inspe_jax.placement import optimise
 from inspe_jax.scene.scene import load_scene
 from inspe_jax.sensing.layout import parse_layout
+from inspe_jax.simulation.backends import BACKENDS
 from inspe_jax.study.settings import (
     CONDITIONS,
     WORLD,
@@ -44,9 +44,6 @@ from inspe_jax.study.sources import LayoutSource, SceneEntry, SceneSource, diges
 FORMAT = "inspe_jax scenario 1"
 PORT = 2000
 """CARLA's own; it is only told."""
-
-
-_RECORDS_WITH = {"embedded": ("embreex",), "carla": ("carla",)}
 
 
 class _Scene(SceneEntry):
@@ -84,8 +81,8 @@ class _Protocol(Strict):
 
 def versions(backend: str) -> dict[str, str]:
     """Versions of what the bytes of a set depend on beside its plan."""
-    own = {name for name in _RECORDS_WITH[backend] if find_spec(name)}
-    return optimise.versions(("jax", "numpy", "pillow", "scipy", "shapely", *own))
+    own = {name for name in BACKENDS[backend].packages if find_spec(name)}
+    return version.versions(("jax", "numpy", "pillow", "scipy", "shapely", *own))
 
 
 def protocol_of(

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
-from inspe_jax.cores import Job, parts_of, run
+from inspe_jax.core.parallel import Job, parts_of, run
+from inspe_jax.scoring.tiled_scene import Share, World
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
-from inspe_jax.sensing.shadows import casts, clear_masks
-from inspe_jax.sensing.tiles import Tile
-from inspe_jax.sensing.view_masks import view_masks
-from inspe_jax.world import Share, World
+from inspe_jax.visibility.shadows import casts, clear_masks
+from inspe_jax.visibility.tiles import Tile
+from inspe_jax.visibility.view_masks import view_masks
 
 TOGETHER = 8
 """Poses in one compiled call: one shape for any number of them, and the same bits."""

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.cores import parts_of
-from inspe_jax.placement.constraints import Space
+from inspe_jax.core.parallel import parts_of
 from inspe_jax.placement.coordinates import Coordinates
+from inspe_jax.placement.space import Space
 
 COLUMNS, FRAMES = 768, 6
 """Size of a sample: that of one gradient of the gradient methods."""

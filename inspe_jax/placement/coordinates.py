@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from inspe_jax.placement.pieces import into_disc, swing, swing_disc, unswing, unswing_disc
+from inspe_jax.placement.convex_regions import into_disc, swing, swing_disc, unswing, unswing_disc
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN
 
 STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
@@ -74,7 +74,7 @@ class Range(NamedTuple):
         return xp.clip(x, xp.asarray(self.low, x.dtype), xp.asarray(self.high, x.dtype))
 
     def swing(self, v: Any, xp: Any) -> Any:
-        """Values within from any; see :func:`inspe_jax.placement.pieces.swing`."""
+        """Values within from any; see :func:`inspe_jax.placement.convex_regions.swing`."""
         return xp.asarray(self.middle, v.dtype) + swing(v, xp.asarray(self.half, v.dtype), xp)
 
     def unswing(self, x: Any) -> Any:

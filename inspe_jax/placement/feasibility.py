@@ -3,25 +3,15 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.coordinates import nearest_turn
 from inspe_jax.placement.site import Site
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit
 
-if TYPE_CHECKING:
-    from inspe_jax.placement.constraints import Constraints
-
-PLACES = {
-    "any": (True, True),
-    "areas": (True, False),
-    "poles": (False, True),
-    "keep": (False, False),
-}
-"""Where units may stand: whether in mounting areas, and whether on poles."""
 TOLERANCE = 1e-3
 """What rounding may add to a distance [m] or an angle [rad]."""
 SPAN = 1.5
@@ -48,9 +38,7 @@ class Fault:
     words: str
 
 
-def faults(
-    layout: Layout, given: Layout, site: Site, constraints: "Constraints"
-) -> Iterator[Fault]:
+def faults(layout: Layout, given: Layout, site: Site, constraints: Constraints) -> Iterator[Fault]:
     """What is wrong with a layout of the sensors of ``given``; nothing if it can stand.
 
     Distances and angles may be off by :data:`TOLERANCE`.
@@ -81,7 +69,7 @@ def faults(
 
 
 def _foot(
-    unit: Unit, before: np.ndarray, kept: bool, site: Site, constraints: "Constraints"
+    unit: Unit, before: np.ndarray, kept: bool, site: Site, constraints: Constraints
 ) -> Iterator[str]:
     foot = np.array(unit.base[:2])
     moved, away = (float(np.hypot(*(foot - other))) for other in (before, site.center))
@@ -103,7 +91,7 @@ def _sensor(
     sensor: Sensor,
     hung: Float[np.ndarray, "6"],
     over_lane: bool,
-    constraints: "Constraints",
+    constraints: Constraints,
     heights: tuple[float, float],
 ) -> Iterator[str]:
     """``hung``: its pose relative to the ground at the foot of its unit."""

@@ -1,30 +1,29 @@
 """Find better places for a layout's sensors: the one entry to every method."""
 
 import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-import inspe_jax
-from inspe_jax.errors import InspeError, nearest
-from inspe_jax.evaluation import Scores, evaluate
-from inspe_jax.files import check_output
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import check_output
+from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.checkpoint import SUFFIXES, Keeper, digest
+from inspe_jax.placement.checkpoint import SUFFIXES, Keeper
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.gradient import GRADIENTS
+from inspe_jax.placement.methods.gradient import GRADIENTS
+from inspe_jax.placement.methods.search import SEARCHES
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget, check_seed
-from inspe_jax.placement.search import SEARCHES
 from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.layout import Layout
 
 METHODS: dict[str, Method] = {method.name: method for method in (*GRADIENTS, *SEARCHES)}
@@ -310,12 +309,6 @@ def _settings(problem: Problem) -> dict[str, Any]:
             "move": limits.move,
         },
     }
-
-
-def versions(libraries: Sequence[str]) -> dict[str, str]:
-    """Versions of this package, of Python and of libraries."""
-    own = {"inspe_jax": inspe_jax.__version__, "python": platform.python_version()}
-    return own | {name: metadata.version(name) for name in libraries}
 
 
 # ── Options ─────────────────────────────────────────────────────────────────

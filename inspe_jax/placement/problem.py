@@ -15,26 +15,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax import metrics
-from inspe_jax.arrays import on_device, on_host
-from inspe_jax.cores import Job, run
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import check_entropy, check_options, options_of
-from inspe_jax.exact import measure_exactly
-from inspe_jax.geometry import Prism, solid_top
-from inspe_jax.measures import Crew, Field, sensor_array, spares_own
-from inspe_jax.numerics import step
+from inspe_jax.core.arrays import on_device, on_host
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import Prism, solid_top
+from inspe_jax.core.numerics import step
+from inspe_jax.core.parallel import Job, run
 from inspe_jax.placement.candidate_views import see
 from inspe_jax.placement.candidates import poses
-from inspe_jax.placement.constraints import Constraints, Space
-from inspe_jax.placement.readings import COMBINATIONS, Terms, hard_scores, scores, soft_slope
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.sampled_scores import COMBINATIONS, Terms, hard_scores, scores, soft_slope
+from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.evaluate import check_entropy, check_options, options_of
+from inspe_jax.scoring.exact import measure_exactly
+from inspe_jax.scoring.reference import Crew, Field, sensor_array, spares_own
+from inspe_jax.scoring.tiled_scene import World, world_of, world_of_sample
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
-from inspe_jax.sensing.devices import device
-from inspe_jax.sensing.ground import Ground, about_center, poses_about_center
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.visibility import check_layout
-from inspe_jax.world import World, world_of, world_of_sample
+from inspe_jax.visibility.centered_scene import Ground, about_center, poses_about_center
+from inspe_jax.visibility.queries import check_layout
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """What a rough score costs beside an exact one: always, times the share of columns, and times that

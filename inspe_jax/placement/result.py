@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Contribution, Scores
-from inspe_jax.files import check_input, write_text
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input, prepare_folder, write_text
 from inspe_jax.placement.run import Progress
+from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
 
 FORMAT = "inspe_jax result 2"
@@ -60,26 +60,6 @@ class Result:
     settings: dict[str, Any]
     versions: dict[str, str]
     notes: tuple[str, ...] = ()
-
-
-def prepare_folder(folder: str | os.PathLike[str]) -> Path:
-    """A folder for a result, made where it is missing. Raises InspeError where that cannot be."""
-    folder = Path(folder)
-    check_folder(folder)
-    folder.mkdir(exist_ok=True)
-    return folder
-
-
-def check_folder(folder: str | os.PathLike[str]) -> None:
-    """Raise InspeError where a folder could not be made or written to, before any work for it."""
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InspeError(f"{folder}: is a file; name a folder")
-    if not folder.exists() and not folder.parent.is_dir():
-        raise InspeError(f"{folder}: no such folder: {folder.parent}")
-    place = folder if folder.exists() else folder.parent
-    if not os.access(place, os.W_OK):
-        raise InspeError(f"{folder}: cannot be written: no permission in {place}")
 
 
 def save_result(result: Result, folder: str | os.PathLike[str]) -> None:

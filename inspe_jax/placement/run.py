@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.errors import InspeError
-from inspe_jax.placement.ahead import Ahead, Job
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.compile_ahead import Ahead, Job
 from inspe_jax.placement.problem import Problem, Sample
 
 State = dict[str, Any]

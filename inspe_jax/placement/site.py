@@ -11,8 +11,8 @@ from shapely.geometry import LineString, MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points, unary_union
 
-from inspe_jax.errors import InspeError
-from inspe_jax.placement.pieces import merge
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.convex_regions import merge
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 

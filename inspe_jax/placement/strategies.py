@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.placement.site import (
     ASIDE,
     CENTRAL_HEIGHTS,
@@ -39,10 +39,10 @@ from inspe_jax.placement.site import (
     kerb,
     spread,
 )
-from inspe_jax.profiles import DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.profiles import DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 

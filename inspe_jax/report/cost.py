@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from inspe_jax.errors import InspeError
-from inspe_jax.placement.pareto import Mix, Point
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.studies.pareto import Mix, Point
 from inspe_jax.report.sheet import WIDTH, fit, house_style
 
 FRONT, BEATEN = "#0072b2", "#808080"

@@ -7,12 +7,12 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from inspe_jax import __version__
+from inspe_jax.core.version import __version__
 from inspe_jax.dataset.folders import Scenario
-from inspe_jax.dataset.inside import count_inside
-from inspe_jax.dataset.record import KINDS
-from inspe_jax.dataset.stats import Hits, Statistics, bands, table_row
+from inspe_jax.dataset.points_in_boxes import count_inside
+from inspe_jax.dataset.statistics import Hits, Statistics, bands, table_row
 from inspe_jax.report.tables import table_of
+from inspe_jax.simulation.frame import KINDS
 
 _AXES = ("length", "width", "height")
 _NONE = "–"

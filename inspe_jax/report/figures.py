@@ -21,8 +21,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores
+from inspe_jax.core.errors import InspeError
 from inspe_jax.report.layers import Layer, seen_layer
 from inspe_jax.report.sheet import (
     CIRCLE,
@@ -35,11 +34,12 @@ from inspe_jax.report.sheet import (
 )
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.traffic import CLASSES
+from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
-from inspe_jax.sensing.visibility import check_frame
+from inspe_jax.visibility.queries import check_frame
 
 REGION_COLORS: dict[Region, str] = dict(
     zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)

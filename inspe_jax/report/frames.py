@@ -14,12 +14,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from inspe_jax.dataset.folders import Scenario
-from inspe_jax.dataset.inside import world_points
-from inspe_jax.dataset.projection import box_lines, corners
-from inspe_jax.dataset.record import KINDS, Frame, Image, Station, Thing
-from inspe_jax.report.dataset import counted
+from inspe_jax.dataset.points_in_boxes import world_points
+from inspe_jax.report.dataset_figure import counted
 from inspe_jax.report.figures import CLASS_COLORS, KEYS
 from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, WIDTH, fit, house_style
+from inspe_jax.simulation.frame import KINDS, Frame, Image, Station, Thing
+from inspe_jax.simulation.projection import box_lines, corners
 
 MARGIN = 6.0
 """What the plan shows about the things and the stations [m]."""

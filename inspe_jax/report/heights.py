@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from inspe_jax.evaluation import Scores
 from inspe_jax.report.progress import COLORS, LINES
 from inspe_jax.report.sheet import WIDTH, fit, house_style
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.evaluate import Scores
 
 
 def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:

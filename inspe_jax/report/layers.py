@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.scene.scene import Scene
-from inspe_jax.viewshed import Sight, Viewshed
+from inspe_jax.scoring.viewshed import Sight, Viewshed
 
 HIDDEN = 0.5
 """A column that traffic hides for more than this share of the time that it is free is a blind
@@ -88,7 +88,7 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
 
 
 def seen_layer(share: Float[np.ndarray, " L"]) -> Layer:
-    """How often each column is seen: :attr:`~inspe_jax.evaluation.Scores.seen_share`."""
+    """How often each column is seen: :attr:`~inspe_jax.scoring.evaluate.Scores.seen_share`."""
     return Layer("seen", "share of frames and levels\nin which a column is seen", share)
 
 

@@ -17,25 +17,25 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores, evaluate
-from inspe_jax.placement.pareto import Point
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
-from inspe_jax.placement.tolerance import Tolerance
+from inspe_jax.placement.studies.pareto import Point
+from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, Layer, layers
 from inspe_jax.report.progress import before_after, history_view
+from inspe_jax.report.scene3d import USER_COLOR, stage_page
 from inspe_jax.report.sheet import house_style
-from inspe_jax.report.stage import USER_COLOR, stage_page
 from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.viewshed import Sight, Viewshed, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewshed import Sight, Viewshed, viewshed
 
 DPI = 170
 """Of the figures in a page."""

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.report.figures import (
@@ -24,6 +23,7 @@ from inspe_jax.report.figures import (
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 
 MOVED = 0.5

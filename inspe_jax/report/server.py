@@ -41,7 +41,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosedOK
 from websockets.http11 import Request, Response
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 
 PORTS = 100
 """How many ports are tried."""

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from inspe_jax.files import check_output, whole_file
+from inspe_jax.core.files import check_output, whole_file
 from inspe_jax.scene.scene import Scene
 
 FORMATS: dict[str, dict[str, None]] = {

@@ -11,23 +11,23 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inspe_jax import __version__
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores
-from inspe_jax.placement.pareto import Mix
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.version import __version__
 from inspe_jax.placement.result import Result
-from inspe_jax.placement.tolerance import POSITION_STEP, Tolerance
-from inspe_jax.profiles import Profile
-from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.placement.studies.pareto import Mix
+from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
+from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.sensing.catalogue import Device
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.devices import Device
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 
 if TYPE_CHECKING:
-    from inspe_jax.scene.opendrive import JunctionInfo
+    from inspe_jax.scene.maps.opendrive.reader import JunctionInfo
 
 METRICS: dict[str, str] = {
     "coverage": "C",

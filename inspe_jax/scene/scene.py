@@ -13,17 +13,17 @@ import jax
 import numpy as np
 import shapely
 
-from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import check_input, check_output, whole_file
-from inspe_jax.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
-from inspe_jax.scene.carla_log import LOG_SUFFIXES, log_traffic
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import check_input, check_output, whole_file
 from inspe_jax.scene.intersection import Arm, Intersection, Route
-from inspe_jax.scene.maps import is_map
-from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.maps.registry import is_map
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
+from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.traffic import DENSITIES, TrafficFrames
+from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
+from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames
+from inspe_jax.scene.traffic.waypoint.generate import waypoint_traffic
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
-from inspe_jax.scene.waypoint_traffic import waypoint_traffic
 
 FORMAT = "inspe_jax scene 2"
 SCENE_SUFFIXES = (".npz",)
@@ -91,15 +91,15 @@ def build_scene(
 ) -> Scene:
     """Voxelise an intersection and fill it with traffic.
 
-    ``profile`` names what else is open, one of :func:`~inspe_jax.profiles.profiles`; values that
-    are not given are its own. ``radius``, ``voxel`` and ``spacing`` in metres, as
+    ``profile`` names what else is open, one of :func:`~inspe_jax.scene.profiles.profiles`; values
+    that are not given are its own. ``radius``, ``voxel`` and ``spacing`` in metres, as
     :func:`~inspe_jax.scene.voxels.build_voxels` has them; ``density`` is ``none``, ``low``,
     ``medium``, ``high`` or a mean number of objects; ``mix`` as in
-    :func:`~inspe_jax.scene.waypoint_traffic.waypoint_traffic`; frames are ``step`` seconds apart.
-    ``traffic`` is where it comes from: ``waypoints``, the paper's model; ``sumo``, for an
-    intersection read from a map; or a log of CARLA's recorder (.log), which has its own density
-    and mix. ``progress`` is called with (steps done, steps). Raises InspeError on a value out of
-    range, and as the source of the traffic does.
+    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`; frames are ``step`` seconds
+    apart. ``traffic`` is where it comes from: ``waypoints``, the paper's model; ``sumo``, for an
+    intersection read from a map; or a log of CARLA's recorder (.log), which has its own density and
+    mix. ``progress`` is called with (steps done, steps). Raises InspeError on a value out of range,
+    and as the source of the traffic does.
     """
     given = dict(radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix)
     own = profile_of(profile).of_scene(**given)
@@ -133,7 +133,7 @@ def traffic_source(name: str) -> Callable[..., TrafficFrames]:
     if name == "waypoints":
         return waypoint_traffic
     if name == "sumo":
-        from inspe_jax.scene.sumo_traffic import sumo_traffic
+        from inspe_jax.scene.traffic.sumo.generate import sumo_traffic
 
         return sumo_traffic
     raise InspeError(

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.special import lambertw
 
-from inspe_jax.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec

@@ -33,12 +33,12 @@ import yaml
 from jaxtyping import Array, Float
 from pydantic import BaseModel, Field
 
-from inspe_jax.errors import InspeError
-from inspe_jax.files import STRICT, check_model, read_yaml, write_text
-from inspe_jax.geometry import rotation
-from inspe_jax.profiles import profile_of
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
+from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.profiles import profile_of
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.devices import device, devices, spec_of, table_of
+from inspe_jax.sensing.catalogue import device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
 UNIT_PLAN = 2.0

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax.geometry import FAR, Point
-from inspe_jax.numerics import arctan2
+from inspe_jax.core.geometry import FAR, Point
+from inspe_jax.core.numerics import arctan2
 
 _LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
 _ANGLE = 1e-6  # what an angle in single precision may be off by [rad]

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.arrays import wide_bucket
+from inspe_jax.core.arrays import wide_bucket
 from inspe_jax.sensing.rays import Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024

@@ -10,8 +10,8 @@ import dask
 import jax
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
-from inspe_jax.cores import cores
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.parallel import cores
 from inspe_jax.study.work import versions
 
 

@@ -10,7 +10,7 @@ from itertools import groupby
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 
 AHEAD = 3
 """Jobs that are sent ahead for each worker's thread, so that none waits for the next."""

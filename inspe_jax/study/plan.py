@@ -34,14 +34,14 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from inspe_jax import metrics
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import check_options
-from inspe_jax.files import check_model, read_yaml
-from inspe_jax.placement.checkpoint import digest
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_model, read_yaml
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
-from inspe_jax.profiles import DEFAULT_PROFILE, profile_of
+from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.evaluate import check_options
 from inspe_jax.study.settings import (
     CHECKS,
     CONDITIONS,

@@ -13,9 +13,9 @@ from typing import IO
 
 from filelock import FileLock, Timeout
 
-from inspe_jax.errors import InspeError
-from inspe_jax.files import write_text
-from inspe_jax.placement.result import csv_text, prepare_folder
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import prepare_folder, write_text
+from inspe_jax.placement.result import csv_text
 from inspe_jax.study.plan import Study
 from inspe_jax.study.work import Row, columns, tags, versions
 

@@ -7,11 +7,11 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field
 
-from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import STRICT
-from inspe_jax.profiles import DEFAULT_PROFILE, profile_of, profiles
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import STRICT
+from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import TRAFFIC, build_scene, density_count
-from inspe_jax.scene.traffic import MIXES
+from inspe_jax.scene.traffic.frames import MIXES
 from inspe_jax.sensing.conditions import FAIR, Conditions
 
 T = TypeVar("T")

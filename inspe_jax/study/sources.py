@@ -8,13 +8,13 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from inspe_jax.errors import InspeError, nearest
-from inspe_jax.files import check_input
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import check_input
 from inspe_jax.placement.strategies import choose
-from inspe_jax.profiles import BEFORE_PROFILES
-from inspe_jax.scene.procedural import BUILT_INS
+from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scene.profiles import BEFORE_PROFILES
 from inspe_jax.scene.scene import load_scene
-from inspe_jax.sensing.devices import spec_of
+from inspe_jax.sensing.catalogue import spec_of
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.study.settings import Length, Line, Strict, Text, check_names, check_settings

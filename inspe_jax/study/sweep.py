@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.study.engine import dask, done
 from inspe_jax.study.plan import Job, Study
 from inspe_jax.study.results import Results

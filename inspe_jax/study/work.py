@@ -6,15 +6,16 @@ from typing import Any
 
 import jax
 
-from inspe_jax.cores import compiled
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores, evaluate
-from inspe_jax.files import check_input, parse_yaml
+from inspe_jax.core import version
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input, parse_yaml
+from inspe_jax.core.parallel import compiled
 from inspe_jax.placement import optimise
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.strategies import strategy
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene, load_scene
+from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.study.plan import AS_IT_IS, BUILD, SETTINGS, Job, Study
@@ -42,7 +43,7 @@ def columns(study: Study) -> tuple[str, ...]:
 @cache
 def versions() -> dict[str, str]:
     """What a result depends on beside its job."""
-    return optimise.versions(("jax", "numpy"))
+    return version.versions(("jax", "numpy"))
 
 
 def build(job: Job) -> Scene | str:
@@ -67,7 +68,7 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
         raise InspeError(f"{path}: is no longer what it was when the study began")
     if source.file is not None:
         return load_scene(path)
-    from inspe_jax.scene.maps import read_map
+    from inspe_jax.scene.maps.registry import read_map
 
     at: dict[str, Any] = dict(junction=source.junction, center=source.center)
     return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt
 
-from inspe_jax.compiling import usual_seconds, waiting_words
-from inspe_jax.errors import InspeError
-from inspe_jax.metrics import WEIGHTS
+from inspe_jax.core.compiling import usual_seconds, waiting_words
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.server import Door, quiet, serve
+from inspe_jax.scoring.metrics import WEIGHTS
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.desk import Desk, Later
 from inspe_jax.viewer.display import Display
 from inspe_jax.viewer.handle import Handle, Pull
+from inspe_jax.viewer.job_queue import Desk, Later
 from inspe_jax.viewer.panel import POSE, Panel, put
 from inspe_jax.viewer.scorer import Scored, Scorer
 from inspe_jax.viewer.searcher import Ending, Heard, Searcher

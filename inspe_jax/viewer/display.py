@@ -10,14 +10,14 @@ from typing import Any
 import viser
 from jaxtyping import UInt
 
-from inspe_jax.compiling import compiled, remember_seconds, usual_seconds, waiting_words
+from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.stage import Stage, look_from
+from inspe_jax.report.scene3d import Stage, look_from
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.board import board
-from inspe_jax.viewer.desk import Desk, Later
+from inspe_jax.viewer.job_queue import Desk, Later
 from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.score_panel import board
 from inspe_jax.viewer.scorer import Scored
 
 STALE = 0.5

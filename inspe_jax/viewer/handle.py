@@ -7,8 +7,8 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from inspe_jax.geometry import rotation
-from inspe_jax.report.stage import quaternion, turn_of
+from inspe_jax.core.geometry import rotation
+from inspe_jax.report.scene3d import quaternion, turn_of
 
 LENGTH = 90.0
 """Of the handle's arrows [pixel]."""

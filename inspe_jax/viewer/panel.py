@@ -7,10 +7,10 @@ from typing import Any
 import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
-from inspe_jax.sensing.devices import devices
-from inspe_jax.viewer.board import SIGHTS
+from inspe_jax.scoring.viewshed import Sight
+from inspe_jax.sensing.catalogue import devices
+from inspe_jax.viewer.score_panel import SIGHTS
 from inspe_jax.viewer.store import Earlier
-from inspe_jax.viewshed import Sight
 
 SECONDS = 60.0
 """What a search is given if nobody says otherwise [s]."""

@@ -12,11 +12,11 @@ import jax
 import numpy as np
 from jaxtyping import UInt
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Scores, evaluate
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
+from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewshed import sight_in
 
 SHOWN = 20
 """Frames that are scored first, evenly spread over all."""

@@ -26,8 +26,8 @@ from typing import IO, Any
 
 import jax
 
-from inspe_jax.compiling import compiled, leave, remember_seconds
-from inspe_jax.errors import InspeError
+from inspe_jax.core.compiling import compiled, leave, remember_seconds
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.problem import Case, Objective

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.errors import InspeError
-from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.feasibility import Fault, on_span
+from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, Sensor, Unit
 from inspe_jax.sensing.sensors import CameraSpec
 

@@ -12,8 +12,8 @@ from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from inspe_jax.errors import InspeError
-from inspe_jax.files import write_text
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import write_text
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import entry_of, report_page
 from inspe_jax.scene.scene import Scene

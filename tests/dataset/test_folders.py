@@ -12,8 +12,8 @@ from frames import WORLD, assert_same, frame, station
 from PIL import Image as Pillow
 
 import inspe_jax.dataset as dataset
+from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import read_frame, write_frame, write_protocol
-from inspe_jax.errors import InspeError
 
 OTHERS = """\
 camera0:

@@ -16,9 +16,9 @@ import yaml
 from opv2v_validator import check_scenario, check_set
 
 import inspe_jax.dataset as dataset
+from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import chunk, generate, load_generation
-from inspe_jax.dataset.making import Making
-from inspe_jax.errors import InspeError
+from inspe_jax.dataset.writer import Making
 
 LAYOUT = """
 name: two masts
@@ -73,7 +73,7 @@ def at_home(monkeypatch):
         with LocalCluster(**given, memory_limit=None) as cluster, Client(cluster) as here:
             yield here
 
-    monkeypatch.setattr("inspe_jax.files.os", os)
+    monkeypatch.setattr("inspe_jax.core.files.os", os)
     monkeypatch.setattr("inspe_jax.study.cluster.client", client)
 
 

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from opv2v_validator import check_scenario, check_set
 from PIL import Image as Pillow
 
-from inspe_jax.dataset import Frame, opv2v, read_frame, write_frame, write_protocol
-from inspe_jax.dataset.png import read_depth, write_depth
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset import Frame, read_frame, write_frame, write_protocol
+from inspe_jax.dataset.formats.opv2v import writer
+from inspe_jax.dataset.formats.png import read_depth, write_depth
 
 
 def written(folder: Path, given: Frame | None = None) -> Path:
@@ -248,7 +249,7 @@ def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
         def ignore_aliases(self, data):
             return True
 
-    monkeypatch.setattr(opv2v, "_Dumper", Slow)
+    monkeypatch.setattr(writer, "_Dumper", Slow)
     assert files(written(tmp_path / "b", frame(things=things))) == fast
     read = yaml.safe_load(fast["-1/000068.yaml"])["vehicles"]
     assert [read[i]["name"] for i in range(len(names))] == names
@@ -274,7 +275,7 @@ def test_a_frame_that_fails_midway_is_not_there(tmp_path, monkeypatch):
         if count[0] == 4:
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(opv2v, "write_rgb", full)
+    monkeypatch.setattr(writer, "write_rgb", full)
     with pytest.raises(OSError, match="No space"):
         write_frame(scenario, frame())
     assert not list(scenario.rglob("*.yaml.*"))
@@ -285,9 +286,9 @@ def test_a_frame_that_fails_midway_is_not_there(tmp_path, monkeypatch):
 def test_yaml_is_the_last_file_of_each_agent(tmp_path, monkeypatch):
     order = []
     for name in ("write_pcd", "write_rgb", "write_depth", "write_instance", "write_semantic"):
-        monkeypatch.setattr(opv2v, name, lambda path, *_, **__: order.append(path.suffix))
-    monkeypatch.setattr(opv2v, "write_text", lambda path, *_: order.append(path.suffix))
-    monkeypatch.setattr(opv2v.os, "link", lambda *_: order.append("link"))
+        monkeypatch.setattr(writer, name, lambda path, *_, **__: order.append(path.suffix))
+    monkeypatch.setattr(writer, "write_text", lambda path, *_: order.append(path.suffix))
+    monkeypatch.setattr(writer.os, "link", lambda *_: order.append("link"))
     write_frame(tmp_path, frame())
     assert order[-2:] == [".yaml"] * 2
     assert ".yaml" not in order[:-2]
@@ -325,7 +326,7 @@ def test_one_file_of_points_has_two_names_or_two_copies(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError("no links here")
 
-    monkeypatch.setattr(opv2v.os, "link", refuse)
+    monkeypatch.setattr(writer.os, "link", refuse)
     assert files(written(tmp_path / "b")) == linked
 
 

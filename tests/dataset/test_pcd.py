@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inspe_jax.dataset.pcd import read_notes, read_pcd, write_pcd
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset.formats.pcd import read_notes, read_pcd, write_pcd
 
 POINTS = st.lists(
     st.tuples(*[st.floats(-500, 500, width=32)] * 3, st.integers(0, 255).map(lambda i: i / 255)),

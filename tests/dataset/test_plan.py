@@ -8,15 +8,15 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import parse_yaml
 from inspe_jax.dataset import load_generation
 from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.opv2v import write_protocol
+from inspe_jax.dataset.formats.opv2v.writer import write_protocol
 from inspe_jax.dataset.plan import SETTINGS, _split
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.errors import InspeError
-from inspe_jax.files import parse_yaml
 from inspe_jax.placement.strategies import strategy
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import layout_text
 

@@ -21,9 +21,10 @@ from shapely.geometry import MultiPoint
 from shapely.ops import unary_union
 from worlds import double_precision, world
 
-from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.space import Space
 from inspe_jax.placement.strategies import STRATEGIES, strategy
-from inspe_jax.scene.procedural import BUILT_INS
+from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.scene import build_scene
 
 # ── Random layouts ──────────────────────────────────────────────────────────
@@ -44,7 +45,7 @@ def test_random_layouts_can_be_mounted(name):
 
 
 def test_random_layouts_of_a_town_can_be_mounted(maps):
-    from inspe_jax.scene.opendrive import read_opendrive
+    from inspe_jax.scene.maps.opendrive.reader import read_opendrive
 
     place = read_opendrive(maps / "Town03.xodr", junction=222)  # it rises, and has no sidewalks
     scene = build_scene(place, radius=40.0, voxel=2.0, density="none", frames=1)

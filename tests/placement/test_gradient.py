@@ -12,22 +12,22 @@ import pytest
 from checkpoints import Checkpoint
 from mounts import assert_mountable, lanes_of
 
-from inspe_jax.arrays import on_host
-from inspe_jax.measures import measure
-from inspe_jax.metrics import surrogate
-from inspe_jax.numerics import Softness
-from inspe_jax.placement import greedy_adam
-from inspe_jax.placement.adam import annealed, charted_score
+from inspe_jax.core.arrays import on_host
+from inspe_jax.core.numerics import Softness
 from inspe_jax.placement.candidates import poses
-from inspe_jax.placement.gradient import GRADIENTS
+from inspe_jax.placement.methods import greedy_adam
+from inspe_jax.placement.methods.adam import annealed, charted_score
+from inspe_jax.placement.methods.gradient import GRADIENTS
+from inspe_jax.placement.methods.rounds import scaled_score
 from inspe_jax.placement.problem import Problem, take
-from inspe_jax.placement.rounds import scaled_score
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.strategies import strategy
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.sensing.ground import poses_about_center
+from inspe_jax.scoring.metrics import surrogate
+from inspe_jax.scoring.reference import measure
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.centered_scene import poses_about_center
 
 METHODS = {method.name: method for method in GRADIENTS}
 BUDGET = {"adam": 120, "greedy-adam": 1000, "lbfgsb": 150, "projected-gradient": 300}

@@ -9,8 +9,7 @@ import pytest
 from mounts import assert_mountable, lanes_of
 from worlds import CAMERA, crossing
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import evaluate
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement import checkpoint as files
 from inspe_jax.placement import optimise as module
 from inspe_jax.placement.checkpoint import FORMAT, digest, load_checkpoint, save_checkpoint
@@ -19,8 +18,9 @@ from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.run import AT_ONCE, BudgetSpent, Method, Run
 from inspe_jax.placement.strategies import strategy
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
+from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -336,7 +336,7 @@ def test_the_result_is_never_worse_than_its_start(scene, layout, quick):
 
 
 def test_what_cannot_be_mounted_is_not_handed_on(scene, layout, quick, monkeypatch):
-    monkeypatch.setattr("inspe_jax.placement.constraints.Space.violations", lambda *_: ["floats"])
+    monkeypatch.setattr("inspe_jax.placement.space.Space.violations", lambda *_: ["floats"])
     with pytest.raises(AssertionError, match="not feasible: floats"):
         quick("climb", climb)(scene, layout, evaluations=100)
 

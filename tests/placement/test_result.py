@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from worlds import world
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import evaluate
-from inspe_jax.placement.result import FILES, FORMAT, Result, check_folder, load_result, save_result
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_folder
+from inspe_jax.placement.result import FILES, FORMAT, Result, load_result, save_result
 from inspe_jax.placement.run import Progress
-from inspe_jax.sensing.devices import device
+from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout
 
 

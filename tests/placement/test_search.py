@@ -7,12 +7,14 @@ import pytest
 from checkpoints import Checkpoint
 from worlds import CAMERA, LIDAR, random_traffic, slow_but, world
 
-from inspe_jax.placement import candidate_views, candidates, greedy, readings, search
-from inspe_jax.placement import table as tables
-from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.placement import candidate_table as tables
+from inspe_jax.placement import candidate_views, candidates, sampled_scores
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.methods import greedy, search
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.run import BudgetSpent, Run
-from inspe_jax.placement.tally import Tally, times
+from inspe_jax.placement.sample_score import Tally, times
+from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
@@ -411,14 +413,17 @@ def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
     rough, (views, seen) = problem.rough(x, sample), problem.views(0, poses, sample)
-    compiled = readings.hard_scores._cache_size(), candidate_views._see._cache_size()
+    compiled = sampled_scores.hard_scores._cache_size(), candidate_views._see._cache_size()
     assert len(rough) == len(views) == len(seen) == len(x)
     for count in (1, 3):
         np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
         few = problem.views(0, poses[-count:], sample)
         for part, whole in zip(few, (views, seen), strict=True):
             np.testing.assert_array_equal(part, whole[-count:])
-    assert (readings.hard_scores._cache_size(), candidate_views._see._cache_size()) == compiled
+    assert (
+        sampled_scores.hard_scores._cache_size(),
+        candidate_views._see._cache_size(),
+    ) == compiled
 
 
 # ── Greedy ──────────────────────────────────────────────────────────────────

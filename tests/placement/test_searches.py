@@ -5,7 +5,7 @@ from mounts import assert_mountable, lanes_of
 
 from inspe_jax.placement.optimise import METHODS, compare
 from inspe_jax.placement.strategies import strategy
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 
 SEEDS = 3

@@ -9,13 +9,13 @@ from shapely import affinity
 from shapely.geometry import LineString, MultiPoint, Point
 from shapely.ops import unary_union
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.strategies import STRATEGIES, spread, strategy
 from inspe_jax.scene.intersection import Arm, Intersection, Route, mouth_crosswalks
-from inspe_jax.scene.procedural import BUILT_INS, built_in
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene
-from inspe_jax.sensing.devices import device
+from inspe_jax.sensing.catalogue import device
 
 FOUR, TEE, WYE = (0, 90, 180, 270), (0, 180, 270), (30, 150, 270)
 FIVE = (0, 72, 144, 216, 288)
@@ -479,6 +479,6 @@ def test_a_town_junction_can_carry_every_strategy(maps, name, town_junction):
 
 @pytest.fixture(scope="module")
 def town_junction(maps) -> Scene:
-    from inspe_jax.scene.opendrive import read_opendrive
+    from inspe_jax.scene.maps.opendrive.reader import read_opendrive
 
     return scene_of(read_opendrive(maps / "Town05.xodr", junction=53))

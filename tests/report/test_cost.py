@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from inspe_jax.errors import InspeError
-from inspe_jax.placement.pareto import Mix
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.studies.pareto import Mix
 from inspe_jax.report.cost import NAMED, pareto_view
 from inspe_jax.report.tables import pareto_table
 

@@ -16,8 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, with_boxes, world
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Contribution, Scores
+from inspe_jax.core.errors import InspeError
 from inspe_jax.report import figures
 from inspe_jax.report.figures import (
     CLASS_COLORS,
@@ -29,9 +28,10 @@ from inspe_jax.report.figures import (
     view_outline,
 )
 from inspe_jax.report.sheet import save_figure
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
+from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 

@@ -13,18 +13,18 @@ from browser import browser, errors_of
 from matplotlib import image
 from worlds import CAMERA, LIDAR, place_sensors, random_layout, world
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import evaluate
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
-from inspe_jax.placement.pareto import Point
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import load_result, save_result
-from inspe_jax.placement.tolerance import Slopes, Tolerance
+from inspe_jax.placement.studies.pareto import Point
+from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
 from inspe_jax.report.page import CAPTIONS, Entry, entry_of, report_page, report_sheets
-from inspe_jax.report.stage import runs
+from inspe_jax.report.scene3d import runs
 from inspe_jax.report.tables import scores_record
-from inspe_jax.viewshed import viewshed
+from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.viewshed import viewshed
 
 
 @pytest.fixture(scope="module")

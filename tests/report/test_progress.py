@@ -11,13 +11,13 @@ from matplotlib.patches import FancyArrowPatch
 from rich.console import Console
 from worlds import CAMERA, LIDAR, place_sensors, world
 
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import evaluate
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.report.progress import MOVED, WENT, before_after, history_view
 from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
+from inspe_jax.scoring.evaluate import evaluate
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,7 @@ from rich.console import Console
 from worlds import CAMERA, LIDAR, place_sensors, world
 
 import inspe_jax
-from inspe_jax.errors import InspeError
-from inspe_jax.evaluation import Contribution, Scores, evaluate
+from inspe_jax.core.errors import InspeError
 from inspe_jax.report.tables import (
     built_ins_table,
     devices_table,
@@ -23,8 +22,9 @@ from inspe_jax.report.tables import (
     scores_record,
     scores_table,
 )
-from inspe_jax.scene.procedural import BUILT_INS
-from inspe_jax.sensing.devices import Device, devices
+from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate
+from inspe_jax.sensing.catalogue import Device, devices
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 METRICS = ("coverage", "occlusion", "information_gain", "surrogate")

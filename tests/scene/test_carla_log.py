@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from worlds import MAPS, crossing
 
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.carla_log import load_log, log_traffic
+from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import build_scene
+from inspe_jax.scene.traffic.carla_log import load_log, log_traffic
 
 LOGS = MAPS.parent / "carla_logs"
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 from shapely import affinity
 from worlds import MAPS
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, mouth_crosswalks
-from inspe_jax.scene.opendrive import list_junctions, read_opendrive
-from inspe_jax.scene.opendrive_map import load_map
+from inspe_jax.scene.maps.opendrive.reader import list_junctions, read_opendrive
+from inspe_jax.scene.maps.opendrive.road_network import load_map
 from inspe_jax.scene.regions import Region
 
 carla = pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")

@@ -7,9 +7,9 @@ from shapely import affinity
 from shapely.geometry import LineString, Point, Polygon, box
 from shapely.ops import unary_union
 
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.procedural import BUILT_INS, built_in, crossing, ramp, roundabout
-from inspe_jax.scene.procedural_curves import arc, bend, joined, offset, onto_ring
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in, crossing, ramp, roundabout
+from inspe_jax.scene.procedural.curves import arc, bend, joined, offset, onto_ring
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.voxels import build_voxels
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from worlds import crossing, random_traffic
 
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.voxels import build_voxels

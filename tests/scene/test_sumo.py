@@ -13,12 +13,12 @@ from shapely.geometry import LineString, Point, Polygon
 from worlds import MAPS, rilsa
 
 import inspe_jax
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.maps import list_junctions, read_map
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
-from inspe_jax.scene.sumo_traffic import sumo_traffic
-from inspe_jax.scene.traffic import CLASSES, ROAD_USERS
+from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
+from inspe_jax.scene.traffic.sumo.generate import sumo_traffic
 
 pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
 

@@ -11,23 +11,23 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import MultiPolygon, box
 from worlds import MAPS
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.traffic import (
+from inspe_jax.scene.traffic.frames import (
     CLASSES,
     MIXES,
     ROAD_USERS,
     TrafficFrames,
 )
-from inspe_jax.scene.waypoint_model import (
+from inspe_jax.scene.traffic.waypoint.generate import _kinds, waypoint_traffic
+from inspe_jax.scene.traffic.waypoint.model import (
     WEDGED,
     WaypointModel,
     _overlap,
     _safe_speed,
     _truncated_normal,
 )
-from inspe_jax.scene.waypoint_paths import SPACING, lay_paths
-from inspe_jax.scene.waypoint_traffic import _kinds, waypoint_traffic
+from inspe_jax.scene.traffic.waypoint.paths import SPACING, lay_paths
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 LANE = 3.5
@@ -490,7 +490,7 @@ def test_a_body_in_a_bend_has_its_axles_on_the_path() -> None:
 
 @pytest.mark.parametrize("name", ["four_way", "roundabout", "highway_ramp"])
 def test_built_ins(name: str) -> None:
-    from inspe_jax.scene.procedural import built_in
+    from inspe_jax.scene.procedural.built_ins import built_in
 
     traffic = waypoint_traffic(built_in(name), radius=50, count=20, frames=40)
     assert overlapping(traffic) == []
@@ -501,7 +501,7 @@ def place_in(town: str, **where):
     pytest.importorskip("carla", reason="needs the CARLA client")
     if not (MAPS / f"{town}.xodr").is_file():
         pytest.skip("needs the maps beside the checkout")
-    from inspe_jax.scene.opendrive import read_opendrive
+    from inspe_jax.scene.maps.opendrive.reader import read_opendrive
 
     return read_opendrive(MAPS / f"{town}.xodr", **where)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inspe_jax import Conditions, build_scene, built_in, device, evaluate, evaluate_many, strategy
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.conditions import effective_depth, lights
 
 CAMERA, LIDAR = device("ideal-camera").spec, device("ideal-lidar-64").spec

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds import LIDAR, place_sensors, world
 
-from inspe_jax.errors import InspeError
-from inspe_jax.geometry import rotation
-from inspe_jax.sensing.devices import device
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout, save_layout
 
 GOOD = """

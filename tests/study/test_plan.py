@@ -6,8 +6,8 @@ from itertools import product
 import pytest
 import yaml
 
-from inspe_jax.errors import InspeError
-from inspe_jax.scene.procedural import built_in
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import save_layout
 from inspe_jax.study.plan import AS_IT_IS, SETTINGS, load_study

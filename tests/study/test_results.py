@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.work import columns, failed, head, versions

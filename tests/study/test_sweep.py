@@ -17,7 +17,7 @@ from distributed import CancelledError
 from processes import inspe_process
 
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study import cluster
 from inspe_jax.study.engine import _by_scene, _sent

@@ -10,10 +10,10 @@ import pytest
 from browser import browser, errors_of
 from worlds import world
 
-from inspe_jax.evaluation import evaluate
-from inspe_jax.placement.constraints import Space
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.stage import turn_of
+from inspe_jax.placement.space import Space
+from inspe_jax.report.scene3d import turn_of
+from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import LENGTH

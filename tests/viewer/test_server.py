@@ -22,7 +22,7 @@ from page_socket import CAMERA, ended_by, enter, pull, send, set_value, socket_o
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from worlds import world
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.server import (
     BROWSERS,

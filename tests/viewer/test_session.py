@@ -7,8 +7,8 @@ import pytest
 import yaml
 from worlds import CAMERA, LIDAR, world
 
-from inspe_jax.errors import InspeError
-from inspe_jax.placement.constraints import Space
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.space import Space
 from inspe_jax.sensing.layout import Sensor, Unit, layout_text, make_layout, parse_layout
 from inspe_jax.viewer.session import HEIGHT, REMEMBERED, Session
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from worlds import world
 
-from inspe_jax.errors import InspeError
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.store import Store

@@ -11,20 +11,21 @@ import numpy as np
 import pytest
 from worlds import CAMERA, LIDAR, place_sensors, world
 
-from inspe_jax import compiling
-from inspe_jax.compiling import compiled
-from inspe_jax.evaluation import evaluate
-from inspe_jax.placement.constraints import Constraints, Space
+from inspe_jax.core import compiling
+from inspe_jax.core.compiling import compiled
+from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.result import STATUSES
+from inspe_jax.placement.space import Space
+from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer import search_process
-from inspe_jax.viewer.board import board, cost_of
-from inspe_jax.viewer.desk import Desk, Later
+from inspe_jax.viewer.job_queue import Desk, Later
+from inspe_jax.viewer.score_panel import board, cost_of
 from inspe_jax.viewer.scorer import SHOWN, Scorer
 from inspe_jax.viewer.searcher import Heard, Searcher
-from inspe_jax.viewshed import sight_in
 
 WEIGHTS = (0.3, 0.5, 0.2)
 

@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds import world
 
-from inspe_jax.evaluation import evaluate
-from inspe_jax.geometry import rotation
+from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.problem import Case
+from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import Pull

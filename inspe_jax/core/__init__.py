@@ -1,0 +1,1 @@
+"""What every room uses: errors, margins, geometry, files, cores and devices."""

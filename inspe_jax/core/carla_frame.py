@@ -1,0 +1,52 @@
+"""Turns ENU, right-handed and in radians, into CARLA's world and back, of poses and points.
+
+Maps alone do without: :mod:`inspe_jax.scene.maps.opendrive.road_network` asks for points by the ten
+thousand.
+
+CARLA's world is left-handed and in degrees, as Unreal's: y and yaw change sign, roll and pitch
+do not. Its body frame is x forward, y right, z up. Files hold *cords*, six numbers in the order
+x, y, z, roll, yaw, pitch; a pose of ours is x, y, z, roll, pitch, yaw.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.geometry import rotation
+
+
+def to_carla(pose: Any) -> Float[np.ndarray, "*n 6"]:
+    """Cords [m, °] of poses (…, 6) [m, rad]."""
+    x, y, z, roll, pitch, yaw = np.moveaxis(np.asarray(pose, float), -1, 0)
+    return np.stack([x, -y, z, np.degrees(roll), -np.degrees(yaw), np.degrees(pitch)], -1)
+
+
+def from_carla(cords: Any) -> Float[np.ndarray, "*n 6"]:
+    """Poses [m, rad] of cords (…, 6) [m, °]: the inverse of :func:`to_carla`."""
+    x, y, z, roll, yaw, pitch = np.moveaxis(np.asarray(cords, float), -1, 0)
+    return np.stack([x, -y, z, np.radians(roll), np.radians(pitch), -np.radians(yaw)], -1)
+
+
+def flip(points: Any) -> Any:
+    """Points whose first three columns are x, y, z, from one body frame into the other.
+
+    Either way: only y changes sign.
+    """
+    flipped = np.array(points)
+    flipped[..., 1] = -flipped[..., 1]
+    return flipped
+
+
+def matrix(cords: Any) -> Float[np.ndarray, "4 4"]:
+    """From a body at ``cords`` (6,) to CARLA's world: ``carla.Transform.get_matrix()``."""
+    pose = from_carla(cords)
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    enu = np.eye(4)
+    enu[:3, :3], enu[:3, 3] = rotation(pose[3:], np), pose[:3]
+    return mirror @ enu @ mirror
+
+
+def between(source: Any, target: Any) -> Float[np.ndarray, "4 4"]:
+    """From a body at ``source`` to one at ``target``, both cords: inv(target) · source."""
+    return np.linalg.inv(matrix(target)) @ matrix(source)

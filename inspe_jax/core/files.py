@@ -1,0 +1,172 @@
+"""Files of people's are checked key by key; files of ours appear whole or not at all."""
+
+import os
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from inspe_jax.core.errors import InspeError, nearest
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+"""For models of what people write: a quoted number is a mistake to report, not to convert."""
+
+
+def check_model(model: type[Model], content: Any, where: str) -> Model:
+    """Read ``content`` as a pydantic ``model``; its first fault becomes one InspeError.
+
+    The message gives the path of the key, as ``layout.yaml: units[0].base: …``.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as e:
+        # A misspelt key is also a missing one: the first that is unknown says what was meant.
+        fault = max(e.errors(), key=lambda f: f["type"] == "extra_forbidden")
+        key = "".join(
+            f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
+        ).lstrip(".")
+        limits = fault.get("ctx", {})
+        if fault["type"] == "extra_forbidden":
+            known = sorted(_fields(model, fault["loc"][:-1]))
+            message = f"unknown key{nearest(str(fault['loc'][-1]), known)}"
+            message += f"; allowed: {', '.join(known)}"
+        elif fault["type"] == "missing":
+            message = "missing key"
+        elif fault["type"] in ("model_type", "dict_type"):
+            message = f"must hold keys with values: {', '.join(sorted(model.model_fields))}"
+        elif fault["type"] == "too_short":
+            message = f"needs at least {limits['min_length']}, has {limits['actual_length']}"
+        elif fault["type"] == "too_long":
+            message = f"has more than {limits['max_length']}"
+        elif fault["type"] == "list_type":
+            message = f"must be a list, got {fault['input']!r}"
+        else:
+            given = f", got {fault['input']!r}" if not isinstance(fault["input"], dict) else ""
+            message = fault["msg"][:1].lower() + fault["msg"][1:] + given
+        raise InspeError(f"{where}: {key or 'the file'}: {message}") from None
+
+
+def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:
+    """Names of the keys allowed at a path inside a model."""
+    current: Any = model
+    for part in path:
+        if isinstance(part, str) and part in current.model_fields:
+            current = _inner_model(current.model_fields[part].annotation) or current
+    return set(current.model_fields)
+
+
+def _inner_model(annotation: Any) -> Any:
+    """The pydantic model within an annotation such as ``list[Entry]``, or None."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _inner_model(inner)
+        if found is not None:
+            return found
+    return None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML, in which the same key twice is an error and not the last one's win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping; raises YAMLError on a key given twice."""
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.YAMLError(f"the key '{twice}' is given twice, {node.start_mark}".strip())
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds. Raises InspeError where it is missing, or is not YAML."""
+    check_input(path)
+    return parse_yaml(path.read_bytes(), str(path))
+
+
+def parse_yaml(text: str | bytes, where: str) -> Any:
+    """What a YAML text holds. Raises InspeError, which names ``where``, on any other text."""
+    try:
+        return yaml.load(text if isinstance(text, str) else text.decode("utf-8"), _Loader)
+    except (yaml.YAMLError, UnicodeDecodeError) as e:
+        raise InspeError(f"{where}: not YAML: {' '.join(str(e).split())}") from e
+
+
+def check_input(path: Path) -> None:
+    """Raise InspeError where there is no such file to read."""
+    if not path.is_file():
+        raise InspeError(f"{path}: no such file")
+
+
+def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] = ()) -> None:
+    """Raise InspeError where a file could not be written, before any work is done for it.
+
+    None passes. ``suffixes`` are those allowed; none given means any.
+    """
+    if path is None:
+        return
+    path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InspeError(f"{path}: the name must end in {' or '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise InspeError(f"{path}: no such folder: {path.parent}")
+    if path.is_dir():
+        raise InspeError(f"{path}: is a folder")
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """A binary file to write; it takes its name when complete, and vanishes on any error."""
+    check_output(path)
+    path = Path(path)
+    try:
+        handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as e:
+        raise InspeError(f"{path}: cannot be written: {e.strerror}") from e
+    try:
+        with os.fdopen(handle, "wb") as f:
+            yield f
+        os.chmod(part, 0o666 & ~_umask())
+        os.replace(part, path)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+
+
+def prepare_folder(folder: str | os.PathLike[str]) -> Path:
+    """A folder to write to, made where it is missing. Raises InspeError where that cannot be."""
+    folder = Path(folder)
+    check_folder(folder)
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def check_folder(folder: str | os.PathLike[str]) -> None:
+    """Raise InspeError where a folder could not be made or written to, before any work for it."""
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InspeError(f"{folder}: is a file; name a folder")
+    if not folder.exists() and not folder.parent.is_dir():
+        raise InspeError(f"{folder}: no such folder: {folder.parent}")
+    place = folder if folder.exists() else folder.parent
+    if not os.access(place, os.W_OK):
+        raise InspeError(f"{folder}: cannot be written: no permission in {place}")
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a UTF-8 text file, whole or not at all."""
+    with whole_file(path) as f:
+        f.write(text.encode("utf-8"))
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

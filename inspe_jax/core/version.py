@@ -1,0 +1,13 @@
+"""Versions: of this package, of Python and of libraries."""
+
+import platform
+from collections.abc import Sequence
+from importlib import metadata
+
+__version__ = "0.1.0"
+
+
+def versions(libraries: Sequence[str]) -> dict[str, str]:
+    """Versions by name: of this package, of Python and of ``libraries``."""
+    own = {"inspe_jax": __version__, "python": platform.python_version()}
+    return own | {name: metadata.version(name) for name in libraries}

@@ -1,0 +1,1 @@
+"""OPV2V's folders and its Infra-Set variant."""

@@ -1,0 +1,268 @@
+"""A frame out of the files of a scenario: ours, and OPV2V-style sets of others.
+
+Of others only ``lidar_pose`` or ``true_ego_pos`` is needed, and of a thing ``angle``, ``extent``
+and ``location``. Keys that we do not know are passed over.
+"""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+
+from inspe_jax.core.carla_frame import flip, from_carla
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
+from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, PROTOCOL, SECTIONS
+from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
+from inspe_jax.dataset.formats.png import read_depth, read_instance, read_rgb, read_semantic
+from inspe_jax.simulation.frame import Frame, Image, Scan, Station, Thing
+
+TICK = 0.05
+"""Time [s] from one frame number to the next, where no protocol tells it."""
+
+OBJ_TYPES: dict[str, str] = {
+    "car": "car",
+    "van": "car",
+    "truck": "truck",
+    "bus": "truck",
+    "cyclist": "cyclist",
+    "bicycle": "cyclist",
+    "motorcycle": "cyclist",
+    "pedestrian": "pedestrian",
+    "walker": "pedestrian",
+}
+"""The kind that each ``obj_type`` stands for, in small letters."""
+
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_THINGS = b"\nvehicles:"
+
+
+def agent_ids(scenario: Path) -> tuple[int, ...]:
+    """Agents of a scenario: infrastructure −1, −2, … first, then vehicles."""
+    with os.scandir(scenario) as entries:
+        names = [e.name for e in entries if re.fullmatch(r"0|-?[1-9]\d*", e.name) and e.is_dir()]
+    return tuple(sorted(map(int, names), key=lambda agent: (agent > 0, abs(agent))))
+
+
+def stems(agent: Path) -> dict[int, str]:
+    """The beginning of the file names of each frame that an agent has, by number."""
+    found = [m[1] for m in (re.fullmatch(r"(\d+)\.yaml", name) for name in os.listdir(agent)) if m]
+    return {int(stem): stem for stem in sorted(found)}
+
+
+def read_protocol(scenario: str | os.PathLike[str]) -> dict[str, Any]:
+    """What made a scenario; empty where it does not tell. Raises InspeError if it is not YAML."""
+    path = Path(scenario) / PROTOCOL
+    return _mapping(_parse(path.read_bytes(), path), path) if path.is_file() else {}
+
+
+def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
+    """A frame of a scenario; pictures and points are read when they are first asked for.
+
+    Its things are those of all its agents together, in the order of their tracks; where agents
+    differ in one, the first to list it is right. A thing moves the way it faces, since files
+    tell the speed alone; roll and pitch of its box are left out. A camera without its picture
+    is left out, too. Raises InspeError where there is no such folder or frame, or a file is
+    broken: naming the file, at the latest when its pixels or points are asked for.
+    """
+    folder = Path(scenario)
+    if not folder.is_dir():
+        raise InspeError(f"{folder}: no such folder")
+    return frame_of(folder, number, agent_ids(folder), read_protocol(folder))
+
+
+def frame_of(
+    scenario: Path, number: int, agents: tuple[int, ...], protocol: Mapping[str, Any]
+) -> Frame:
+    """:func:`read_frame`, for whoever knows the agents and the protocol."""
+    if not agents:
+        raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")
+    files = [_frame_file(scenario / str(agent), number) for agent in agents]
+    known: dict[bytes, dict[str, Any]] = {}
+    contents = [_content(path, known) for path in files]
+    names = protocol.get("stations")
+    names = names if isinstance(names, Mapping) else {}
+    return Frame(
+        number=number,
+        time=number * _tick(protocol),
+        things=_things(contents, files),
+        stations=tuple(
+            _station(agent, str(names.get(agent, agent)), content, path)
+            for agent, content, path in zip(agents, contents, files, strict=True)
+        ),
+    )
+
+
+def _tick(protocol: Mapping[str, Any]) -> float:
+    world = protocol.get("world")
+    tick = world.get("fixed_delta_seconds") if isinstance(world, Mapping) else None
+    return float(tick) if isinstance(tick, int | float) and tick > 0 else TICK
+
+
+def _frame_file(agent: Path, number: int) -> Path:
+    path = agent / f"{number:06d}.yaml"
+    if path.is_file():
+        return path
+    known = stems(agent)
+    if number in known:  # a set with names of another length
+        return agent / f"{known[number]}.yaml"
+    span = f"there are {len(known)}, {min(known)} to {max(known)}" if known else "there are none"
+    raise InspeError(f"{path}: no such frame; {span}")
+
+
+def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
+    """What a frame's YAML holds.
+
+    Of our own sets most is the things, the same for each agent: they are parsed once, by their
+    text, into ``known``. A file that cannot be cut in two so, since it is broken or has an
+    anchor in one half that is meant in the other, is parsed whole.
+    """
+    check_input(path)
+    text = path.read_bytes()
+    head, mark, tail = text.partition(_THINGS)
+    if mark:
+        try:
+            if tail not in known:
+                known[tail] = _mapping(_parse(mark + tail, path), path)
+            return {**_mapping(_parse(head, path), path), **known[tail]}
+        except InspeError:
+            pass  # the whole file says where the fault is, if there is one
+    return _mapping(_parse(text, path), path)
+
+
+def _parse(text: bytes, path: Path) -> Any:
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError) as e:
+        raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
+
+
+def _mapping(content: Any, where: object) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise InspeError(f"{where}: must hold keys with values, got {_brief(content)}")
+    return content
+
+
+def _numbers(
+    content: Mapping[str, Any], key: str, shape: tuple[int, ...], where: object
+) -> Float[np.ndarray, "..."]:
+    """The numbers under a key. Raises InspeError where they are missing, or something else."""
+    if key not in content:
+        raise InspeError(f"{where}: {key}: missing key")
+    try:
+        array = np.array(content[key])
+    except ValueError:  # rows of unequal length
+        array = np.array(None)
+    if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        many = " x ".join(map(str, shape)) or "1"
+        raise InspeError(f"{where}: {key}: must be {many} numbers, got {_brief(content[key])}")
+    return array.astype(float)
+
+
+def _brief(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _things(contents: list[dict[str, Any]], files: list[Path]) -> tuple[Thing, ...]:
+    """The things of all agents; an entry by kind tells more than one in ``vehicles``."""
+    found: dict[int, Thing] = {}
+    places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
+    for content, path in zip(contents, files, strict=True):
+        for section, kind in places:
+            entries = _mapping(content.get(section) or {}, f"{path}: {section}")
+            for track, entry in entries.items():
+                where = f"{path}: {section}.{track}"
+                if not isinstance(track, int) or isinstance(track, bool):
+                    raise InspeError(f"{where}: the id must be a whole number")
+                if track not in found:
+                    found[track] = _thing(track, kind, _mapping(entry, where), where)
+    return tuple(found[track] for track in sorted(found))
+
+
+def _thing(track: int, kind: str, entry: Mapping[str, Any], where: str) -> Thing:
+    if "obj_type" in entry:
+        word = str(entry["obj_type"])
+        if word.lower() not in OBJ_TYPES:
+            raise InspeError(f"{where}: obj_type '{word}': one of {', '.join(OBJ_TYPES)}")
+        kind = OBJ_TYPES[word.lower()]
+    location, angle = (_numbers(entry, key, (3,), where) for key in ("location", "angle"))
+    middle = _numbers(entry, "center", (3,), where) if "center" in entry else np.zeros(3)
+    extent = _numbers(entry, "extent", (3,), where)
+    speed = _numbers(entry, "speed", (), where) if "speed" in entry else np.zeros(())
+    pose = from_carla([*(location + middle), *angle])
+    ahead = np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
+    name = str(entry.get("name", entry.get("bp_id", "")))
+    yaw = float(pose[5])
+    return Thing(track, kind, name, pose[:3], yaw, 2 * extent, ahead * (speed / KMH))
+
+
+def _station(agent: int, name: str, content: dict[str, Any], path: Path) -> Station:
+    lidars = _numbered(content, "lidar_pose")
+    if not lidars and "lidar_pose" in content:
+        lidars = {0: "lidar_pose"}
+    ego = next((key for key in ("true_ego_pos", *lidars.values()) if key in content), "lidar_pose")
+    return Station(
+        number=-agent,
+        name=name,
+        pose=from_carla(_numbers(content, ego, (6,), path)),
+        images=tuple(_images(content, path)),
+        scans=tuple(_scans(content, lidars, path)),
+    )
+
+
+def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
+    """Keys that are a word and a number, by the number."""
+    found = (re.fullmatch(rf"{word}(\d+)", key) for key in content if isinstance(key, str))
+    return dict(sorted((int(m[1]), m[0]) for m in found if m))
+
+
+def _scans(content: dict[str, Any], lidars: dict[int, str], path: Path) -> Iterator[Scan]:
+    """Scans, their points to be read; none where the file says that there is no LiDAR."""
+    for i, key in lidars.items():
+        points = path.with_name(f"{path.stem}_lidar{i}.pcd")
+        if i == 0 and not points.is_file():
+            points = path.with_suffix(".pcd")
+        pose = from_carla(_numbers(content, key, (6,), path))
+        if not points.is_file() or NO_LIDAR not in read_notes(points):
+            yield Scan.deferred({"points": partial(_points, points)}, pose=pose)
+
+
+def _points(path: Path) -> Float[np.ndarray, "N 4"]:
+    points: np.ndarray = flip(read_pcd(path))
+    return points
+
+
+def _images(content: dict[str, Any], path: Path) -> Iterator[Image]:
+    """Images, their pixels to be read; those of which there is a picture."""
+    for i, key in _numbered(content, "camera").items():
+        where = f"{path}: {key}"
+        camera = _mapping(content[key], where)
+        pose = from_carla(_numbers(camera, "cords", (6,), where))
+        intrinsic = _numbers(camera, "intrinsic", (3, 3), where)
+        files = {field: path.with_name(f"{path.stem}_{word}{i}.png") for field, word in _PICTURES}
+        if files["rgb"].is_file():
+            there = {field: file for field, file in files.items() if file.is_file()}
+            missing = dict.fromkeys(files.keys() - there.keys())
+            later = {field: partial(_READERS[field], file) for field, file in there.items()}
+            yield Image.deferred(later, pose=pose, intrinsic=intrinsic, **missing)
+
+
+_PICTURES = (
+    ("rgb", "camera"),
+    ("depth", "depth"),
+    ("instance", "instance"),
+    ("semantic", "semantic"),
+)
+_READERS = {
+    "rgb": read_rgb,
+    "depth": read_depth,
+    "instance": read_instance,
+    "semantic": read_semantic,
+}

@@ -1,0 +1,222 @@
+"""A frame into the files of a scenario: OPV2V's layout, and the Infra-Set variant's beside it.
+
+SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar0.pcd`` …, ``_camera0.png`` …, and where
+there are any ``_depth0.png``, ``_instance0.png`` and ``_semantic0.png``. The YAML is a superset
+of the keys of both. Not in any file are a frame's time, which is its number times the tick that
+``data_protocol.yaml`` tells, and the direction in which a thing moves.
+"""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from inspe_jax.core.carla_frame import between, flip, to_carla
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import whole_file, write_text
+from inspe_jax.dataset.formats.pcd import write_pcd
+from inspe_jax.dataset.formats.png import write_depth, write_instance, write_rgb, write_semantic
+from inspe_jax.simulation.frame import Frame, Image, Scan, Station, Thing, check_frame
+
+PROTOCOL = "data_protocol.yaml"
+"""What made a scenario; in the scenario's folder."""
+
+SECTIONS: dict[str, str] = {
+    "car": "cars",
+    "cyclist": "cyclists",
+    "pedestrian": "pedestrians",
+    "truck": "trucks",
+}
+"""The Infra-Set variant's dictionary for each kind, beside ``vehicles`` with all of them."""
+
+NO_LIDAR = "no LiDAR"
+"""The comment in the empty PCD file of a station without one."""
+
+KMH = 3.6
+"""km/h in a m/s."""
+
+DECIMALS = 7
+"""Lengths [m], angles [°] and speeds [km/h] are rounded to this many: 1e-6 is certain, also of
+the sum of ``location`` and ``center``."""
+
+MATRIX_DECIMALS = 12
+"""So are the entries of matrices, which are multiplied by as much as kilometres."""
+
+_WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
+
+_Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _Dumper(_Base):
+    """YAML without anchors: an object that is in two dictionaries is written twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Always."""
+        return True
+
+
+def write_protocol(
+    scenario: str | os.PathLike[str],
+    protocol: Mapping[str, Any],
+    stations: Iterable[Station] = (),
+) -> None:
+    """Write ``data_protocol.yaml``, in the order given; the folder is made where there is none.
+
+    ``protocol`` must have ``world`` with fixed_delta_seconds (the tick [s]), client_port, seed,
+    weather and town, which some readers want. The names of ``stations`` are added under
+    ``stations``. Raises InspeError where a key is missing or a value is not for YAML.
+    """
+    path = _folder(Path(scenario)) / PROTOCOL
+    world = protocol.get("world")
+    for key in _WORLD:
+        if not isinstance(world, Mapping) or key not in world:
+            raise InspeError(f"{path}: world.{key}: missing key")
+    names = {-station.number: station.name for station in stations}
+    content = {**protocol, "stations": names} if names else dict(protocol)
+    try:
+        text = _dump(content)
+    except yaml.YAMLError as e:
+        raise InspeError(f"{path}: {' '.join(str(e).split())}") from e
+    write_text(path, text)
+
+
+def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
+    """Write a frame into each station's folder of a scenario, over what was there of it.
+
+    Each file appears whole, the YAML files last of all: a frame without them is not there.
+    Every frame of a scenario should have the same stations. Raises InspeError, before anything
+    is written, where the frame cannot be.
+    """
+    check_frame(frame)
+    stem = f"{frame.number:06d}"
+    things = _dump(_sections(frame.things))
+    agents = [_folder(Path(scenario) / str(-station.number)) for station in frame.stations]
+    for agent in agents:
+        _clear(agent, stem)
+    for station, agent in zip(frame.stations, agents, strict=True):
+        _write_scans(agent, stem, station.scans)
+        for i, image in enumerate(station.images):
+            _write_image(agent, stem, i, image)
+    for station, agent in zip(frame.stations, agents, strict=True):
+        write_text(agent / f"{stem}.yaml", _dump(_sensors(station)) + things)
+
+
+def _folder(path: Path) -> Path:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise InspeError(f"{path}: cannot be made a folder: {e.strerror}") from e
+    return path
+
+
+def _clear(agent: Path, stem: str) -> None:
+    """Take away what there is of a frame: the YAML first, and last the file written first.
+
+    So that a long folder is listed only for a frame that was begun before.
+    """
+    last, first = agent / f"{stem}.yaml", agent / f"{stem}_lidar0.pcd"
+    if not (last.exists() or first.exists()):
+        return
+    last.unlink(missing_ok=True)
+    for name in os.listdir(agent):
+        if name.startswith((f"{stem}.", f"{stem}_", f".{stem}")) and name != first.name:
+            (agent / name).unlink(missing_ok=True)
+    first.unlink(missing_ok=True)
+
+
+def _write_scans(agent: Path, stem: str, scans: Sequence[Scan]) -> None:
+    """The first LiDAR has two names, OPV2V's and the variant's."""
+    first = agent / f"{stem}_lidar0.pcd"
+    if not scans:
+        write_pcd(first, np.zeros((0, 4)), note=NO_LIDAR)
+    for i, scan in enumerate(scans):
+        write_pcd(agent / f"{stem}_lidar{i}.pcd", flip(scan.points))
+    second = agent / f"{stem}.pcd"
+    try:
+        os.link(first, second)  # points are most of a set: twice the name, once the space
+    except OSError:
+        with whole_file(second) as f:
+            f.write(first.read_bytes())
+
+
+def _write_image(agent: Path, stem: str, i: int, image: Image) -> None:
+    write_rgb(agent / f"{stem}_camera{i}.png", image.rgb)
+    if image.depth is not None:
+        write_depth(agent / f"{stem}_depth{i}.png", image.depth)
+    if image.instance is not None:
+        write_instance(agent / f"{stem}_instance{i}.png", image.instance)
+    if image.semantic is not None:
+        write_semantic(agent / f"{stem}_semantic{i}.png", image.semantic)
+
+
+def _sensors(station: Station) -> dict[str, Any]:
+    """What the YAML says of a station and its sensors."""
+    unit = _cords(station.pose)
+    lidars = [_cords(scan.pose) for scan in station.scans] or [unit]
+    return {
+        "RSU": True,
+        "ego_speed": 0.0,
+        "true_ego_pos": unit,
+        "predicted_ego_pos": unit,
+        "lidar_pose": lidars[0],
+        **{f"lidar_pose{i}": cords for i, cords in enumerate(lidars)},
+        **{f"camera{i}": _camera(image, lidars[0]) for i, image in enumerate(station.images)},
+    }
+
+
+def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
+    """``extrinsic`` is inv(camera to world) · LiDAR to world, of the poses as they are written."""
+    cords = _cords(image.pose)
+    return {
+        "cords": cords,
+        "extrinsic": _rounded(between(lidar, cords), MATRIX_DECIMALS),
+        "intrinsic": _rounded(image.intrinsic, MATRIX_DECIMALS),
+    }
+
+
+def _sections(things: Sequence[Thing]) -> dict[str, dict[int, Any]]:
+    """What the YAML says of the things: all in ``vehicles``, and again by kind."""
+    ordered = sorted(things, key=lambda thing: thing.track)
+    entries = {int(thing.track): _entry(thing) for thing in ordered}
+    sections: dict[str, dict[int, Any]] = {"vehicles": entries}
+    for kind, section in SECTIONS.items():
+        tracks = [int(thing.track) for thing in ordered if thing.kind == kind]
+        sections[section] = {track: entries[track] for track in tracks}
+    return sections
+
+
+def _entry(thing: Thing) -> dict[str, Any]:
+    """A thing as an entry. Readers add ``center`` to ``location`` as it is, unrotated: it is
+    straight up from the middle of the bottom."""
+    half = np.asarray(thing.size, float) / 2
+    x, y, z = np.asarray(thing.center, float)
+    cords = to_carla([x, y, z - half[2], 0.0, 0.0, thing.yaw])
+    speed = np.linalg.norm(np.asarray(thing.velocity, float))
+    return {
+        "angle": _rounded(cords[3:]),
+        "center": _rounded([0.0, 0.0, half[2]]),
+        "extent": _rounded(half),
+        "location": _rounded(cords[:3]),
+        "name": thing.name,
+        "obj_type": thing.kind.capitalize(),
+        "speed": _rounded(speed * KMH),
+    }
+
+
+def _cords(pose: Any) -> list[float]:
+    return _rounded(to_carla(pose))
+
+
+def _rounded(values: Any, decimals: int = DECIMALS) -> Any:
+    return (np.round(np.asarray(values, float), decimals) + 0.0).tolist()  # + 0.0: no −0.0
+
+
+def _dump(content: Mapping[str, Any]) -> str:
+    """YAML in the order given, a list of numbers on one line."""
+    text: str = yaml.dump(
+        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=2**31 - 1
+    )
+    return text

@@ -1,0 +1,195 @@
+"""PCD files, version 0.7: points with an intensity, as they are in the file.
+
+Written as ``x y z rgb``, float32 and binary, with the intensity in the red byte of ``rgb``.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input, whole_file
+
+_HEADER = """\
+# .PCD v0.7 - Point Cloud Data file format
+{note}VERSION 0.7
+FIELDS x y z rgb
+SIZE 4 4 4 4
+TYPE F F F F
+COUNT 1 1 1 1
+WIDTH {points}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {points}
+DATA binary
+"""
+_KEYS = (
+    *("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT"),
+    *("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"),
+)
+_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+_MOST_COUNT = 10_000
+_LONGEST_LINE = 10_000
+
+
+def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None:
+    """Write points (N, 4), x y z [m] and intensity 0…1, whole or not at all.
+
+    The intensity is rounded to 1/255. ``note`` becomes a comment in the header.
+    """
+    points = np.asarray(points)
+    rows = np.empty((len(points), 4), "<f4")
+    rows[:, :3] = points[:, :3]
+    rows.view("<u4")[:, 3] = np.rint(points[:, 3] * 255).astype("<u4") << 16
+    header = _HEADER.format(points=len(rows), note=f"# {note}\n" if note else "")
+    with whole_file(path) as f:
+        f.write(header.encode("ascii"))
+        f.write(rows.tobytes())
+
+
+def read_pcd(path: str | os.PathLike[str]) -> Float[np.ndarray, "N 4"]:
+    """Points of a PCD file, ASCII or binary: x, y, z and intensity, float32.
+
+    Fields may come in any order, and others among them. The intensity is the field
+    ``intensity`` as it is, else the red byte of ``rgb``, else 0. Points that are not finite,
+    with which PCD marks an empty place, are left out. Raises InspeError on any other file.
+    """
+    path = Path(path)
+    check_input(path)
+    with path.open("rb") as f:
+        header = _read_header(f, path)
+        columns = _read_columns(f.read(), header, path)
+    for name in ("x", "y", "z"):
+        if name not in columns:
+            raise InspeError(f"{path}: no field {name}; the fields are {', '.join(header.names)}")
+    points = np.zeros((header.points, 4), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i, name in enumerate(("x", "y", "z")):
+            points[:, i] = columns[name]
+        points[:, 3] = _intensity(columns, path)
+    return points[np.isfinite(points).all(1)]
+
+
+def read_notes(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """The comments in the header of a PCD file. Raises InspeError where it is none."""
+    path = Path(path)
+    check_input(path)
+    with path.open("rb") as f:
+        return _read_header(f, path).notes
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the lines before the points say; ``row`` is a point's layout."""
+
+    names: tuple[str, ...]
+    row: np.dtype
+    points: int
+    data: str
+    notes: tuple[str, ...]
+
+
+def _read_header(f: IO[bytes], path: Path) -> _Header:
+    entries: dict[str, list[str]] = {}
+    notes = []
+    while "DATA" not in entries:
+        line = f.readline(_LONGEST_LINE)
+        key, *values = line.decode("ascii", "replace").split() or [""]
+        if key.startswith("#"):
+            notes.append(line.decode("ascii", "replace").lstrip("#").strip())
+        elif key in _KEYS:
+            entries[key] = values
+        elif not line:
+            raise InspeError(f"{path}: not a PCD file: it ends before DATA")
+        elif key:
+            raise InspeError(f"{path}: not a PCD file: its header holds {key[:40]!r}")
+    for key in ("FIELDS", "SIZE", "TYPE", "DATA"):
+        if not entries.get(key):
+            raise InspeError(f"{path}: not a PCD file: {key} is missing")
+    if entries.get("VERSION", ["0.7"]) not in (["0.7"], [".7"]):
+        raise InspeError(f"{path}: VERSION {' '.join(entries['VERSION'])}: only 0.7 is read")
+    data = entries["DATA"][0]
+    if data not in ("ascii", "binary"):
+        raise InspeError(f"{path}: DATA {data} is not read: save it as binary or ascii, which are")
+    names = tuple(entries["FIELDS"])
+    return _Header(names, _row(entries, path), _point_count(entries, path), data, tuple(notes))
+
+
+def _row(entries: dict[str, list[str]], path: Path) -> np.dtype:
+    """The layout of one point; fields are called by their place, since names may repeat."""
+    names, types = entries["FIELDS"], entries["TYPE"]
+    sizes = _integers(entries, "SIZE", path)
+    counts = _integers(entries, "COUNT", path) or [1] * len(names)
+    if not len(names) == len(types) == len(sizes) == len(counts):
+        raise InspeError(f"{path}: FIELDS, SIZE, TYPE and COUNT are not of one length")
+    fields = []
+    for i, (kind, size, count) in enumerate(zip(types, sizes, counts, strict=True)):
+        if size not in _SIZES.get(kind, ()) or not 1 <= count <= _MOST_COUNT:
+            raise InspeError(f"{path}: field {names[i]}: no TYPE {kind} SIZE {size} COUNT {count}")
+        fields.append((str(i), f"<{kind.lower()}{size}", (count,)))
+    return np.dtype(fields)
+
+
+def _point_count(entries: dict[str, list[str]], path: Path) -> int:
+    size = _integers(entries, "WIDTH", path) + _integers(entries, "HEIGHT", path)
+    points = _integers(entries, "POINTS", path) or ([size[0] * size[1]] if len(size) == 2 else [])
+    if len(points) != 1 or points[0] < 0:
+        raise InspeError(f"{path}: not a PCD file: POINTS is missing or not a number")
+    if len(size) == 2 and size[0] * size[1] != points[0]:
+        raise InspeError(f"{path}: {points[0]} POINTS are not WIDTH {size[0]} x HEIGHT {size[1]}")
+    return points[0]
+
+
+def _integers(entries: dict[str, list[str]], key: str, path: Path) -> list[int]:
+    try:
+        return [int(value) for value in entries.get(key, [])]
+    except ValueError:
+        raise InspeError(f"{path}: {key} {' '.join(entries[key])}: must be whole numbers") from None
+
+
+def _read_columns(body: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
+    """The first value of each field, by name. Raises InspeError where there are too few."""
+    needed = header.points * header.row.itemsize
+    if header.data == "ascii":
+        return _read_text(body, header, path)
+    if len(body) < needed:
+        raise InspeError(
+            f"{path}: cut short: {header.points} POINTS need {needed} bytes, there are {len(body)}"
+        )
+    rows = np.frombuffer(body[:needed], header.row)
+    return {name: rows[str(i)][:, 0] for i, name in reversed([*enumerate(header.names)])}
+
+
+def _read_text(body: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
+    counts = [header.row[i].shape[0] for i in range(len(header.names))]
+    try:
+        values = np.array(body.split(), "S").astype(np.float64)
+    except ValueError as e:
+        raise InspeError(f"{path}: its points are not numbers: {e}") from None
+    if len(values) != header.points * sum(counts):
+        raise InspeError(
+            f"{path}: {header.points} POINTS of {sum(counts)} numbers each, there are {len(values)}"
+        )
+    table = values.reshape(header.points, sum(counts))
+    first = np.cumsum([0, *counts])
+    columns = {}
+    for i, name in reversed([*enumerate(header.names)]):
+        with np.errstate(over="ignore", invalid="ignore"):
+            columns[name] = table[:, first[i]].astype(header.row[i].base)
+    return columns
+
+
+def _intensity(columns: dict[str, np.ndarray], path: Path) -> Any:
+    if "intensity" in columns:
+        return columns["intensity"]
+    name = next((name for name in ("rgb", "rgba") if name in columns), None)
+    if name is None:
+        return 0.0
+    colour = columns[name]
+    if colour.dtype.itemsize != 4:
+        raise InspeError(f"{path}: field {name}: SIZE {colour.dtype.itemsize}: must be 4")
+    return (np.ascontiguousarray(colour).view("<u4") >> 16 & 255).astype(np.float32) / 255

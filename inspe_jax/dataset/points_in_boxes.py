@@ -1,0 +1,50 @@
+"""Which points of a scan lie in which box: the count that says how well a thing was seen."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.simulation.frame import Scan, Thing
+
+SLACK = 1e-3
+"""A box is wider and higher by this on every side but below [m]: points on its faces are in it,
+whatever rounding did to them, and those of the road that it stands on are not."""
+
+
+def count_inside(scans: Sequence[Scan], things: Sequence[Thing]) -> Int[np.ndarray, "S B"]:
+    """How many points of each scan lie in the box of each thing, both in the world.
+
+    The points of all scans are sorted by x once, so that each box is held against those of its
+    own strip alone.
+    """
+    counts = np.zeros((len(scans), len(things)), np.int64)
+    if not counts.size:
+        return counts
+    cloud = np.concatenate([world_points(scan) for scan in scans], 1)  # (3, N)
+    owner = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
+    order = np.argsort(cloud[0])
+    x = cloud[0, order]
+    for k, thing in enumerate(things):
+        half = np.asarray(thing.size, float) / 2 + SLACK
+        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+        reach = abs(cos) * half[0] + abs(sin) * half[1]
+        first = np.searchsorted(x, thing.center[0] - reach)
+        end = np.searchsorted(x, thing.center[0] + reach, side="right")
+        near = order[first:end]
+        dy = cloud[1, near] - thing.center[1]
+        beside = np.abs(dy) <= abs(sin) * half[0] + abs(cos) * half[1]
+        near, dy = near[beside], dy[beside]
+        dx, dz = cloud[0, near] - thing.center[0], cloud[2, near] - thing.center[2]
+        inside = (np.abs(cos * dx + sin * dy) <= half[0]) & (np.abs(cos * dy - sin * dx) <= half[1])
+        inside &= (dz <= half[2]) & (dz >= 2 * SLACK - half[2])
+        counts[:, k] = np.bincount(owner[near[inside]], minlength=len(scans))
+    return counts
+
+
+def world_points(scan: Scan) -> Float[np.ndarray, "3 N"]:
+    """A scan's points in the world, x, y and z apart [m]."""
+    pose = np.asarray(scan.pose, float)
+    points: np.ndarray = rotation(pose[3:], np) @ np.asarray(scan.points[:, :3], float).T
+    return points + pose[:3, None]

@@ -1,0 +1,179 @@
+"""A table of candidate poses for every sensor, and what each of them sees of one sample."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from inspe_jax.placement.candidates import (
+    COLUMNS,
+    FRAMES,
+    coordinates,
+    hang,
+    lattice,
+    limits,
+    poses,
+)
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.sample_score import Tally, times
+from inspe_jax.sensing.layout import UNIT_HEIGHT
+
+HEIGHTS, YAWS = 3, 8
+"""Heights and yaws of candidates at each foot."""
+PITCHES = {"camera": (-25.0, -10.0), "lidar": (0.0,)}
+"""… and their pitches [degrees]."""
+CHUNK = 128
+"""Candidates looked at in one step."""
+Picks = dict[int, int]
+"""The candidate of each placed sensor."""
+
+
+@dataclass(eq=False)
+class Kind:
+    """Sensors that have the same candidates: K poses at ``foot`` (an index), and what they see."""
+
+    sensors: tuple[int, ...]
+    foot: Int[np.ndarray, " K"]
+    height: Float[np.ndarray, " K"]
+    yaw: Float[np.ndarray, " K"]
+    pitch: Float[np.ndarray, " K"]
+    bits: list[Bool[np.ndarray, "k W"]] = field(default_factory=list)
+
+    @property
+    def parts(self) -> int:
+        """Number of chunks of candidates."""
+        return -(-len(self.foot) // CHUNK)
+
+    def row(self, k: int) -> Bool[np.ndarray, " W"]:
+        """Bits of candidate ``k``."""
+        return self.bits[k // CHUNK][k % CHUNK]
+
+
+@dataclass(eq=False)
+class Table:
+    """The candidates of every kind of sensor of a problem, on one sample."""
+
+    problem: Problem
+    tally: Tally
+    feet: Float[np.ndarray, "F 2"]
+    stand: Bool[np.ndarray, "U F"]
+    kinds: list[Kind]
+
+    @classmethod
+    def of(cls, problem: Problem, rng: np.random.Generator, first: bool = True) -> "Table":
+        """Feet × heights × yaws × pitches; shifted at random by up to a step if not ``first``."""
+        space, layout = problem.space, problem.layout
+        tally = Tally(problem, problem.sample(rng, COLUMNS, FRAMES))
+        feet = lattice(space)
+        stand = space.can_stand(feet)
+        shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
+        heights, pitches = limits(space, space.start(layout)[0])
+        groups: dict[object, list[int]] = {}
+        for s, sensor in enumerate(layout.sensors):
+            grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
+            sector = space.constraints.yaw.get(sensor.name)
+            key = (grids, sector, *heights[s].round(3), *pitches[s].round(3))
+            groups.setdefault(key, []).append(s)
+        kinds = []
+        for sensors in groups.values():
+            s = sensors[0]
+            at = np.flatnonzero(stand[[layout.sensors[t].unit for t in sensors]].any(0))
+            steps = _steps(problem, s, heights[s], pitches[s], shift)
+            product = np.meshgrid(at, *steps, indexing="ij")
+            # In random order, so that the first chunk is a sample of all.
+            order = rng.permutation(product[0].size)
+            foot, height, yaw, pitch = (part.ravel()[order] for part in product)
+            kinds.append(Kind(tuple(sensors), foot, height, yaw, pitch))
+        return cls(problem, tally, feet, stand, kinds)
+
+    @property
+    def parts(self) -> list[Kind]:
+        """The kind of each chunk of candidates, in the order in which they are looked at.
+
+        The first chunk of every kind comes first.
+        """
+        first = [kind for kind in self.kinds if kind.parts]
+        return first + [kind for kind in self.kinds for _ in range(kind.parts - 1)]
+
+    def look(self, part: int) -> int:
+        """See what the candidates of one chunk see; gives their number."""
+        kind = self.parts[part]
+        at = np.arange(len(kind.bits) * CHUNK, (len(kind.bits) + 1) * CHUNK)
+        at = np.minimum(at, len(kind.foot) - 1)  # of one shape: the last fills up
+        s = kind.sensors[0]
+        space, u = self.problem.space, self.problem.layout.sensors[s].unit
+        index = coordinates(space)
+        x = np.zeros((CHUNK, space.size))
+        x[:, index.base[u]] = self.feet[kind.foot[at]]
+        x[:, index.height[u]] = kind.height[at]
+        x[:, index.yaw[s]] = kind.yaw[at]
+        x[:, index.pitch[s]] = kind.pitch[at]
+        kind.bits.append(self.tally.view(self.problem, s, poses(space, x)[:, s]))
+        return len(np.unique(at))
+
+    def kind_of(self, s: int) -> Kind:
+        """The candidates of sensor ``s``."""
+        return next(kind for kind in self.kinds if s in kind.sensors)
+
+    def rows(self, picks: Picks) -> dict[int, np.ndarray]:
+        """What each placed sensor sees."""
+        return {s: self.kind_of(s).row(k) for s, k in picks.items()}
+
+    def gains(self, s: int, rows: dict[int, np.ndarray]) -> Float[np.ndarray, " K"]:
+        """What sensor ``s`` adds to others in their ``rows``, at each of its candidates."""
+        kind, worth = self.kind_of(s), self.tally.worth(rows, s)
+        return np.concatenate([times(bits, worth) for bits in kind.bits])[: len(kind.foot)]
+
+    def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
+        """Whether sensor ``s`` may be at candidates ``k`` beside those that are placed already."""
+        kind, (foot, low, high) = self.kind_of(s), self.mast(picks, s)
+        height = kind.height[k]
+        here = self.stand[self.problem.layout.sensors[s].unit][kind.foot[k]]
+        near = (height >= high - UNIT_HEIGHT) & (height <= low + UNIT_HEIGHT)
+        return here & near & ((foot < 0) | (kind.foot[k] == foot))
+
+    def mast(self, picks: Picks, s: int) -> tuple[int, float, float]:
+        """Foot of the sensor's unit, −1 while it has none, and its others' lowest and highest."""
+        sensors = self.problem.layout.sensors
+        others = [t for t in picks if t != s and sensors[t].unit == sensors[s].unit]
+        kinds = [(self.kind_of(t), picks[t]) for t in others]
+        heights = [float(kind.height[k]) for kind, k in kinds]
+        foot = int(kinds[0][0].foot[kinds[0][1]]) if kinds else -1
+        return foot, min(heights, default=np.inf), max(heights, default=-np.inf)
+
+    def layout(self, x: Float[np.ndarray, " N"], picks: Picks) -> Float[np.ndarray, " N"]:
+        """Coordinates of the picks; what is not placed stays as in ``x``."""
+        space, index = self.problem.space, coordinates(self.problem.space)
+        x = np.array(x)[None]
+        for u, members in enumerate(self.problem.layout.members()):
+            placed = [s for s in members if s in picks]
+            if len(placed) < len(members):
+                continue
+            kinds = [(self.kind_of(s), picks[s]) for s in members]
+            x[:, index.base[u]] = self.feet[kinds[0][0].foot[kinds[0][1]]]
+            x[:, index.arm[u]] = 0.0
+            x[:, index.offset[list(members)]] = 0.0
+            x[:, index.yaw[list(members)]] = [kind.yaw[k] for kind, k in kinds]
+            x[:, index.pitch[list(members)]] = [kind.pitch[k] for kind, k in kinds]
+            x = hang(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
+        return x[0]
+
+
+def _steps(
+    problem: Problem,
+    s: int,
+    heights: Float[np.ndarray, "2"],
+    pitches: Float[np.ndarray, "2"],
+    shift: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, " h"], Float[np.ndarray, " y"], Float[np.ndarray, " p"]]:
+    """Heights, yaws and pitches of a sensor's candidates within its limits."""
+    sensor = problem.layout.sensors[s]
+    low, high = heights
+    height = low + (high - low) * (np.arange(HEIGHTS) + shift[0]) / HEIGHTS
+    sector = problem.space.constraints.yaw.get(sensor.name)
+    # All directions of a LiDAR that looks all round are one.
+    yaws = 1 if sensor.spec.grid.wraps and sector is None else YAWS
+    begin, end = sector or (0.0, 2 * np.pi)
+    yaw = begin + (end - begin) * (np.arange(yaws) + shift[1]) / yaws
+    down = np.radians(np.array(PITCHES[sensor.spec.kind]) + 10 * (shift[2] - 0.5))
+    return height, yaw, np.unique(np.clip(down, *pitches))

@@ -1,0 +1,226 @@
+"""Adam on the soft score, on a fresh sample of columns and frames at every step.
+
+Soft at first, so that a sensor feels where the traffic and the voxels are at all, and finer
+towards the end, when it is to feel where an edge of its view lies.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Float
+
+from inspe_jax.core.arrays import on_host
+from inspe_jax.core.parallel import run as on_all_cores
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.problem import Problem, per_problem
+from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
+
+SOFTNESS = (3.0, 0.3)
+"""Softness at the start and at the end of a search [m]."""
+STARTS = 4
+"""Layouts that Adam improves at once."""
+STEP_COLUMNS, STEP_FRAMES = 384, 3
+"""Size of the sample of one gradient: many rough steps come further than few good ones."""
+RATE = (0.2, 0.01)
+"""Length of a step at the start and at the end, in typical steps of each coordinate."""
+LOOKS = 0.15
+"""Share of the budget from one exact score of the best layout to the next."""
+CULLS = (0.15, 0.3, 0.5)
+"""Shares of the budget at which the worse half of the layouts gives way to the better."""
+CHUNK = 4
+"""Gradient steps between two looks at the budget."""
+SCREENED = 32
+"""Random layouts of which the best become starts."""
+_LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
+
+Score = Callable[..., tuple[Any, Any]]
+"""A value and its slope."""
+
+_adam = optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
+_at_rest = jax.jit(jax.vmap(_adam.init))
+
+
+def annealed(ends: Any, done: float) -> float:
+    """Geometrically from one end to the other as the budget is used up."""
+    first, last = ends
+    return first * (last / first) ** min(max(done, 0.0), 1.0)
+
+
+def begin_adam(run: Run) -> State:
+    """The given start and the best of some random layouts, in their charts."""
+    problem = run.problem
+    sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
+    others = problem.space.random(run.rng(1), SCREENED)
+    ranked = others[np.argsort(-run.rough(others, sample), kind="stable")]
+    return charted(problem, np.concatenate([run.start[None], ranked[: STARTS - 1]])) | {
+        "line": np.arange(STARTS),
+        "count": 0,
+        "culled": 0,
+        "began": run.spent,
+        "looked": run.spent,
+    }
+
+
+def charted(problem: Problem, x: Float[np.ndarray, "M N"]) -> State:
+    """Layouts in charts, standing still."""
+    v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
+    anchor = on_host(np.stack(v), float)
+    z = np.zeros_like(anchor)
+    return {"anchor": anchor, "z": z, "place": np.stack(place), **_kept(_at_rest(z))}
+
+
+def _kept(optimiser: Any) -> State:
+    """The optimiser's arrays as a state keeps them; :func:`_optimiser_state` puts them back."""
+    return {f"optax {i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(optimiser))}
+
+
+def _optimiser_state(state: State) -> Any:
+    shape = jax.eval_shape(_at_rest, state["z"])
+    leaves, tree = jax.tree.flatten(shape)
+    return jax.tree.unflatten(tree, [jnp.asarray(state[f"optax {i}"]) for i in range(len(leaves))])
+
+
+def step_adam(run: Run, state: State) -> State | None:
+    """Some gradient steps of all layouts; now and then the better replace the worse."""
+    problem, done = run.problem, run.done
+    if done >= _LAST:
+        _offer_best(run, state)
+        return None
+    state = dict(state)
+    began = run.share(state["began"])
+    if state["culled"] < len(CULLS) and done >= CULLS[state["culled"]]:
+        state = _cull(run, state)
+    elif done >= run.share(state["looked"]) + LOOKS:
+        x = layouts(problem, state)
+        run.offer(x[_ranked(run, x, state["count"])[0]])
+        state = charted_again(problem, state, x) | {"looked": run.spent}
+
+    def now() -> tuple[float, float]:
+        through = (run.done - began) / (_LAST - began)
+        return annealed(SOFTNESS, through), annealed(RATE, through)
+
+    return advance(run, state, now, CHUNK)
+
+
+def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], count: int) -> State:
+    """So many gradient steps, each on its own samples, of the softness and rate of that moment."""
+    problem, line = run.problem, state["line"]
+    optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
+    z, anchor, place = (state[k] for k in ("z", "anchor", "place"))
+    together = (line[:, None] == line[None]).astype(z.dtype)
+    mean = together / together.sum(1, keepdims=True)
+    for k in range(state["count"], state["count"] + count):
+        softness, rate = (jnp.asarray(x, float) for x in now())
+        rng = run.rng(2, k)
+        drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
+        run.charge(len(line) * GRADIENT_COST * problem.share(drawn[0]))
+        # One by one, on all cores: faster than all lines in one array.
+        rows = zip(z, anchor, place, drawn, strict=True)
+        jobs = [("slope", partial(score, *row, softness)) for row in rows]
+        slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
+        moved, optimiser = move(z, mean @ np.stack(slopes), optimiser, rate)
+        z = np.asarray(moved)
+    return state | _kept(optimiser) | {"z": z, "count": state["count"] + count}
+
+
+@per_problem
+def charted_score(problem: Problem) -> Score:
+    """What is minimised, and its slope, in typical steps from an anchor in charts."""
+    space, scale = problem.space, jnp.asarray(problem.space.scale, float)
+    return score_through(
+        problem, lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
+    )
+
+
+def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
+    """What is minimised, and its slope, in the first argument of what gives the poses.
+
+    The others come before the columns and frames, and the softness [m]. By the chain rule in two
+    parts: from there to poses, which is the problem's own and little to compile, and from poses to
+    the score, which is compiled for all problems.
+    """
+    forward = jax.jit(poses)
+
+    @jax.jit
+    def back(slope, z, *rest):  # type: ignore[no-untyped-def]
+        return jax.vjp(lambda z: poses(z, *rest), z)[1](slope)[0]
+
+    def score(*at: Any) -> tuple[Any, Any]:
+        *given, drawn, softness = at
+        value, slope = problem.slope(forward(*given), problem.take(drawn), softness)
+        return on_host(-value, float), back(-slope, *given)
+
+    return score
+
+
+@per_problem
+def _mover(problem: Problem) -> Callable[..., Any]:
+    def move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
+        with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
+            update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
+        return z - rate * update, optimiser
+
+    return jax.jit(move)
+
+
+def layouts(problem: Problem, state: State) -> Float[np.ndarray, "M N"]:
+    """Coordinates of the layouts that a state has come to."""
+    scale = problem.space.scale
+    rows = zip(state["anchor"] + scale * state["z"], state["place"], strict=True)
+    return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
+
+
+def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
+    """Indices of layouts, best first, by hard scores on a larger sample."""
+    sample = run.problem.sample(run.rng(3, key), size * COLUMNS, size * FRAMES)
+    return np.argsort(-run.rough(x, sample), kind="stable")
+
+
+def _cull(run: Run, state: State) -> State:
+    """The better half goes on, on as many more samples a step, in new charts.
+
+    Copies of one layout take the mean of their gradients. A new chart lets a unit that has come to
+    the end of a piece of ground go on in the next.
+    """
+    x = layouts(run.problem, state)
+    kept = max(1, STARTS // 2 ** (state["culled"] + 1))
+    best = _ranked(run, x, state["culled"])[:kept]
+    run.offer(x[best[0]])
+    return (
+        state
+        | charted(run.problem, np.resize(x[best], x.shape))
+        | {
+            "line": np.arange(STARTS) % kept,
+            "culled": state["culled"] + 1,
+            "looked": run.spent,
+        }
+    )
+
+
+def charted_again(problem: Problem, state: State, x: Float[np.ndarray, "M N"]) -> State:
+    """The same layouts in new charts, with the momentum they have.
+
+    A unit that has come to the end of a piece of ground can go on in the next.
+    """
+    fresh = charted(problem, x)
+    return state | {key: fresh[key] for key in ("anchor", "z", "place")}
+
+
+def _offer_best(run: Run, state: State) -> None:
+    x = layouts(run.problem, state)
+    _, first = np.unique(state["line"], return_index=True)
+    for row in x[first]:
+        run.offer(row)
+
+
+ADAM = Method(
+    "adam",
+    "Adam on the soft score, from 3 m to 0.3 m softness, several layouts at once",
+    begin_adam,
+    step_adam,
+)

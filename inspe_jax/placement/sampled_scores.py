@@ -1,0 +1,95 @@
+"""The score of poses on samples, as searches ask for it: compiled once for all their problems.
+
+What differs from one problem to the next are arrays: the sensors, the weights, the samples.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from inspe_jax.core.numerics import Softness
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.exact import count_exactly
+from inspe_jax.scoring.reference import Field, Measures, SensorArray
+from inspe_jax.scoring.soft import read_softly
+from inspe_jax.scoring.tiled_scene import World, world_in_one_tile
+
+COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, np.min)}
+"""How the scores of several scenes become one, in JAX and in NumPy."""
+
+
+class Terms(NamedTuple):
+    """What a score is made of, but for the poses and the sample.
+
+    ``sensors`` and ``voxel`` [m] of every case; ``weights`` (3,) of C, O, IG; ``failures``, the
+    number of units that are left out in turn, 0 for none.
+    """
+
+    sensors: tuple[SensorArray, ...]
+    voxel: tuple[float, ...]
+    weights: Float[np.ndarray | Array, "3"]
+    failures: Int[np.ndarray | Array, ""]
+
+
+@jax.jit
+def scores(
+    measures: list[Measures], weights: Float[Any, "3"], failures: Int[Any, ""]
+) -> Float[Array, " N"]:
+    """P_sm of every case; with failures the mean of those without each unit."""
+    found = []
+    for m in measures:
+        parts = list(jnp.asarray(weights, m.coverage.dtype))
+        p = metrics.weighted(m.coverage, m.occlusion, m.information_gain, parts)  # (1 + G,)
+        number = jnp.arange(len(p))
+        real = (number > 0) & (number <= failures)
+        without = jnp.where(real, p, 0.0).sum() / jnp.maximum(failures, 1).astype(p.dtype)
+        found.append(jnp.where(failures > 0, without, p[0]))
+    return jnp.stack(found)
+
+
+@partial(jax.jit, static_argnames=("occlusion_reference", "visibility"))
+def hard_scores(
+    poses: Float[Array, "S 6"],
+    worlds: tuple[World, ...],
+    terms: Terms,
+    *,
+    occlusion_reference: str,
+    visibility: str,
+) -> Float[Array, " N"]:
+    """P_sm of every case, read hard, of poses about the centre that are filled up."""
+    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    measures = [
+        count_exactly(world, poses, sensors, voxel, **options)
+        for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
+    ]
+    return scores(measures, terms.weights, terms.failures)
+
+
+@partial(jax.jit, static_argnames=("occlusion_reference", "visibility", "over"))
+def soft_slope(
+    poses: Float[Array, "S 6"],
+    on: tuple[Field, ...] | tuple[World, ...],
+    terms: Terms,
+    softness: Float[Array, ""],
+    *,
+    occlusion_reference: str,
+    visibility: str,
+    over: str,
+) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
+    """The score of all cases, read softly [m], and its slope in the poses; on samples or worlds."""
+    width = Softness.of(softness)
+    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    worlds = [world_in_one_tile(part) if isinstance(part, Field) else part for part in on]
+
+    def score(poses: Array) -> Array:
+        measures = [
+            read_softly(world.bucketed, poses, sensors, voxel, width, **options)
+            for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
+        ]
+        return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))
+
+    return jax.value_and_grad(score)(poses)

@@ -1,0 +1,342 @@
+"""The feasible set of one layout on one intersection: what a search moves in.
+
+A point of the set is a flat array of :class:`Coordinates`. The set is a product, of the places
+where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs and
+of intervals. It comes in two forms: :meth:`Space.project` gives the nearest point of it, and
+:meth:`Space.chart` and :meth:`Space.from_chart` go to coordinates without bounds and back.
+:meth:`Space.faults` knows neither: it looks at a layout and at the map.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from shapely import minimum_bounding_circle
+from shapely.geometry import MultiPoint
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.placement.constraints import PLACES, Constraints
+from inspe_jax.placement.convex_regions import into_disc, make_pieces
+from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
+from inspe_jax.placement.feasibility import TOLERANCE, Fault, differences, faults, on_span
+from inspe_jax.placement.site import Site
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import UNIT_PLAN, Layout, make_layout
+
+_NEAR = 0.5  # a foot is charted on an area this near rather than on a pole [m]
+_APART = 2.5  # between the feet of two random units, where possible [m]
+_TRIES = 16  # to find a random foot apart from the others
+_CELL = 0.2  # of the raster of lanes [m]
+_GROUND_CELL = 1.0  # of the raster of the ground's height [m]
+
+
+class Space:
+    """The feasible set of one layout's units and sensors on one intersection.
+
+    ``given`` is that layout; ``names`` (N,) of the coordinates; ``scale`` (N,) a typical step of
+    each [m or rad], 0 where it may not change; ``free`` the indices of those that may.
+    """
+
+    def __init__(
+        self, scene: Scene, layout: Layout, constraints: Constraints | None = None
+    ) -> None:
+        """Raises InspeError where a constraint is bad, or a unit has nowhere to stand."""
+        self.given, self.constraints = layout, constraints or Constraints()
+        self.constraints.check()
+        self.center = np.asarray(scene.voxels.center, float)
+        self.place = scene.intersection
+        if self.constraints.area is not None:
+            self.place = replace(self.place, mounting=self.constraints.area)
+        self.site = Site(self.place, float(scene.voxels.radius), depth=0.0)
+        self._unit = np.array([sensor.unit for sensor in layout.sensors])
+        self._feet = np.array([unit.base[:2] for unit in layout.units]) - self.center[:2]
+        self._set_limits()
+        self._set_places()
+        self._set_rasters()
+        self.names, self.scale = self._describe()
+        self.free = np.flatnonzero(self.scale > 0)
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates N."""
+        return len(self.names)
+
+    # ── What is allowed ──
+
+    def _set_limits(self) -> None:
+        options, sensors = self.constraints, self.given.sensors
+        names = [sensor.name for sensor in sensors]
+        for name in options.yaw:
+            if name not in names:
+                raise InspeError(f"yaw of '{name}': no such sensor{nearest(name, names)}")
+        units = [unit.name for unit in self.given.units]
+        for name in () if isinstance(options.places, str) else options.places:
+            if name not in units:
+                raise InspeError(f"places of '{name}': no such unit{nearest(name, units)}")
+        self._places = [options.places_of(name) for name in units]
+        span = on_span(self.given, self.site)
+        self._kept = span | (np.array(self._places) == "keep")
+        self._limits = Limits.of(
+            self._unit,
+            Range(*np.where(span[:, None], options.span_heights, options.heights).T),
+            Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
+            Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
+            np.array([sensor.spec.kind == "camera" for sensor in sensors]),
+        )
+
+    def _set_places(self) -> None:
+        move, kinds = self.constraints.move, [PLACES[name] for name in self._places]
+        shared = self.site.convex() if move is None and any(a for a, _ in kinds) else []
+        feet = self.site.poles - self.center[:2]
+        pool = [*shared, *feet[:, None]]
+        rows = []
+        for u, foot in enumerate(self._feet):
+            row: list[int] = []
+            areas, poles = kinds[u]
+            if self._kept[u]:
+                self._check_kept(u)
+            else:
+                near = np.hypot(*(feet - foot).T) <= (np.inf if move is None else move)
+                row = [*range(len(shared))] if areas else []
+                row += [*(len(shared) + np.flatnonzero(near))] if poles else []
+                if areas and move is not None:
+                    own = self.site.convex(foot, move)
+                    row += range(len(pool), len(pool) + len(own))
+                    pool += own
+            # A given foot that may stay, as one in the rim of an area, is a place for its unit.
+            at = foot + self.center[:2]
+            if self._kept[u] or self.site.carries(at, areas=areas, poles=poles, within=TOLERANCE):
+                row.append(len(pool))
+                pool.append(foot[None])
+            if not row:
+                raise InspeError(self._nowhere(u))
+            rows.append(row)
+        self._pieces = make_pieces(pool)
+        self._allowed = np.array([np.isin(np.arange(len(pool)), row) for row in rows])
+        self._pole = np.isin(np.arange(len(pool)), len(shared) + np.arange(len(feet)))
+
+    def _check_kept(self, u: int) -> None:
+        away, unit = float(np.hypot(*self._feet[u])), self.given.units[u]
+        if away > self.site.radius + TOLERANCE:
+            raise InspeError(
+                f"unit '{unit.name}' stands {away:.1f} m from the centre, beyond the radius of "
+                f"{self.site.radius:g} m: it cannot be kept there"
+            )
+
+    def _nowhere(self, u: int) -> str:
+        what = {"any": "no mounting area and no pole", "areas": "no mounting area"}
+        where = f"{self.site.radius:g} m of the centre"
+        if self.constraints.move is not None:
+            where = f"{self.constraints.move:g} m of its foot"
+        return (
+            f"{self.place.name}: unit '{self.given.units[u].name}' has nowhere to stand: "
+            f"{what.get(self._places[u], 'no pole')} off the driving lanes within {where}; "
+            "use places 'keep', a larger move, an area of your own or a map with sidewalks"
+        )
+
+    def _set_rasters(self) -> None:
+        self._reach = self.site.radius + UNIT_PLAN + 4 * _CELL
+        self._lane = self.site.lane_cells(self._reach, _CELL)
+        count = int(np.ceil(2 * self._reach / _GROUND_CELL)) + 1
+        lines = np.arange(count) * _GROUND_CELL - self._reach
+        at = np.stack(np.meshgrid(lines, lines, indexing="ij"), -1).reshape(-1, 2)
+        self._ground = (self.place.ground(at + self.center[:2]) - self.center[2]).reshape(count, -1)
+
+    def _describe(self) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
+        units, sensors = ([i.name for i in part] for part in (self.given.units, self.given.sensors))
+        owners = dict.fromkeys(("base", "arm", "height"), units)
+        # A unit that may stand on one point only does not move.
+        wide = (self._allowed & (self._pieces.area > 0)).any(1)
+        spots = [len(np.unique(self._pieces.corners[row, 0], axis=0)) for row in self._allowed]
+        may = {"base": wide | (np.array(spots) > 1), **self._limits.may_change()}
+        names, scale = [], []
+        for part, step in STEPS.items():
+            axes = (" x", " y") if part in PLANE else ("",)
+            for owner, moves in zip(owners.get(part, sensors), may[part], strict=True):
+                names += [f"{owner}: {part}{axis}" for axis in axes]
+                scale += [step * bool(moves)] * len(axes)
+        return tuple(names), np.array(scale)
+
+    # ── From coordinates to poses ──
+
+    def split(self, x: Float[Any, " N"]) -> Coordinates:
+        """The coordinates by name."""
+        return Coordinates.split(x, len(self._feet), len(self._unit))
+
+    def poses(self, x: Float[Array, " N"]) -> Float[Array, "S 6"]:
+        """World poses less the scene's centre, as the scoring takes them; differentiable in x.
+
+        The ground at a foot is interpolated between points 1 m apart.
+        """
+        c = self.split(x)
+        table = jnp.asarray(self._ground, x.dtype)
+        t = (c.base + self._reach) / _GROUND_CELL
+        corner = jnp.clip(jnp.floor(t), 0, len(table) - 2)
+        (fx, fy), (i, j) = jnp.clip(t - corner, 0, 1).T, corner.astype(int).T
+        low = (1 - fy) * table[i, j] + fy * table[i, j + 1]
+        high = (1 - fy) * table[i + 1, j] + fy * table[i + 1, j + 1]
+        return self._sensors(c, (1 - fx) * low + fx * high, jnp)
+
+    def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
+        at = c.base[self._unit] + c.arm[self._unit] + c.offset
+        above = c.height[self._unit] + c.rise
+        # Over a lane at least the clearance. That keeps the unit rule: of two sensors 4 m apart or
+        # less, raising both to it, or one to no more than the other, does not part them; and one
+        # that is raised past the other is at the clearance, the other at the lowest height or
+        # above, and these are no more than 4 m apart (Constraints.check).
+        cell = xp.floor((at + self._reach) / _CELL).astype(int)
+        i, j = xp.clip(cell, 0, len(self._lane) - 1).T
+        raised = xp.maximum(above, self.constraints.clearance)
+        above = xp.where(xp.asarray(self._lane)[i, j], raised, above)
+        roll = xp.asarray(np.asarray(self.given.poses)[:, 3], at.dtype)
+        z = ground[self._unit] + above
+        return xp.stack([at[:, 0], at[:, 1], z, roll, c.pitch, c.yaw], -1)
+
+    def layout(self, x: Float[Any, " N"]) -> Layout:
+        """The layout at feasible coordinates, with world poses and exact ground.
+
+        Raises InspeError where they are not feasible by more than :data:`TOLERANCE`; less, as of
+        single precision, is mended.
+        """
+        x = np.asarray(x, float)
+        if x.shape != (self.size,) or not np.isfinite(x).all():
+            raise InspeError(f"coordinates: expected {self.size} finite numbers")
+        inside = self.project(x, np)
+        worst = int(np.abs(inside - x).argmax())
+        if abs(inside[worst] - x[worst]) > TOLERANCE:
+            raise InspeError(
+                f"not feasible: '{self.names[worst]}' is {x[worst]:.3f}, and {inside[worst]:.3f} "
+                "would be; project the coordinates first"
+            )
+        c = self.split(inside)
+        feet = c.base + self.center[:2]
+        ground = self.place.ground(feet)
+        poses = self._sensors(c, ground - self.center[2], np)
+        poses[:, :3] += self.center
+        poses[:, 5] = np.arctan2(np.sin(poses[:, 5]), np.cos(poses[:, 5]))
+        bases = zip(self.given.units, np.column_stack([feet, ground]).tolist(), strict=True)
+        units = [replace(unit, base=(px, py, pz)) for unit, (px, py, pz) in bases]
+        return make_layout(list(self.given.sensors), units, poses, self.given.name)
+
+    # ── The set in two forms ──
+
+    def project(self, x: Float[Any, " N"], xp: Any = jnp) -> Float[Any, " N"]:
+        """The nearest feasible coordinates, by JAX or NumPy. A yaw keeps its turns."""
+        c = self.split(x)
+        base = self._pieces.nearest(c.base, self._allowed, xp)[0]
+        return self._limits.clip(c, xp)._replace(base=base).flat(xp)
+
+    def chart(self, x: Float[Any, " N"]) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
+        """Feasible coordinates without bounds, and the piece of ground or the pole of each unit.
+
+        In the middle of its range a coordinate moves as its chart does: both count metres or
+        radians, and ``scale`` is a typical step of both. A unit on a pole that stands on, or
+        within 0.5 m of, an area it may be in is charted there. What lies on a bound is taken to
+        lie slightly inside, by 1 % of the way to the middle.
+        """
+        c = self.split(np.asarray(x, float))
+        far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
+        wide = np.where(self._pieces.area > 0, far, np.inf)
+        place = np.where(wide.min(1) <= _NEAR**2, wide.argmin(1), far.argmin(1))
+        v = self._limits.unswing(c)._replace(base=self._pieces.chart(c.base, place, np))
+        return v.flat(), place
+
+    def from_chart(
+        self, v: Float[Any, " N"], place: Int[Array | np.ndarray, " U"], xp: Any = jnp
+    ) -> Float[Any, " N"]:
+        """The inverse of :meth:`chart`: feasible for any v, and by JAX differentiable in it."""
+        c = self.split(v)
+        base = self._pieces.at(c.base, place, xp)
+        return self._limits.swing(c, xp)._replace(base=base).flat(xp)
+
+    # ── Starts, random layouts, candidates ──
+
+    def start(self, layout: Layout) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
+        """The feasible coordinates nearest to a layout of these sensors, and what had to be moved.
+
+        A unit's sensors go where its foot goes, at their heights above the ground. Raises
+        InspeError where the layout has other sensors.
+        """
+        ours, theirs = ([(s.spec, s.unit) for s in of.sensors] for of in (self.given, layout))
+        if ours != theirs:
+            raise InspeError(
+                f"{layout.name}: no start for {self.given.name}: it has other sensors or units"
+            )
+        poses = np.asarray(layout.poses, float)
+        feet = np.array([unit.base[:2] for unit in layout.units])
+        above = poses[:, 2] - self.place.ground(feet)[self._unit]
+        out = poses[:, :2] - feet[self._unit]
+        arm, height = np.zeros_like(feet), np.zeros(len(feet))
+        for u, members in enumerate(map(list, layout.members())):
+            # The middle of the smallest circle round the foot and its sensors: if any head is
+            # near enough to the foot and to every sensor, that one is.
+            circle = minimum_bounding_circle(MultiPoint([(0.0, 0.0), *out[members]]))
+            one_spot = len(members) == 1 or circle.area == 0
+            arm[u] = out[members[0]] if one_spot else circle.centroid.coords[0]
+            height[u] = (above[members].min() + above[members].max()) / 2
+        arm = into_disc(arm, self._limits.arm, np)
+        height = self._limits.height.clip(height, np)
+        wanted = Coordinates(
+            feet - self.center[:2],
+            arm,
+            height,
+            out - arm[self._unit],
+            above - height[self._unit],
+            poses[:, 5],
+            poses[:, 4],
+        )
+        x = self.project(wanted.flat(), np)
+        return x, tuple(differences(layout, self.layout(x), self.site))
+
+    def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
+        """Feasible coordinates at random, one layout a row.
+
+        Feet evenly over the areas; half of the units on poles, where there are both; units 2.5 m
+        apart where there is room. The rest as in :meth:`Limits.draw`.
+        """
+        base = np.zeros((count, len(self._feet), 2))
+        for u in range(len(self._feet)):
+            tries = self._draw_feet(rng, u, _TRIES * count).reshape(_TRIES, count, 2)
+            apart = np.hypot(*np.moveaxis(tries[:, :, None] - base[None, :, :u], -1, 0))
+            good = (apart > _APART).all(-1)  # (tries, M); the first good one, else the first
+            base[:, u] = tries[good.argmax(0), np.arange(count)]
+        return np.array([c.flat() for c in self._limits.draw(rng, base, self._unit)])
+
+    def _draw_feet(self, rng: np.random.Generator, u: int, count: int) -> np.ndarray:
+        poles = self._pieces.corners[self._allowed[u] & self._pole, 0]
+        areas = self._allowed[u] & (self._pieces.area > 0)
+        if not len(poles) and not areas.any():
+            return np.tile(self._feet[u], (count, 1))
+        if not len(poles):
+            return self._pieces.draw(rng, areas, count)
+        on_pole = poles[rng.integers(len(poles), size=count)]
+        if not areas.any():
+            return on_pole
+        on_area = self._pieces.draw(rng, areas, count)
+        return np.where(rng.uniform(size=(count, 1)) < 0.5, on_pole, on_area)
+
+    def feet(self, spacing: float) -> Float[np.ndarray, "F 2"]:
+        """Candidate feet: a lattice over the areas, all poles, and given feet that may stay [m]."""
+        single = self._pieces.corners[self._pieces.area == 0, 0]
+        areas = any(PLACES[name][0] for name in self._places)
+        lattice = self.site.lattice(spacing) if areas else np.zeros((0, 2))
+        return np.concatenate([lattice, np.unique(single, axis=0)])
+
+    def can_stand(self, feet: Float[np.ndarray, "F 2"]) -> Bool[np.ndarray, "U F"]:
+        """Whether each unit may have its foot at each place."""
+        everywhere = np.ones((1, len(self._pieces)), bool)
+        on = self._pieces.nearest(np.asarray(feet, float), everywhere)[2] <= TOLERANCE**2  # (F, K)
+        return np.any(on[None] & self._allowed[:, None], axis=-1)
+
+    def faults(self, layout: Layout) -> list[Fault]:
+        """What keeps a layout of these sensors from being mounted; empty where it is feasible.
+
+        Found on the map's own polygons, to :data:`TOLERANCE`, and not by this class's geometry.
+        """
+        return list(faults(layout, self.given, self.site, self.constraints))
+
+    def violations(self, layout: Layout) -> list[str]:
+        """The same in words."""
+        return [fault.words for fault in self.faults(layout)]

@@ -1,0 +1,1 @@
+"""Studies of placements: cost, tolerance, the optimum of given candidates."""

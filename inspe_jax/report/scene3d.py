@@ -1,0 +1,329 @@
+"""A scene in three dimensions: ground, lanes, road users, sensors, voxels and what hides them.
+
+Drawn with viser, for a browser. World metres about the scene's centre, since graphics cards work in
+single precision.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import shapely
+import viser
+from jaxtyping import Float, Int
+from matplotlib.colors import to_rgb
+from scipy.spatial.transform import Rotation
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.report.figures import SENSOR_COLORS, view_outline
+from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.server import Door, quiet, serve
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.viewshed import Sight, sight_in
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec, Spec
+
+GROUND_COLORS: dict[Region, str] = dict(
+    zip(Region, ("#8c8f94", "#7c7f85", "#e6e6e6", "#c3c0b8", "#a3a59f"), strict=True)
+)
+"""Greys, as of asphalt and paving: colours are for what is seen and by whom."""
+USER_COLOR = "#fafafa"
+BROKEN_COLOR = "#ff1744"
+"""Of sensors that break a rule of mounting, which have a ! beside their number, too."""
+OPACITY = {Sight.OUT_OF_VIEW: 0.45, Sight.HIDDEN: 0.6, Sight.SEEN: 0.12}
+"""Of the voxels that are drawn."""
+FAINT = 0.3
+"""Share of that for voxels that are out of date."""
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""A camera's frame in the body's: right, down and forward are −y, −z and x."""
+MOUNTING_COLOR = "#303030"
+"""Of outlines of mounting areas, and of standing poles, which are drawn as high as this:"""
+POLE = 4.0
+ABOVE = 0.8
+"""Numbers stand so far above a unit's highest sensor [m]."""
+LIFT = 0.05
+"""Lines on the ground are drawn so much above it [m]."""
+
+_BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)
+
+
+class Stage:
+    """A scene on a viser server: what stands still is drawn at once, the rest when it is told."""
+
+    def __init__(self, api: viser.SceneApi, scene: Scene) -> None:
+        """Draw the ground and the lanes."""
+        self.api, self.scene = api, scene
+        self.shift = scene.voxels.center
+        self.drawn: dict[str, Any] = {}
+        self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn,
+        self._at: dict[int, Float[np.ndarray, 6]] = {}  # and where they are
+        self._units = 0  # whose numbers are
+        api.set_up_direction("+z")
+        api.configure_environment_map(None)
+        api.configure_fog(1e6, 1e7, enabled=False)
+        api.configure_default_lights(enabled=False)
+        api.add_light_ambient("light/sky", intensity=1.0)
+        api.add_light_directional("light/sun", intensity=1.0, position=(-60.0, -100.0, 200.0))
+        self._draw_ground()
+        self._draw_lanes()
+
+    def draw_mounting(self) -> None:
+        """Outlines of where units can stand, and the poles that there are."""
+        place, center = self.scene.intersection, self.shift[:2]
+        radius = self.scene.voxels.radius
+        within = place.mounting.intersection(shapely.Point(center).buffer(radius))
+        rings = [
+            shapely.segmentize(ring, 2.0)
+            for part in shapely.get_parts(within)
+            if part.geom_type == "Polygon"
+            for ring in (part.exterior, *part.interiors)
+        ]
+        lines = [segments(self._on_ground(shapely.get_coordinates(ring))) for ring in rings]
+        at = place.poles[np.hypot(*(place.poles[:, :2] - center).T) <= radius]
+        if len(at):
+            feet = self._on_ground(at[:, :2], lift=0.0)
+            lines.append(np.stack([feet, feet + [0, 0, POLE]], 1))
+        if lines:
+            self._lines("ground/mounting", np.concatenate(lines), MOUNTING_COLOR, 0.1)
+
+    def draw_users(self, frame: int) -> None:
+        """The road users of one frame as boxes, white as on the maps."""
+        traffic = self.scene.traffic
+        for kind, name in enumerate(CLASSES):
+            who = traffic.valid[frame] & (traffic.kind[frame] == kind)
+            half = traffic.yaw[frame, who] / 2
+            turn = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+            center = traffic.center[frame, who] - self.shift
+            self._boxes(f"road users/{name}", center, traffic.size[frame, who], USER_COLOR, turn)
+
+    def draw_voxels(
+        self, sight: Int[np.ndarray, " V"], shown: Iterable[Sight], *, faint: bool = False
+    ) -> None:
+        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Sight`.
+
+        ``faint`` where that was so before a change.
+        """
+        grid = self.scene.voxels
+        by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
+        for kind, opacity in OPACITY.items():
+            name, own = f"voxels/{kind.name.lower().replace('_', ' ')}", by_column == kind
+            if kind not in wanted or not own.any():
+                self._forget(name)
+                continue
+            column, low, high = runs(own)
+            foot = grid.ground[column] + grid.spacing * low
+            tall = grid.spacing * (high - low)
+            center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
+            wide = np.full(len(column), 0.94 * grid.spacing)
+            size = np.column_stack([wide, wide, tall])
+            opacity = FAINT * opacity if faint else opacity
+            self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
+
+    def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
+        """Every sensor on its pole, what it looks at on the ground, and their numbers by unit.
+
+        Those that break a rule of mounting are red. What was drawn before is moved where only poses
+        differ. Gives the bodies of sensors that are drawn anew, by their place in the layout.
+        """
+        wrong, new = set(broken), {}
+        looks = [
+            (sensor.spec, BROKEN_COLOR if k in wrong else SENSOR_COLORS[sensor.spec.kind])
+            for k, sensor in enumerate(layout.sensors)
+        ]
+        for k, look in list(self._looks.items()):
+            if k >= len(looks) or look != looks[k]:
+                for part in ("device", "frustum", "pole", "view"):
+                    self._forget(f"sensors/{k + 1}/{part}")
+                del self._looks[k]
+                self._at.pop(k, None)
+        poses = np.asarray(layout.poses, float)
+        for k, (spec, color) in enumerate(looks):
+            if k not in self._looks:
+                new[k] = self._draw_sensor(k, spec, color)
+                self._looks[k] = (spec, color)
+            if k not in self._at or (self._at[k] != poses[k]).any():
+                self._move_sensor(k, spec, poses[k])
+                self._at[k] = poses[k].copy()
+        self._number(layout, poses, wrong)
+        return new
+
+    def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
+        name = f"sensors/{k + 1}"
+        body: Any
+        if isinstance(spec, CameraSpec):
+            body = self.api.add_box(f"{name}/device", rgb(color), dimensions=(0.7, 0.5, 0.5))
+            self.drawn[f"{name}/frustum"] = self.api.add_camera_frustum(
+                f"{name}/frustum",
+                fov=2 * np.arctan(spec.height / 2 / spec.focal),
+                aspect=spec.width / spec.height,
+                scale=1.2,
+                thickness=0.06,
+                color=rgb(color),
+            )
+        else:
+            body = self.api.add_cylinder(f"{name}/device", 0.35, 0.6, color=rgb(color))
+        self.drawn[f"{name}/device"] = body
+        nowhere = np.zeros((1, 2, 3))
+        self._lines(f"{name}/pole", nowhere, "#404040", 0.08)
+        self._lines(f"{name}/view", nowhere, color, 0.12)
+        return body
+
+    def _move_sensor(self, k: int, spec: Spec, pose: Float[np.ndarray, "6"]) -> None:
+        name, at, turn = f"sensors/{k + 1}", pose[:3] - self.shift, rotation(pose[3:], np)
+        body = self.drawn[f"{name}/device"]
+        body.position, body.wxyz = at, quaternion(turn)
+        if isinstance(spec, CameraSpec):
+            frustum = self.drawn[f"{name}/frustum"]
+            frustum.position, frustum.wxyz = at, quaternion(turn @ OPTICAL)
+        self.drawn[f"{name}/pole"].points = self._pole(at).astype(np.float32)
+        self.drawn[f"{name}/view"].points = self._view(spec, pose).astype(np.float32)
+
+    def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
+        """The numbers of each unit's sensors above it, together: apart they would overlap."""
+        units = layout.members()
+        for u, members in enumerate(units):
+            word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
+            at = poses[list(members), :3]
+            at = np.append(at[:, :2].mean(0), at[:, 2].max() + ABOVE) - self.shift
+            label = self.drawn.get(f"numbers/{u + 1}")
+            if label is None:
+                label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
+                self.drawn[f"numbers/{u + 1}"] = label
+            label.text, label.position = word, at
+        for u in range(len(units), self._units):
+            self._forget(f"numbers/{u + 1}")
+        self._units = len(units)
+
+    def _pole(self, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "1 2 3"]:
+        foot = self._on_ground(at[None, :2] + self.shift[:2], lift=0.0)[0]
+        return np.array([[foot, at]])
+
+    def _view(self, spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "M 2 3"]:
+        return segments(self._on_ground(view_outline(spec, pose)))
+
+    def _forget(self, name: str) -> None:
+        if name in self.drawn:
+            self.drawn.pop(name).remove()
+
+    def _draw_ground(self) -> None:
+        """A mesh for each region, its corners on the ground."""
+        grid = self.scene.voxels
+        index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)
+        for region, color in GROUND_COLORS.items():
+            own = index[grid.region == region]
+            if not len(own):
+                continue
+            corner = own[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]  # (L, 4, 2)
+            at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
+            points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=0.0)
+            square = which.reshape(-1, 4)
+            faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
+            name = f"ground/{region.key}"
+            self.drawn[name] = self.api.add_mesh_simple(
+                name, points.astype(np.float32), faces.astype(np.uint32), color=rgb(color),
+                side="double", cast_shadow=False,
+            )  # fmt: skip
+
+    def _draw_lanes(self) -> None:
+        near = []
+        for route in self.scene.intersection.routes:
+            if route.user == "vehicle":
+                line = route.waypoints - self.shift
+                inside = np.hypot(*line[:, :2].T) <= self.scene.voxels.radius
+                both = segments(line + [0, 0, LIFT])[inside[:-1] & inside[1:]]
+                near.append(both)
+        if near:
+            self._lines("ground/lanes", np.concatenate(near), "#ffffff", 0.06)
+
+    def _on_ground(self, xy: Float[np.ndarray, "N 2"], lift: float = LIFT) -> np.ndarray:
+        z = self.scene.intersection.ground(np.asarray(xy, float))
+        return np.column_stack([xy, z + lift]) - self.shift
+
+    def _lines(self, name: str, ends: np.ndarray, color: str, wide: float) -> None:
+        self.drawn[name] = self.api.add_line_segments(
+            name, ends.astype(np.float32), colors=rgb(color), thickness=wide
+        )
+
+    def _boxes(
+        self,
+        name: str,
+        center: np.ndarray,
+        size: np.ndarray,
+        color: str,
+        turn: np.ndarray | None = None,
+        opacity: float | None = None,
+    ) -> None:
+        """Boxes (N, 3) of sizes (N, 3) [m]."""
+        if turn is None:
+            turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(center), 1))
+        self.drawn[name] = self.api.add_batched_meshes_simple(
+            name,
+            _BOX.astype(np.float32),
+            _FACES.astype(np.uint32),
+            turn.astype(np.float32),
+            center.astype(np.float32),
+            batched_scales=size.astype(np.float32),
+            batched_colors=rgb(color),
+            opacity=opacity,
+            lod="off",
+            flat_shading=True,
+            cast_shadow=opacity is None,
+        )
+
+
+def runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levels of a column that follow each other, of flags (L, Z): (column, first, one past)."""
+    edges = np.diff(np.pad(flags.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    column, low = np.nonzero(edges == 1)
+    return column, low, np.nonzero(edges == -1)[1]
+
+
+def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
+    """A line's pieces, each by its two ends."""
+    return np.stack([line[:-1], line[1:]], 1)
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """A colour's parts, 0 to 255."""
+    red, green, blue = (round(255 * part) for part in to_rgb(color))
+    return red, green, blue
+
+
+def quaternion(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """A rotation matrix as w, x, y, z."""
+    return np.roll(Rotation.from_matrix(turn).as_quat(), 1)
+
+
+def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation matrix of w, x, y, z."""
+    return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
+
+
+def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
+    """A page of its own: one frame of a scene, and what a layout sees of it, to turn and zoom."""
+    server = serve(Door("127.0.0.1", browsers=0), 0)  # nobody looks: the page is a file
+    try:
+        stage = Stage(server.scene, scene)
+        stage.draw_users(frame)
+        sight = sight_in(scene, layout, frame, conditions=conditions)
+        stage.draw_voxels(sight, (Sight.HIDDEN, Sight.OUT_OF_VIEW))
+        stage.draw_layout(conditions.layout(layout))
+        look_from(server.initial_camera, scene)
+        return server.scene.as_html()
+    finally:
+        with quiet():
+            server.stop()
+
+
+def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
+    """Let a camera see the whole of a scene from the south, from above, so many times as far."""
+    radius = scene.voxels.radius
+    camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
+    camera.look_at = (0.0, -0.08 * radius, 0.0)

@@ -1,0 +1,1 @@
+"""Maps into intersections: OpenDRIVE, SUMO and OpenStreetMap."""

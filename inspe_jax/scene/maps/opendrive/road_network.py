@@ -1,0 +1,229 @@
+"""An OpenDRIVE map and its lanes: what the XML says, and where CARLA says it runs.
+
+CARLA is left-handed: ``position`` flips its y and ``heading_of`` its yaw, as everything does in
+:mod:`inspe_jax.core.carla_frame`.
+"""
+
+import functools
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
+from inspe_jax.scene.maps.lane_strips import Strip
+from inspe_jax.scene.maps.parts import STEP, distance_from
+
+TRAFFIC_LIGHT = "1000001"
+
+INSET = 1e-3
+"""CARLA answers at a lane's very end with the next lane; stay this much inside [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Road:
+    """A road as its XML says: where it starts piecewise, its lanes by section, its links."""
+
+    id: int
+    junction: int  # −1 outside junctions
+    length: float
+    pieces: Float[np.ndarray, "K 3"]  # x, y where each planView piece starts, and its length
+    sections: tuple[tuple[float, float, dict[int, str]], ...]  # from s, to s, lane id → type
+    links: dict[str, tuple[str, int, str]]  # 'start'/'end' → ('road'/'junction', id, contact)
+
+    def near(self, middle: np.ndarray, reach: float) -> bool:
+        """Whether some piece can come within reach: none strays farther than its length."""
+        away = distance_from(self.pieces, middle)
+        return bool((away <= reach + self.pieces[:, 2] + 20.0).any())  # 20 m: half a wide road
+
+
+@dataclass(frozen=True, eq=False)
+class TownMap:
+    """A map read: CARLA's, and what its XML adds. Positions are world metres (ENU)."""
+
+    name: str
+    source: str
+    carla: Any
+    roads: dict[int, Road]
+    junctions: tuple[int, ...]
+    crosswalks: tuple[np.ndarray, ...]  # loops, each (K, 3)
+    signals: Float[np.ndarray, "P 3"]
+
+    def at(self, road: int, lane: int, s: float) -> Any:
+        """CARLA's waypoint in the middle of a lane, s metres along the road; None off its ends."""
+        return self.carla.get_waypoint_xodr(road, lane, s)
+
+    def box(self, junction: int) -> tuple[np.ndarray, float]:
+        """Middle (3,) and larger side of a junction's bounding box [m]."""
+        for road in self.roads.values():
+            if road.junction == junction:
+                for lane in road.sections[0][2]:
+                    waypoint = self.at(road.id, lane, road.length / 2)
+                    if waypoint is not None and waypoint.get_junction() is not None:
+                        box = waypoint.get_junction().bounding_box
+                        return position(box.location), 2 * max(box.extent.x, box.extent.y)
+        raise InspeError(f"{self.source}: junction {junction} has no lanes")
+
+
+def position(location: Any) -> np.ndarray:
+    """CARLA's left-handed location in the world frame (3,) [m]."""
+    return np.array([location.x, -location.y, location.z])
+
+
+def load_map(path: str | os.PathLike[str]) -> TownMap:
+    """The map of a file, kept for as long as the file stays the same. Raises InspeError."""
+    path = Path(path)
+    check_input(path)
+    stat = path.stat()
+    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=8)
+def _read(path: Path, _where: Path, _modified: int, _size: int) -> TownMap:
+    """Read a file once for as long as it stays the same."""
+    text = path.read_bytes().decode("utf-8-sig", "replace")
+    root = _root(path, text)
+    try:
+        roads = {r.id: r for r in map(_road, root.iter("road"))}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InspeError(f"{path}: not OpenDRIVE: a road lacks or misstates {error}") from error
+    junctions = sorted({r.junction for r in roads.values()} - {-1})
+    if not roads:
+        raise InspeError(f"{path}: the map has no roads")
+    try:
+        import carla
+    except ImportError as error:
+        raise InspeError(
+            "reading OpenDRIVE needs the CARLA client: pip install 'inspe_jax[opendrive]' "
+            "(Linux and Windows, Python up to 3.12)"
+        ) from error
+    try:
+        with _quiet():
+            parsed = carla.Map(path.stem, text)
+            corners = [position(c) for c in parsed.get_crosswalks()]
+            marks = [m for m in parsed.get_all_landmarks() if m.type == TRAFFIC_LIGHT]
+    except (RuntimeError, IndexError) as error:
+        raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
+    signals = _deduplicate([position(m.transform.location) for m in marks])
+    return TownMap(
+        path.stem, path.name, parsed, roads, tuple(junctions), tuple(_loops(corners)), signals
+    )
+
+
+def _root(path: Path, text: str) -> ET.Element:
+    """The XML, checked first: CARLA reads on past what it does not understand, or aborts."""
+    try:
+        root = ET.fromstring(text.encode())
+    except ET.ParseError as error:
+        line, column = error.position
+        raise InspeError(
+            f"{path}: not well-formed XML, perhaps cut short: line {line}, column {column} "
+            f"({str(error).split(':')[0]})"
+        ) from error
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]  # namespaces say nothing here
+    if root.tag != "OpenDRIVE":
+        raise InspeError(
+            f"{path}: not OpenDRIVE: the root element is <{root.tag}>, not <OpenDRIVE>"
+        )
+    return root
+
+
+def _road(element: ET.Element) -> Road:
+    length = float(element.attrib["length"])
+    sections = element.findall("lanes/laneSection")
+    bounds = [float(s.attrib["s"]) for s in sections] + [length]
+    lanes = [
+        {int(x.attrib["id"]): x.attrib["type"] for x in s.iter("lane") if x.get("id") != "0"}
+        for s in sections
+    ]
+    links = {}
+    for end, tag in (("start", "predecessor"), ("end", "successor")):
+        link = element.find(f"link/{tag}")
+        if link is not None:
+            kind, contact = link.attrib["elementType"], link.get("contactPoint", "")
+            links[end] = (kind, int(link.attrib["elementId"]), contact)
+    pieces = [[float(g.attrib[k]) for k in ("x", "y", "length")] for g in element.iter("geometry")]
+    return Road(
+        int(element.attrib["id"]),
+        int(element.get("junction", -1)),
+        length,
+        np.array(pieces).reshape(-1, 3),
+        tuple(zip(bounds, bounds[1:], lanes, strict=False)),
+        links,
+    )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence C++ code, which writes to the descriptors and not to ``sys.stderr``."""
+    kept = {fd: os.dup(fd) for fd in (1, 2)}
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for fd in kept:
+            os.dup2(null, fd)
+        yield
+    finally:
+        for fd, copy in kept.items():
+            os.dup2(copy, fd)
+            os.close(copy)
+        os.close(null)
+
+
+def _loops(corners: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Split CARLA's run of corners where a loop comes back to its first."""
+    loop: list[np.ndarray] = []
+    for corner in corners:
+        if loop and np.allclose(corner, loop[0], atol=1e-3):
+            if len(loop) > 2:
+                yield np.array(loop)
+            loop = []
+        else:
+            loop.append(corner)
+
+
+def heading_of(waypoint: Any) -> np.ndarray:
+    """Unit vector along a waypoint's lane in the world frame (2,)."""
+    yaw = -np.radians(waypoint.transform.rotation.yaw)
+    return np.array([np.cos(yaw), np.sin(yaw)])
+
+
+def _deduplicate(points: list[np.ndarray]) -> np.ndarray:
+    """Points (P, 3) less those within 0.5 m of an earlier one: roads share their signals."""
+    kept: list[np.ndarray] = []
+    for point in points:
+        if all(np.hypot(*(point - other)[:2]) >= 0.5 for other in kept):
+            kept.append(point)
+    return np.array(kept).reshape(-1, 3)
+
+
+def strips_near(world: TownMap, middle: np.ndarray, reach: float) -> list[Strip]:
+    """Every lane that has width and passes within reach, cut to it."""
+    found: list[Strip] = []
+    for road in world.roads.values():
+        if not road.near(middle, reach):
+            continue
+        for start, end, lanes in road.sections:
+            count = max(2, int(np.ceil((end - start) / STEP)) + 1)
+            inset = min(INSET, (end - start) / 4)
+            stations = np.linspace(start + inset, end - inset, count)
+            for lane, kind in lanes.items():
+                line = [w for s in stations if (w := world.at(road.id, lane, s)) is not None]
+                if len(line) < 2 or max(w.lane_width for w in line) < 0.05:
+                    continue
+                center = np.array([position(w.transform.location) for w in line])
+                along = np.array([heading_of(w) for w in line])
+                half = np.array([w.lane_width for w in line])[:, None] / 2
+                across = np.column_stack([-along[:, 1], along[:, 0]]) * half
+                edges = center[:, :2] + across, center[:, :2] - across
+                strip = Strip(road.id, lane, road.junction, kind, center, *edges)
+                # One lane's width over, so that what is left is cut by the disc, not by stations.
+                found += strip.runs(distance_from(center, middle) <= reach + 2 * half.max() + STEP)
+    return found

@@ -1,0 +1,203 @@
+"""What every reader of a map ends with: clean regions, crosswalks, mounts and ways on foot."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+from shapely.geometry import Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene.intersection import (
+    Arm,
+    Intersection,
+    Route,
+    corner_islands,
+    mouth_crosswalks,
+)
+from inspe_jax.scene.regions import Region
+
+STEP = 1.0
+"""Spacing of the stations sampled along lanes and routes [m]."""
+CLUSTER = 35.0
+"""Around ``center``, junctions whose middle is this near count as one [m]."""
+MARGIN = 10.0
+"""A map is read this much beyond the radius [m]."""
+CLEARANCE = 2.5
+"""What is higher or lower than the road by more than this is on another level [m]."""
+MOST_LISTED = 20
+"""Junctions that an error lists."""
+
+J = TypeVar("J", bound=int | str)
+"""A junction's id."""
+
+
+@dataclass(frozen=True)
+class JunctionInfo:
+    """A junction of a map: its id, middle (x, y, z) [m], arms, size, crosswalks and signals.
+
+    ``size`` is the larger side of its bounding box [m]; ``crosswalks`` and ``signals`` count
+    those that the map itself has near it.
+    """
+
+    id: int | str
+    center: tuple[float, float, float]
+    arms: int
+    size: float
+    crosswalks: int
+    signals: int
+
+
+def chosen(
+    source: str,
+    ids: Iterable[J],
+    middle_of: Callable[[J], np.ndarray],
+    junction: str | int | None,
+    center: tuple[float, float] | None,
+) -> tuple[set[J], np.ndarray, str]:
+    """Which of a map's junctions are meant, their middle (3,), and what to call the place.
+
+    The ``junction`` of an id, or all whose middle is within :data:`CLUSTER` of ``center`` (x, y).
+    Raises InspeError where not just one of the two is given, or no junction is there.
+    """
+    if (junction is None) == (center is None):
+        raise InspeError("say which place to read: either a junction id or a center (x, y)")
+    if center is None:
+        named = {str(j): j for j in ids}
+        name = str(junction)
+        if name not in named:
+            known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
+            raise InspeError(
+                f"{source}: no junction '{name}'; there are: {known or 'none'}"
+                f"{nearest(name, [*named])}"
+            )
+        return {named[name]}, middle_of(named[name]), f"junction {name}"
+    middle, where = np.array([*center, 0.0], float), f"({center[0]:g}, {center[1]:g})"
+    middles = {j: middle_of(j) for j in ids}
+    away = {j: float(distance_from(at[None], middle)[0]) for j, at in middles.items()}
+    members = {j for j, d in away.items() if d <= CLUSTER}
+    if not members:
+        closest = min(away, key=lambda j: away[j], default=None)
+        hint = "" if closest is None else f"; the nearest is {closest} at {away[closest]:.0f} m"
+        raise InspeError(f"{source}: no junction within {CLUSTER:g} m of {where}{hint}")
+    middle[2] = np.mean([middles[j][2] for j in members])
+    return members, middle, f"at {where}"
+
+
+def check_radius(radius: float) -> None:
+    """Raise InspeError where a map cannot be read to such a radius [m]."""
+    if not 0 < radius <= 500:
+        raise InspeError(f"radius {radius:g} m is out of range: between 0 and 500 m")
+
+
+def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Plan distance of points (N, 2 or 3) from the middle [m]."""
+    return np.hypot(*(points[:, :2] - middle[:2]).T)
+
+
+def resample(line: np.ndarray) -> np.ndarray:
+    """Points evenly spaced in plan, about :data:`STEP` apart."""
+    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    even = np.linspace(0, arc[-1], max(2, round(arc[-1] / STEP) + 1))
+    return np.column_stack([np.interp(even, arc, column) for column in line.T])
+
+
+def valid(shape: BaseGeometry) -> BaseGeometry:
+    """The shape, mended where its outline crosses itself."""
+    return shape if shape.is_valid else shape.buffer(0)
+
+
+def clean(shape: BaseGeometry) -> BaseGeometry:
+    """Close seams and drop slivers of a few centimetres and crumbs; corners stay square."""
+    for step in (0.05, -0.12, 0.07):
+        shape = shape.buffer(step, join_style="mitre")
+    return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
+
+
+def crosswalks_of(
+    loops: Iterable[np.ndarray],
+    areas: dict[Region, BaseGeometry],
+    arms: tuple[Arm, ...],
+    ground: np.ndarray,
+    disc: Polygon,
+    notes: list[str],
+) -> list[BaseGeometry]:
+    """The map's crosswalks, loops (K, 3) each, within the disc and on the ``ground`` (N, 3); strips
+    across the mouths if it has none here."""
+    index = cKDTree(ground[:, :2])
+    walks = []
+    for loop in loops:
+        middle = loop.mean(0)
+        level = ground[index.query(middle[:2])[1], 2]
+        if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
+            walks.append(valid(Polygon(loop[:, :2])))
+    if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
+        return walks
+    if areas[Region.SIDEWALK].intersection(disc).is_empty:
+        notes.append("no crosswalks: the map has none here, and no sidewalks they could join")
+        return walks
+    notes.append("the map has no crosswalks here; strips across the junction's mouths stand in")
+    return walks + [mouth_crosswalks((arm,)) for arm in arms]
+
+
+def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
+    """The middle line of each crosswalk, along its longer side and 3 m beyond (N, 2)."""
+    for walk in walks:
+        corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
+        sides = np.diff(corners[:3], axis=0)
+        along = sides[np.argmax(np.hypot(*sides.T))]
+        reach = along / 2 + 3.0 * along / np.linalg.norm(along)
+        middle = corners.mean(0)
+        yield resample(np.array([middle - reach, middle + reach]))
+
+
+def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Ways on foot (N, 2), joined where one goes on from another; 5 m or more."""
+    lines = list(lines)
+    while lines:
+        line = lines.pop()
+        grown = True
+        while grown:
+            grown = False
+            for i, other in enumerate(lines):
+                for a in (line, line[::-1]):
+                    for b in (other, other[::-1]):
+                        if not grown and np.hypot(*(a[-1] - b[0])) < 1.5:
+                            line, grown = np.concatenate([a, b]), True
+                            del lines[i]
+                if grown:
+                    break
+        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
+            yield resample(line)
+
+
+def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:
+    """Ways on foot (N, 2) as routes on the ground of a place, both ways."""
+    for line in lines:
+        for way in (line, line[::-1]):
+            yield Route(place.on_ground(way), 2.0, "pedestrian")
+
+
+def mounting_of(
+    regions: dict[Region, BaseGeometry],
+    medians: list[BaseGeometry],
+    arms: tuple[Arm, ...],
+    disc: Polygon,
+) -> BaseGeometry:
+    """Where a pole may stand: sidewalks, shoulders and medians, clear of traffic and crossings.
+
+    Islands at the corners stand in only where there is none of these beside the junction: next
+    to a sidewalk they add nothing, and on a deck they would hang in the air.
+    """
+    standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
+    beside = unary_union(standing).distance(regions[Region.JUNCTION])
+    if not beside <= 5.0:  # not a number where there is none at all
+        standing.append(corner_islands(arms))
+    traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
+    free = unary_union(standing).intersection(disc).difference(unary_union(traffic))
+    return clean(free)

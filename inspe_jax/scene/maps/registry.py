@@ -1,0 +1,83 @@
+"""The registry of map formats: OpenDRIVE, SUMO networks and OpenStreetMap.
+
+Adding a format is a module that reads it, and a row of :data:`FORMATS`.
+"""
+
+import os
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
+
+
+@dataclass(frozen=True)
+class MapFormat:
+    """A format of map files.
+
+    ``suffixes`` end its file names, in lower case. ``module`` has ``list_junctions(path)`` and a
+    function named ``reader``, called as :func:`read_map` is. It is imported on first use, as it
+    may need a package of an extra.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    module: str
+    reader: str
+
+    def call(self, function: str, *given: Any, **options: Any) -> Any:
+        """Call a function of the module."""
+        return getattr(import_module(self.module), function)(*given, **options)
+
+
+FORMATS = [
+    MapFormat(
+        "OpenDRIVE", (".xodr",), "inspe_jax.scene.maps.opendrive.reader", reader="read_opendrive"
+    ),
+    MapFormat(
+        "SUMO network or OpenStreetMap",
+        (*NET_SUFFIXES, *OSM_SUFFIXES),
+        "inspe_jax.scene.maps.sumo.reader",
+        reader="read_sumo",
+    ),
+]
+"""The formats, the first that fits a file's name reads it."""
+
+
+def map_suffixes() -> tuple[str, ...]:
+    """How the names of map files end."""
+    return tuple(suffix for row in FORMATS for suffix in row.suffixes)
+
+
+def is_map(path: str | os.PathLike[str]) -> bool:
+    """Whether a file's name is that of a map."""
+    return str(path).lower().endswith(map_suffixes())
+
+
+def _format_of(path: str | os.PathLike[str]) -> MapFormat:
+    """The format of a file by its name; the last one's reader says what is wrong with any other."""
+    name = str(path).lower()
+    return next((row for row in FORMATS if name.endswith(row.suffixes)), FORMATS[-1])
+
+
+def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
+    """The junctions of a map. Raises InspeError as :func:`read_map`."""
+    return _format_of(path).call("list_junctions", path)
+
+
+def read_map(
+    path: str | os.PathLike[str],
+    *,
+    junction: str | int | None = None,
+    center: tuple[float, float] | None = None,
+    radius: float = 50.0,
+) -> Intersection:
+    """One junction of a map and its surroundings, by its id or a centre (x, y) [m].
+
+    See :func:`~inspe_jax.scene.maps.opendrive.reader.read_opendrive` and
+    :func:`~inspe_jax.scene.maps.sumo.reader.read_sumo`, which also say what errors they raise.
+    """
+    row = _format_of(path)
+    return row.call(row.reader, path, junction=junction, center=center, radius=radius)

@@ -1,0 +1,1 @@
+"""SUMO networks and OpenStreetMap extracts."""

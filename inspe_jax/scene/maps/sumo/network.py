@@ -1,0 +1,163 @@
+"""SUMO's road networks: read, or made by netconvert from OpenDRIVE and OpenStreetMap.
+
+World coordinates are those of the map that a network was made from: SUMO moves its networks to
+begin at (0, 0), and what it moved them by is taken off again, but for geographic projections, whose
+coordinates are millions of metres.
+"""
+
+import atexit
+import functools
+import gzip
+import hashlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax import SAXException
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
+
+NET_SUFFIXES = (".net.xml", ".net.xml.gz")
+OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
+GEOGRAPHIC = 20_000.0
+"""A network moved by more than this [m] was projected from latitudes and longitudes."""
+
+_HOW = {
+    ".xodr": (
+        "--opendrive-files",
+        *("--offset.disable-normalization", "true"),
+        *("--sidewalks.guess", "true", "--crossings.guess", "true"),
+        *("--no-turnarounds.except-deadend", "true"),
+    ),
+    ".osm": (
+        "--osm-files",
+        *("--geometry.remove", "true", "--junctions.join", "true", "--ramps.guess", "true"),
+        *("--tls.guess-signals", "true", "--tls.discard-simple", "true", "--tls.join", "true"),
+        *("--osm.sidewalks", "true"),
+        *("--sidewalks.guess", "true", "--crossings.guess", "true"),
+        *("--no-turnarounds.except-deadend", "true"),
+    ),
+}
+"""What netconvert is told of each kind of map; where a map has no sidewalks they are guessed."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoadNet:
+    """A network read: the file that SUMO itself can run on, sumolib's reading of it, and ``shift``,
+    what is taken off its coordinates to give those of the world [m]."""
+
+    name: str
+    source: str
+    file: Path
+    net: Any
+    shift: Float[np.ndarray, "2"]
+
+    def world(self, points: Any) -> np.ndarray:
+        """Points (N, 2 or 3) of the network as (N, 3) of the world; height 0 where it has none."""
+        at = np.array([(*p, 0.0)[:3] for p in points], float).reshape(-1, 3)
+        return at - [*self.shift, 0.0]
+
+
+def load_net(path: Path) -> RoadNet:
+    """The network of a .net.xml, .osm or .xodr file, kept for as long as the file stays the same.
+
+    Raises InspeError where SUMO is missing, the file is missing or is none of these, or it holds no
+    roads.
+    """
+    check_input(path)
+    stat = path.stat()
+    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=8)
+def _read(path: Path, where: Path, _modified: int, _size: int) -> RoadNet:
+    try:
+        import sumolib
+    except ImportError as error:
+        raise InspeError(
+            "SUMO networks and OpenStreetMap need: pip install 'inspe_jax[sumo]'"
+        ) from error
+    file = where if path.name.lower().endswith(NET_SUFFIXES) else _converted(path)
+    _check_root(file, path, "net")
+    try:
+        net = sumolib.net.readNet(
+            str(file), withInternal=True, withPedestrianConnections=True, lxml=False
+        )
+    except (SAXException, KeyError, ValueError, AttributeError, TypeError) as error:
+        raise InspeError(f"{path}: not a SUMO network: it lacks or misstates {error}") from error
+    if not any(edge.getFunction() == "" for edge in net.getEdges()):
+        raise InspeError(f"{path}: the network has no roads")
+    moved = np.array(net.getLocationOffset(), float)
+    shift = moved if np.abs(moved).max() <= GEOGRAPHIC else np.zeros(2)
+    return RoadNet(path.name.split(".")[0], path.name, file, net, shift)
+
+
+def _check_root(file: Path, path: Path, wanted: str) -> None:
+    """Raise InspeError where a file is not XML whose root is the one wanted."""
+    try:
+        with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as f:
+            root = next(ET.iterparse(f, events=("start",)))[1].tag
+    except (ET.ParseError, StopIteration, OSError) as error:
+        raise InspeError(f"{path}: not well-formed XML: {error}") from error
+    if root != wanted:
+        raise InspeError(f"{path}: the root element is <{root}>, not <{wanted}>")
+
+
+# ── SUMO's own programs ─────────────────────────────────────────────────────
+
+
+@functools.cache
+def _folder() -> Path:
+    """A folder for what is converted, for as long as this process lives."""
+    folder = tempfile.mkdtemp(prefix="inspe_jax_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+def _converted(path: Path) -> Path:
+    """The network that netconvert makes of a map."""
+    kind = ".xodr" if path.suffix.lower() == ".xodr" else ".osm"
+    if kind == ".osm":
+        _check_root(path, path, "osm")
+    source, *options = _HOW[kind]
+    made = _folder() / (hashlib.sha256(path.read_bytes()).hexdigest()[:16] + ".net.xml")
+    if not made.exists():
+        part = made.with_suffix(".part.xml")
+        run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")
+        part.rename(made)
+    return made
+
+
+def program(name: str) -> str:
+    """One of SUMO's programs: of the installed package, beside Python, or on the path."""
+    try:
+        import sumo
+
+        inside = Path(sumo.SUMO_HOME) / "bin" / name
+        found = shutil.which(str(inside))
+    except ImportError:
+        found = None
+    found = found or shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+    if found is None:
+        raise InspeError(f"{name} is missing: pip install 'inspe_jax[sumo]'")
+    return found
+
+
+def run(name: str, arguments: Sequence[str], where: str) -> None:
+    """Run one of SUMO's programs. Raises InspeError with the first error that it prints."""
+    done = subprocess.run(
+        [program(name), *arguments], capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.startswith("Error")]
+        reason = said[0].removeprefix("Error: ") if said else f"exit status {done.returncode}"
+        raise InspeError(f"{where}: {name} cannot use it: {reason}")

@@ -1,0 +1,336 @@
+"""SUMO networks and OpenStreetMap extracts into intersections: lanes, crossings and sidewalks."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from shapely.geometry import MultiPolygon, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Leg, arms_of
+from inspe_jax.scene.maps.lane_strips import Strip, same_level
+from inspe_jax.scene.maps.parts import (
+    CLUSTER,
+    MARGIN,
+    JunctionInfo,
+    check_radius,
+    chosen,
+    clean,
+    crossing_lines,
+    crosswalks_of,
+    distance_from,
+    joined_lines,
+    mounting_of,
+    resample,
+    valid,
+    walking_routes,
+)
+from inspe_jax.scene.maps.sumo.lanes import Streets, distinct, kind_of, streets_of
+from inspe_jax.scene.maps.sumo.network import load_net
+from inspe_jax.scene.regions import Region
+
+NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
+
+
+def _roads(edges: Iterable[Any]) -> list[Any]:
+    """Those of some edges that motors drive on."""
+    return [e for e in edges if any(kind_of(lane) == "driving" for lane in e.getLanes())]
+
+
+def _arm_count(node: Any) -> int:
+    """How many other nodes the roads of a node lead to or come from."""
+    beyond = {e.getToNode().getID() for e in _roads(node.getOutgoing())}
+    beyond |= {e.getFromNode().getID() for e in _roads(node.getIncoming())}
+    return len(beyond - {node.getID()})
+
+
+def _is_junction(node: Any) -> bool:
+    return node.getType() not in NO_JUNCTION and _arm_count(node) > 2
+
+
+def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
+    """The junctions of a SUMO network or an OpenStreetMap extract: where three roads or more meet.
+
+    Raises InspeError as :func:`read_sumo`.
+    """
+    streets = streets_of(load_net(Path(path)))
+    middles = np.array([loop.mean(0) for loop in streets.crossings]).reshape(-1, 3)
+    found = []
+    for node in streets.road.net.getNodes():
+        if not _is_junction(node):
+            continue
+        x, y, z = (float(v) for v in _middle(streets, node.getID()))
+        outline = streets.road.world(node.getShape())[:, :2].reshape(-1, 2)
+        size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
+        arms, _ = arms_of(_legs(streets, {node.getID()}))
+        near = int((distance_from(middles, np.array([x, y])) < size / 2 + 8.0).sum())
+        lit = node.getType().startswith("traffic_light")
+        lights = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
+        found.append(JunctionInfo(node.getID(), (x, y, z), len(arms), size, near, lights))
+    return tuple(found)
+
+
+def read_sumo(
+    path: str | os.PathLike[str],
+    *,
+    junction: str | int | None = None,
+    center: tuple[float, float] | None = None,
+    radius: float = 50.0,
+) -> Intersection:
+    """One junction of a SUMO network (.net.xml) or OpenStreetMap extract (.osm), in world metres.
+
+    Give ``junction``, a node of the network, or ``center`` (x, y) [m]: all junctions within 35 m of
+    it then count as one, as those of a roundabout. Coordinates are those of the map that the
+    network was made from (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to ``radius`` +
+    10 m; routes run from ``radius`` to ``radius``. Roads on another level are left out.
+
+    Raises InspeError where SUMO is missing, the file is missing or is no network, it has no such
+    junction, or no road is near.
+    """
+    streets = streets_of(load_net(Path(path)))
+    road = streets.road
+    nodes = [node.getID() for node in road.net.getNodes() if _is_junction(node)]
+    members, middle, place = chosen(road.source, nodes, partial(_middle, streets), junction, center)
+    check_radius(radius)
+    reach = radius + MARGIN
+    near = [s for s in streets.strips.values() if distance_from(s.center, middle).min() <= reach]
+    if not near:
+        raise InspeError(
+            f"{road.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
+        )
+    interior = _interior(streets, members)
+    own = {s.road for s in near if distance_from(s.center, middle).min() <= CLUSTER}
+    strips = same_level(near, [s.road in own or s.road in interior for s in near])
+    legs = _legs(streets, members)
+    arms, arm_of = arms_of(legs)
+    notes: list[str] = []
+
+    ground = np.concatenate([s.center for s in strips])
+    ground = ground[distance_from(ground, middle) <= reach + 5.0]
+    disc = Point(middle[:2]).buffer(reach, quad_segs=32)
+    areas = _areas(streets, strips, members, interior, middle)
+    loops = [c for c in streets.crossings if distance_from(c, middle).min() <= reach]
+    walks = crosswalks_of(loops, areas, arms, ground, disc, notes)
+    areas[Region.CROSSWALK] = clean(unary_union(walks))
+    regions = {region: areas[region].intersection(disc) for region in Region}
+    notes.append("no signal poles: SUMO's networks do not say where they stand")
+    found = Intersection(
+        name=f"{road.name} {place}",
+        source=f"{road.source} (SUMO)",
+        center=middle,
+        regions=regions,
+        arms=arms,
+        routes=(),
+        mounting=mounting_of(regions, [], arms, disc),
+        poles=np.zeros((0, 3)),
+        ground_points=ground,
+        notes=tuple(notes),
+        map=Path(path).resolve(),
+    )
+
+    pavements = [
+        run.center[:, :2]
+        for strip in strips
+        if strip.kind == "sidewalk"
+        for run in strip.runs(distance_from(strip.center, middle) <= radius)
+    ]
+    people = [*crossing_lines(walks), *joined_lines(pavements)]
+    routes = [
+        *_vehicle_routes(streets, legs, arm_of, members, interior, middle, radius),
+        *walking_routes(found, people),
+    ]
+    return replace(found, center=found.on_ground(middle[None])[0], routes=tuple(routes))
+
+
+def _middle(streets: Streets, name: str) -> np.ndarray:
+    """That of a node's outline, or where the node is if it has none (3,)."""
+    middle = streets.node(name)
+    outline = streets.road.world(streets.road.net.getNode(name).getShape())
+    if len(outline) > 2:
+        middle[:2] = (outline.min(0) + outline.max(0))[:2] / 2
+    return middle
+
+
+def _edges_at(streets: Streets, members: set[str]) -> dict[int, Any]:
+    """The edges that begin or end at some nodes, by number."""
+    nodes = [streets.road.net.getNode(name) for name in members]
+    edges = [edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())]
+    return dict(sorted((streets.numbers[edge.getID()], edge) for edge in {*edges}))
+
+
+def _interior(streets: Streets, members: set[str]) -> set[int]:
+    """Numbers of the edges that lie within the junction, or lead from one member to another."""
+    inside = set()
+    for number, edge in _edges_at(streets, members).items():
+        ends = {edge.getFromNode().getID(), edge.getToNode().getID()}
+        if ends <= members and (edge.getFunction() or edge.getLength() <= 2 * CLUSTER):
+            inside.add(number)
+    return inside
+
+
+def _legs(streets: Streets, members: set[str]) -> list[Leg]:
+    """The ends at the junction of the edges that lead to it and from it."""
+    inside = _interior(streets, members)
+    return [
+        _leg(streets, number, edge, end)
+        for number, edge in _edges_at(streets, members).items()
+        if number not in inside and not edge.getFunction() and _roads([edge])
+        for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
+        if node.getID() in members
+    ]
+
+
+def _leg(streets: Streets, number: int, edge: Any, end: str) -> Leg:
+    """One edge cut across where it meets the junction."""
+    step = 1 if end == "start" else -1  # along the strip's stations, away from the junction
+    lanes = [(lane, streets.strips.get(lane.getID())) for lane in edge.getLanes()]
+    strips = [(lane, strip) for lane, strip in lanes if strip is not None]
+    guide = next(s for _, s in strips if s.kind == "driving").center[::step, :2]
+    origin, outward = guide[0], guide[min(2, len(guide) - 1)] - guide[0]
+    outward = outward / np.hypot(*outward)
+    left = np.array([-outward[1], outward[0]])
+    cut = []
+    for lane, strip in strips:
+        offset = float((strip.center[::step][0, :2] - origin) @ left)
+        half = lane.getWidth() / 2
+        cut.append((lane.getIndex(), strip.kind, offset - half, offset + half, end == "end"))
+    chord = guide[min(15, len(guide) - 1)] - guide[0]
+    return Leg(
+        number,
+        end,
+        origin,
+        float(np.arctan2(outward[1], outward[0])),
+        float(np.arctan2(chord[1], chord[0])),
+        tuple(cut),
+    )
+
+
+def _areas(
+    streets: Streets,
+    strips: list[Strip],
+    members: set[str],
+    interior: set[int],
+    middle: Float[np.ndarray, "3"],
+) -> dict[Region, BaseGeometry]:
+    """Junction, driveway, shoulder and sidewalk, one beside the other.
+
+    A node's outline encloses its crossings and the corners where people wait: those are sidewalk.
+    """
+    reach = max(float(distance_from(s.center, middle).max()) for s in strips)
+    ground = np.concatenate([s.center for s in strips])
+    corners = {n for n, _ in streets.walks}
+    waiting = [shape for _, shape in streets.walks if shape.distance(Point(middle[:2])) <= reach]
+    parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
+    parts[Region.SIDEWALK] += waiting
+    walked = unary_union(waiting)
+    for node in streets.road.net.getNodes():
+        at = streets.node(node.getID())
+        closest = ground[np.argmin(distance_from(ground, at))]
+        outline = streets.road.world(node.getShape())
+        if len(outline) > 2 and distance_from(at[None], middle)[0] <= reach + CLUSTER:
+            if abs(at[2] - closest[2]) > 2.0:
+                continue
+            shape = valid(Polygon(outline[:, :2]))
+            if node.getID() in corners:
+                shape = shape.difference(walked)
+            own = node.getID() in members
+            parts[Region.JUNCTION if own else Region.DRIVEWAY].append(shape)
+    for strip in strips:
+        if strip.kind in CARRIAGEWAY:
+            region = Region.JUNCTION if strip.road in interior else Region.DRIVEWAY
+        else:
+            region = Region.SHOULDER if strip.kind == "shoulder" else Region.SIDEWALK
+        parts[region].append(strip.polygon)
+    areas: dict[Region, BaseGeometry] = {}
+    taken: BaseGeometry = MultiPolygon()
+    for region in (Region.JUNCTION, Region.DRIVEWAY, Region.SHOULDER, Region.SIDEWALK):
+        areas[region] = clean(unary_union(parts[region]).difference(taken))
+        taken = unary_union([taken, areas[region]])
+    return areas
+
+
+# ── Routes ──────────────────────────────────────────────────────────────────
+
+
+def _vehicle_routes(
+    streets: Streets,
+    legs: list[Leg],
+    arm_of: dict[tuple[int, str], int],
+    members: set[str],
+    interior: set[int],
+    middle: np.ndarray,
+    radius: float,
+) -> Iterator[Route]:
+    """Every way from an inbound lane to another arm, from radius to radius; no U-turns."""
+    edges = streets.road.net.getEdges(withInternal=True)
+    for leg in legs:
+        if leg.end != "end":
+            continue
+        for lane in edges[leg.road].getLanes():
+            strip = streets.strips.get(lane.getID())
+            if strip is None or strip.kind != "driving":
+                continue
+            before = _follow(streets, lane.getID(), -1, middle, radius)
+            for way in _ways(streets, lane.getID(), interior):
+                last = streets.strips[way[-1]]
+                exit_arm = arm_of.get((last.road, "start"), -1)
+                if exit_arm in (arm_of[leg.road, "end"], -1):
+                    continue
+                names = [*before, *way, *_follow(streets, way[-1], 1, middle, radius)]
+                line = distinct(np.concatenate([streets.strips[n].center for n in names]))
+                line = _about(line, distance_from(line, strip.center[-1]).argmin(), middle, radius)
+                if len(line) > 1:
+                    through = (arm_of[leg.road, "end"], exit_arm)
+                    yield Route(resample(line), lane.getWidth(), "vehicle", through)
+
+
+def _ways(streets: Streets, start: str, interior: set[int]) -> Iterator[list[str]]:
+    """All lanes from an inbound one through the junction to the first beyond it."""
+    stack = [[start]]
+    while stack:
+        path = stack.pop()
+        for lane in streets.follows[path[-1]]:
+            strip = streets.strips[lane]
+            if strip.kind != "driving" or lane in path:  # round a roundabout once
+                continue
+            if strip.road in interior:
+                stack.append([*path, lane])
+            else:
+                yield [*path, lane]
+
+
+def _follow(streets: Streets, start: str, way: int, middle: np.ndarray, radius: float) -> list[str]:
+    """Lanes onward (way = 1) or back (−1) to the radius, forks straight on; in order of travel."""
+    found: list[str] = []
+    here = start
+    for _ in range(50):
+        end = streets.strips[here].center[-1 if way > 0 else 0]
+        options = (streets.follows if way > 0 else streets.leads).get(here, [])
+        options = [o for o in options if streets.strips[o].kind == "driving" and o not in found]
+        if not options or distance_from(end[None], middle)[0] > radius:
+            break
+
+        def turn(lane: str, here: str = here) -> float:
+            a, b = (streets.strips[n].center[:, :2] for n in (here, lane))
+            one, two = (a[-1] - a[-2], b[-1] - b[-2]) if way > 0 else (a[1] - a[0], b[1] - b[0])
+            return float(one @ two / np.hypot(*one) / np.hypot(*two))
+
+        here = max(options, key=turn)
+        found.append(here)
+    return found if way > 0 else found[::-1]
+
+
+def _about(line: np.ndarray, at: int | np.intp, middle: np.ndarray, radius: float) -> np.ndarray:
+    """The run of a line's points about index ``at`` that lies within the radius."""
+    outside = np.flatnonzero(distance_from(line, middle) > radius)
+    first = outside[outside < at].max(initial=-1) + 1
+    last = outside[outside > at].min(initial=len(line))
+    return line[first:last]

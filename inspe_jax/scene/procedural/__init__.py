@@ -1,0 +1,1 @@
+"""Built-in intersections, made from parameters."""

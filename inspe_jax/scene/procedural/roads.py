@@ -1,0 +1,297 @@
+"""Straight roads with kerbs, lanes and sidewalks: what the built-in intersections are made of."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.intersection import (
+    CROSSWALK_WIDTH,
+    Arm,
+    Intersection,
+    Route,
+    mouth_crosswalks,
+)
+from inspe_jax.scene.procedural.curves import bend, fillet, joined, length, offset, resampled
+from inspe_jax.scene.regions import Region
+
+LENGTH = 120.0
+"""How far roads run from the middle [m]."""
+ROUTE_LENGTH = 110.0
+"""How far routes run from the middle [m]."""
+
+_CORNER = np.radians(150.0)  # arms less far apart have a corner; others a kerb that runs on
+_STRAIGHT = np.radians(30.0)  # a movement that turns less goes straight on
+_STOP = CROSSWALK_WIDTH + 1.0  # from the mouth to where drivers stop [m]
+
+
+@dataclass(frozen=True)
+class Road:
+    """A straight arm: its lanes either side of an axis through the origin."""
+
+    bearing: float
+    lanes_in: int
+    lanes_out: int
+    lane_width: float
+    median: float = 0.0
+
+    @property
+    def along(self) -> np.ndarray:
+        """Unit vector outward (2,)."""
+        # Exact on the axes, where cos and sin are not: quarter turns stay quarter turns.
+        return np.round([np.cos(self.bearing), np.sin(self.bearing)], 15)
+
+    @property
+    def left(self) -> float:
+        """From the axis to the kerb of the inbound lanes, left looking outward [m]."""
+        return self.median / 2 + self.lanes_in * self.lane_width
+
+    @property
+    def right(self) -> float:
+        """… and to that of the outbound ones [m]."""
+        return self.median / 2 + self.lanes_out * self.lane_width
+
+    def lane(self, k: int) -> float:
+        """From the axis to the middle of its k-th lane, either way [m]."""
+        return self.median / 2 + (k + 0.5) * self.lane_width
+
+    def at(self, station: float, left: float) -> np.ndarray:
+        """A point (2,) so far out and to the left of the axis, looking outward."""
+        u = self.along
+        return station * u + left * np.array([-u[1], u[0]])
+
+    def arm(self, mouth: float) -> Arm:
+        """The record of this road, which enters the junction at ``mouth``."""
+        x, y = self.at(mouth, (self.left - self.right) / 2)
+        return Arm((float(x), float(y)), self.bearing, self.left + self.right)
+
+    def carriageway(self, start: float, end: float) -> Polygon:
+        """From kerb to kerb, between two stations [m]."""
+        across = ((start, -self.right), (end, -self.right), (end, self.left), (start, self.left))
+        return Polygon([self.at(*corner) for corner in across])
+
+
+def town(
+    name: str,
+    roads: list[Road],
+    mouths: list[float],
+    kerbs: list[np.ndarray],
+    routes: Sequence[Route],
+    *,
+    shoulder: float,
+    sidewalk: float,
+    islands: BaseGeometry | None = None,
+    notes: tuple[str, ...] = (),
+) -> Intersection:
+    """Roads with shoulders, sidewalks, crosswalks, people and signal poles.
+
+    ``mouths`` are how far out on each road the junction ends [m]. ``kerbs`` go round it: kerb i
+    leads from the left of road i, looking outward, in along it and out along the right of
+    the next road, from mouth to mouth. ``islands`` are cut out of the carriageway.
+    """
+    after = roads[1:] + roads[:1]
+    long = [
+        joined(a.at(LENGTH, a.left), kerb, b.at(LENGTH, -b.right))
+        for a, b, kerb in zip(roads, after, kerbs, strict=True)
+    ]
+    arms = tuple(road.arm(mouth) for road, mouth in zip(roads, mouths, strict=True))
+    driveway = MultiPolygon([r.carriageway(m, LENGTH) for r, m in zip(roads, mouths, strict=True)])
+    junction = Polygon(joined(*kerbs))
+    mounting = MultiPolygon([strip(line, 0.0, shoulder + sidewalk) for line in long])
+    gutters = [strip(line, 0.0, shoulder) for line in long] if shoulder else []
+    walks = MultiPolygon([strip(line, shoulder, shoulder + sidewalk) for line in long])
+    if not all(shape.is_valid for shape in (driveway, junction, mounting, walks)):
+        raise InspeError(f"{name}: the arms do not fit together; spread them or narrow them")
+    if islands is not None:
+        driveway, junction = driveway.difference(islands), junction.difference(islands)
+        mounting = unary_union([mounting, islands])
+    # People step from sidewalk to sidewalk, so a crosswalk spans the shoulders too.
+    spans = tuple(replace(arm, width=arm.width + 2 * shoulder) for arm in arms)
+    crosswalks = mouth_crosswalks(spans)
+    regions = {
+        Region.DRIVEWAY: driveway,
+        Region.JUNCTION: junction,
+        Region.CROSSWALK: crosswalks,
+        Region.SIDEWALK: walks,
+        Region.SHOULDER: MultiPolygon(gutters),
+    }
+    footway = shoulder + sidewalk / 2
+    people = [
+        route(line, 2.0, user="pedestrian")
+        for walk in _footpaths(roads, mouths, kerbs, footway)
+        for line in (walk, walk[::-1])
+    ]
+    poles = _poles(roads, mouths, kerbs, shoulder + min(0.5, sidewalk / 2))
+    mounting = mounting.difference(crosswalks)
+    return on_level_ground(name, regions, arms, [*routes, *people], mounting, poles, notes)
+
+
+def _footpaths(
+    roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
+) -> Iterator[Float[np.ndarray, "N 2"]]:
+    """Over every crosswalk, and along every sidewalk round its corner, ``back`` from the kerb."""
+    for road, mouth in zip(roads, mouths, strict=True):
+        middle = mouth + CROSSWALK_WIDTH / 2
+        yield np.array([road.at(middle, -road.right - back), road.at(middle, road.left + back)])
+    for a, b, kerb in zip(roads, roads[1:] + roads[:1], kerbs, strict=True):
+        start = a.at(station(a.left + back), a.left)
+        end = b.at(station(b.right + back), -b.right)
+        yield offset(joined(start, kerb, end), -back)
+
+
+def _poles(
+    roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
+) -> Float[np.ndarray, "P 3"]:
+    """A signal pole at every corner, ``back`` from the kerb.
+
+    Where the kerb runs on from road to road there are two, each where drivers stop.
+    """
+    feet: list[np.ndarray] = []
+    for i, kerb in enumerate(kerbs):
+        j = (i + 1) % len(roads)
+        a, b = roads[i], roads[j]
+        if gap(a, b) < _CORNER:
+            line = offset(kerb, -back)
+            feet.append(resampled(line, length(line) / 2)[1])
+        else:
+            feet.append(a.at(mouths[i] + _STOP, a.left + back))
+            feet.append(b.at(mouths[j] + _STOP, -b.right - back))
+    return np.column_stack([np.array(feet), np.zeros(len(feet))])
+
+
+def corners(roads: list[Road], radius: float) -> tuple[list[float], list[np.ndarray]]:
+    """The mouth of every road [m], and the kerbs round the junction, as :func:`town` wants them.
+
+    The junction ends on each road where the arcs, of ``radius``, of the corners on both sides
+    have ended. Between roads that face each other the kerb runs on without a corner.
+    """
+    after = roads[1:] + roads[:1]
+    arcs = [_corner(a, b, radius) for a, b in zip(roads, after, strict=True)]
+    mouths = [radius] * len(roads)
+    for i, arc in enumerate(arcs):
+        j = (i + 1) % len(roads)
+        if len(arc):
+            mouths[i] = max(mouths[i], float(arc[0] @ roads[i].along))
+            mouths[j] = max(mouths[j], float(arc[-1] @ roads[j].along))
+    kerbs = []
+    for i, (a, b) in enumerate(zip(roads, after, strict=True)):
+        start, end = a.at(mouths[i], a.left), b.at(mouths[(i + 1) % len(roads)], -b.right)
+        round_it = arcs[i] if len(arcs[i]) else bend(start, -a.along, end, b.along)
+        kerbs.append(joined(start, round_it, end))
+    return mouths, kerbs
+
+
+def _corner(a: Road, b: Road, radius: float) -> Float[np.ndarray, "N 2"]:
+    """The arc of the kerb between two neighbours; no points where there is no corner."""
+    if gap(a, b) >= _CORNER:
+        return np.zeros((0, 2))
+    start, end = a.at(LENGTH, a.left), b.at(LENGTH, -b.right)
+    return fillet(start, -a.along, end, b.along, radius)
+
+
+def on_level_ground(
+    name: str,
+    regions: dict[Region, BaseGeometry],
+    arms: tuple[Arm, ...],
+    routes: Sequence[Route],
+    mounting: BaseGeometry,
+    poles: Float[np.ndarray, "P 3"],
+    notes: tuple[str, ...],
+) -> Intersection:
+    """The record of an intersection that lies at z = 0 with its middle at the origin."""
+    at = (-LENGTH, 0.0, LENGTH)
+    return Intersection(
+        name=name,
+        source="built-in",
+        center=np.zeros(3),
+        regions=regions,
+        arms=arms,
+        routes=tuple(routes),
+        mounting=mounting,
+        poles=poles,
+        ground_points=np.array([(x, y, 0.0) for x in at for y in at]),
+        notes=notes,
+    )
+
+
+def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
+    """The strip from ``near`` to ``far`` metres to the right of a line."""
+    return Polygon(joined(offset(line, -near), offset(line, -far)[::-1]))
+
+
+# ── Routes ──────────────────────────────────────────────────────────────────
+
+
+def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Iterator[Route]:
+    """Every movement from every road to every other, on the lanes meant for it.
+
+    Turns are arcs as wide as the mouths allow, but round a corner no wider than keeps the lane
+    at its distance from the kerb.
+    """
+    for i, a in enumerate(roads):
+        for j, k, n in _movements(roads, i):
+            b = roads[j]
+            start, end = a.at(mouths[i], a.lane(k)), b.at(mouths[j], -b.lane(n))
+            room = np.inf
+            if j == (i + 1) % len(roads) and gap(a, b) < _CORNER:  # on the driver's right
+                room = min(a.left - a.lane(k), b.right - b.lane(n))
+            elif j == (i - 1) % len(roads) and gap(b, a) < _CORNER:
+                room = min(a.right + a.lane(k), b.left + b.lane(n))
+            path = joined(
+                a.at(station(a.lane(k)), a.lane(k)),
+                bend(start, -a.along, end, b.along, corner_radius + room),
+                b.at(station(b.lane(n)), -b.lane(n)),
+            )
+            yield route(path, a.lane_width, (i, j))
+
+
+def _movements(roads: list[Road], i: int) -> list[tuple[int, int, int]]:
+    """(exit arm, entry lane, exit lane) from road i; lanes count from the axis.
+
+    Right turns keep to the outermost lanes, left turns to the innermost; straight on each
+    lane keeps its place as far as the exit has lanes. A lane that none of this serves goes
+    the straightest way.
+    """
+    lanes = roads[i].lanes_in
+    exits = [j for j, road in enumerate(roads) if j != i and road.lanes_out]
+    if not lanes or not exits:
+        return []
+    turn = {j: np.pi - gap(roads[i], roads[j]) for j in exits}  # right is positive
+    found = []
+    for j in exits:
+        if abs(turn[j]) < _STRAIGHT:
+            found += [(j, k, k) for k in range(min(lanes, roads[j].lanes_out))]
+        elif turn[j] > 0:
+            found.append((j, lanes - 1, roads[j].lanes_out - 1))
+        else:
+            found.append((j, 0, 0))
+    straightest = min(exits, key=lambda j: abs(turn[j]))
+    last = roads[straightest].lanes_out - 1
+    idle = set(range(lanes)) - {k for _, k, _ in found}
+    return found + [(straightest, k, min(k, last)) for k in sorted(idle)]
+
+
+def gap(a: Road, b: Road) -> float:
+    """Angle from one road to another, counter-clockwise [rad]."""
+    return float((b.bearing - a.bearing) % (2 * np.pi))
+
+
+def station(left: float) -> float:
+    """How far along its road a line so far from the axis leaves the routes' circle [m]."""
+    return float(np.sqrt(ROUTE_LENGTH**2 - left**2))
+
+
+def route(
+    line: Float[np.ndarray, "N 2"],
+    width: float,
+    through: tuple[int, int] = (-1, -1),
+    user: str = "vehicle",
+) -> Route:
+    """A route on level ground, with waypoints 1 m apart."""
+    points = resampled(line)
+    return Route(np.column_stack([points, np.zeros(len(points))]), width, user, through)

@@ -1,0 +1,95 @@
+"""Profiles: what scores are made of where the paper leaves it open, from ``profiles.toml``.
+
+A scene is built under one and says so in its settings. From then on it decides: which devices a
+strategy places there and how, what is scored, and how reliably sensors perceive.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from inspe_jax.core.errors import InspeError, nearest
+
+DEFAULT_PROFILE = "paper"
+BEFORE_PROFILES = "ideal"
+"""What scenes are of that were made before there were any, or by hand."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One table of ``profiles.toml``.
+
+    ``radius``, ``voxel`` and ``spacing`` [m], ``density`` and ``mix`` are those of
+    :func:`~inspe_jax.scene.scene.build_scene`. ``occlusion_reference`` and ``visibility`` are
+    those of :func:`~inspe_jax.scoring.evaluate.evaluate`. ``camera_reliability`` and
+    ``lidar_reliability`` are the chance that what is in view of a sensor is perceived, times the
+    device's own. ``camera``, ``lidar_32`` and ``lidar_64`` are the devices of
+    :func:`~inspe_jax.placement.strategies.strategy`; ``camera_height``, ``lidar_height`` [m] and
+    ``camera_pitch_deg`` are its options, None for what it does by itself. ``reasons`` has one for
+    every value.
+    """
+
+    name: str
+    title: str
+    radius: float
+    voxel: float
+    spacing: float
+    density: str
+    mix: str
+    occlusion_reference: str
+    visibility: str
+    camera_reliability: float
+    lidar_reliability: float
+    camera: str
+    lidar_32: str
+    lidar_64: str
+    camera_height: float | None = None
+    camera_pitch_deg: float | None = None
+    lidar_height: float | None = None
+    reasons: Mapping[str, str] = field(default_factory=dict, hash=False, compare=False)
+
+    @property
+    def reliability(self) -> dict[str, float]:
+        """Of each kind of sensor."""
+        return {"camera": self.camera_reliability, "lidar": self.lidar_reliability}
+
+    def of_scene(self, **given: Any) -> dict[str, Any]:
+        """What a scene is built with: what is given, and the profile's where that is None.
+
+        The spacing is for voxels of the profile's size; others are all there unless a ``spacing``
+        is given too.
+        """
+        own = {key: getattr(self, key) for key in ("radius", "voxel", "spacing", "density", "mix")}
+        if given.get("voxel") not in (None, self.voxel):
+            own["spacing"] = None
+        return own | {key: value for key, value in given.items() if value is not None}
+
+
+def profiles() -> dict[str, Profile]:
+    """Every profile by name, the default first."""
+    return dict(_built_in())
+
+
+def profile_of(name: str) -> Profile:
+    """A profile by name. Raises InspeError that names those there are."""
+    known = _built_in()
+    if name not in known:
+        raise InspeError(f"no profile '{name}': {', '.join(known)}{nearest(name, tuple(known))}")
+    return known[name]
+
+
+@cache
+def _built_in() -> dict[str, Profile]:
+    text = files("inspe_jax.scene").joinpath("profiles.toml").read_text(encoding="utf-8")
+    return {name: _profile(name, dict(table)) for name, table in tomllib.loads(text).items()}
+
+
+def _profile(name: str, table: dict[str, Any]) -> Profile:
+    title = table.pop("title")
+    values = {key: row["value"] for key, row in table.items()}
+    return Profile(
+        name, title, **values, reasons={key: row["reason"] for key, row in table.items()}
+    )

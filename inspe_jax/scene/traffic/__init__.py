@@ -1,0 +1,1 @@
+"""Traffic as frames of oriented prisms, from several sources."""

@@ -1,0 +1,252 @@
+"""Traffic as CARLA's recorder wrote it down: its logs, read without a server.
+
+A log is a run of packets, each an id and a length; those not needed here are passed over. The log
+is in centimetres and CARLA left-handed: both are put right here.
+"""
+
+import functools
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inspe_jax.core.carla_frame import flip, from_carla
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.parts import CLEARANCE
+from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames, pack_frames
+
+LOG_SUFFIXES = (".log",)
+LONG = 6.0
+"""A vehicle longer than this [m] is a truck, whatever it is called."""
+JUMP = 5.0
+"""Who moves farther than this from one recorded frame to the next [m] was set down there."""
+
+_MAGIC = "CARLA_RECORDER"
+_FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
+_VEHICLE, _WALKER = "vehicle.", "walker."
+
+
+class _Reader:
+    """Values one after the other, as CARLA packs them: little-endian, without gaps."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        """Numbers in struct's notation."""
+        values = struct.unpack_from("<" + form, self.data, self.at)
+        self.at += struct.calcsize("<" + form)
+        return values
+
+    def text(self) -> str:
+        """A string with its length before it."""
+        (length,) = self.take("H")
+        self.at += length
+        return self.data[self.at - length : self.at].decode()
+
+    def rows(self, form: str) -> Iterator[tuple[Any, ...]]:
+        """As many rows of numbers as a count before them says."""
+        (count,) = self.take("H")
+        for _ in range(count):
+            yield self.take(form)
+
+
+@dataclass
+class _Moment:
+    """One recorded frame: its time [s], and by actor the position and rotation and the velocity."""
+
+    time: float
+    where: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    velocity: dict[int, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class RecorderLog:
+    """A log read: the map it is of, its moments in order, and by actor the class and the box.
+
+    A box is its offset from the actor and its half sizes, in metres.
+    """
+
+    map: str
+    moments: tuple[_Moment, ...]
+    kinds: dict[int, int]
+    boxes: dict[int, np.ndarray]
+
+    @property
+    def duration(self) -> float:
+        """Time from the first moment to the last [s]."""
+        return self.moments[-1].time - self.moments[0].time
+
+
+def load_log(path: Path) -> RecorderLog:
+    """A recorder log, kept for as long as the file stays the same.
+
+    Raises InspeError where the file is missing, cut short or something else.
+    """
+    check_input(path)
+    stat = path.stat()
+    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=4)
+def _read(path: Path, _where: Path, _modified: int, _size: int) -> RecorderLog:
+    reader = _Reader(path.read_bytes())
+    try:
+        reader.take("H")
+        if reader.text() != _MAGIC:
+            raise ValueError
+        reader.take("q")
+        town = reader.text()
+    except (struct.error, ValueError) as error:
+        raise InspeError(f"{path}: not a log of CARLA's recorder") from error
+    try:
+        moments, kinds, boxes = _packets(reader)
+    except (struct.error, ValueError, IndexError) as error:
+        raise InspeError(f"{path}: the log is cut short or broken") from error
+    if not moments:
+        raise InspeError(f"{path}: the log has no frames")
+    return RecorderLog(town.rpartition("/")[2], tuple(moments), kinds, boxes)
+
+
+def _packets(
+    reader: _Reader,
+) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
+    moments: list[_Moment] = []
+    actors: dict[int, tuple[str, dict[str, str]]] = {}
+    boxes: dict[int, np.ndarray] = {}
+    while reader.at < len(reader.data):
+        packet, size = reader.take("BI")
+        end = reader.at + size
+        if end > len(reader.data):
+            raise ValueError
+        if packet == _FRAME:
+            moments.append(_Moment(reader.take("Qdd")[2]))
+        elif packet == _APPEARS:
+            for _ in range(*reader.take("H")):
+                actor = reader.take("IB6fI")[0]
+                name = reader.text()
+                facts = {}
+                for _ in range(*reader.take("H")):
+                    reader.take("B")
+                    key = reader.text()
+                    facts[key] = reader.text()
+                actors[actor] = name, facts
+        elif packet == _POSITIONS:
+            moments[-1].where = {actor: at for actor, *at in reader.rows("I6f")}  # type: ignore[misc]
+        elif packet == _KINEMATICS:
+            moments[-1].velocity = {a: v[:3] for a, *v in reader.rows("I6f")}  # type: ignore[misc]
+        elif packet == _BOXES:
+            boxes |= {actor: np.array(box) / 100 for actor, *box in reader.rows("I6f")}
+        reader.at = end
+    kinds = {
+        actor: kind
+        for actor, (name, facts) in actors.items()
+        if actor in boxes and (kind := kind_of(name, facts, 2 * boxes[actor][3])) is not None
+    }
+    return moments, kinds, boxes
+
+
+def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
+    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`; None
+    for what is no road user.
+
+    By its blueprint's attributes: two wheels are a cyclist, motorcycles too; trucks and buses say
+    so from 0.9.14 on, before they are known by their length.
+    """
+    if name.startswith(_WALKER):
+        return CLASSES.index("pedestrian")
+    if not name.startswith(_VEHICLE):
+        return None
+    if facts.get("number_of_wheels") == "2":
+        return CLASSES.index("cyclist")
+    large = length > LONG or facts.get("base_type", "").lower() in ("truck", "bus")
+    return CLASSES.index("truck" if large else "car")
+
+
+def log_traffic(
+    intersection: Intersection,
+    path: Path,
+    *,
+    radius: float,
+    frames: int,
+    step: float = 1.0,
+) -> TrafficFrames:
+    """Traffic as recorded, about an intersection of the map that the log is of.
+
+    Up to ``frames`` frames ``step`` seconds apart from the log's beginning, as many as it holds,
+    between the recorded ones on straight lines: of everybody within ``radius`` [m] of the centre.
+    Boxes stand on the intersection's ground; who is above or beneath it, as at spawning, is left
+    out. Raises InspeError where the log cannot be read or is of another map, or nobody comes
+    within the radius.
+    """
+    log = load_log(path)
+    town = intersection.map.name.split(".")[0] if intersection.map else None
+    if town is None or town.removesuffix("_Opt") != log.map.removesuffix("_Opt"):
+        what = f"map '{town}'" if town else "not read from a map"
+        raise InspeError(
+            f"{path}: a log of map '{log.map}'; {intersection.name} is {what}: read the "
+            f"intersection from {log.map}.xodr"
+        )
+    times = np.array([moment.time for moment in log.moments])
+    wanted = times[0] + step * np.arange(frames)
+    wanted = wanted[wanted <= times[-1] + 1e-9]
+    seen = [_snapshot(log, _at(log, times, time), intersection, radius) for time in wanted]
+    if not any(len(frame.kind) for frame in seen):
+        raise InspeError(
+            f"{path}: in {log.duration:.0f} s nobody comes within {radius:g} m of "
+            f"({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
+        )
+    return pack_frames(seen, step)
+
+
+def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
+    """Everybody at a time between two moments; who is in one of them only, or was set down
+    elsewhere in the next, as in the nearer."""
+    after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1)) if len(times) > 1 else 0
+    one, two = log.moments[max(after - 1, 0)], log.moments[after]
+    share = (time - one.time) / max(two.time - one.time, 1e-9)
+    near = one if share < 0.5 else two
+    where, velocity = dict(near.where), dict(near.velocity)
+    for actor in one.where.keys() & two.where.keys():
+        a, b = np.array(one.where[actor]), np.array(two.where[actor])
+        change = b - a
+        change[3:] = (change[3:] + 180.0) % 360.0 - 180.0
+        if np.abs(change[:3]).max() < JUMP * 100:
+            where[actor] = tuple(a + share * change)
+    for actor in one.velocity.keys() & two.velocity.keys():
+        a, b = np.array(one.velocity[actor]), np.array(two.velocity[actor])
+        velocity[actor] = tuple(a + share * (b - a))
+    return _Moment(time, where, velocity)
+
+
+def _snapshot(
+    log: RecorderLog, moment: _Moment, intersection: Intersection, radius: float
+) -> Snapshot:
+    """The road users of one moment, in world metres (ENU)."""
+    who = [actor for actor in moment.where if actor in log.kinds]
+    where = np.array([moment.where[actor] for actor in who], float).reshape(-1, 6)
+    box = np.array([log.boxes[actor] for actor in who]).reshape(-1, 6)
+    still = (0.0, 0.0, 0.0)
+    velocity = np.array([moment.velocity.get(actor, still) for actor in who], float)
+    x, y, z, roll, pitch, yaw = where.T  # of the log, which is in centimetres
+    poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
+    at, yaw = poses[:, :3], poses[:, 5]
+    offset, speed = flip(box[:, :3]), flip(velocity.reshape(-1, 3))
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    middle = at[:, :2] + np.column_stack(
+        [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
+    )
+    size = 2 * box[:, 3:]
+    ground = intersection.ground(middle) if len(middle) else np.zeros(0)
+    foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
+    center = np.column_stack([middle, ground + size[:, 2] / 2])
+    kind = np.array([log.kinds[actor] for actor in who], np.int8)
+    track = np.array(who, np.int32)
+    here = np.abs(foot - ground) <= CLEARANCE
+    everybody = Snapshot(*(part[here] for part in (center, yaw, size, kind, track, speed)))
+    return everybody.within(intersection.center, radius)

@@ -1,0 +1,147 @@
+"""Traffic as frames of oriented prisms, whatever made them: classes, mixes and densities."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene.traffic.waypoint.model import RoadUser
+
+DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
+"""Mean number of objects in the region of interest at each density (paper, section 4)."""
+
+MOST_FRAMES = 10_000
+"""More frames than this are taken for a slip."""
+
+CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
+"""Road-user classes; ``TrafficFrames.kind`` holds the index."""
+
+ROAD_USERS: tuple[RoadUser, ...] = (
+    RoadUser("car", "vehicle", (4.6, 1.85, 1.55), top_speed=10, acceleration=2.0, gap=1.5),
+    RoadUser("truck", "vehicle", (8.5, 2.5, 3.4), top_speed=8.5, acceleration=1.2, gap=2.0),
+    RoadUser("cyclist", "cyclist", (1.8, 0.65, 1.75), top_speed=5, acceleration=1.0, gap=1.0),
+    RoadUser("pedestrian", "pedestrian", (0.5, 0.5, 1.72), 1.5, acceleration=1.5, gap=0.3),
+)
+"""How each class looks and moves in the waypoint model, in the order of :data:`CLASSES`."""
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Who is on the road: the share of each of :data:`CLASSES`, and how much sizes vary.
+
+    Length, width and height are each normal about the class mean with standard
+    deviation ``spread``·mean, cut at two of them.
+    """
+
+    shares: tuple[float, ...]
+    spread: float
+
+
+MIXES: dict[str, Mix] = {
+    "mixed": Mix(shares=(0.68, 0.10, 0.10, 0.12), spread=0.06),
+    "largest": Mix(shares=(0.0, 1.0, 0.0, 0.0), spread=0.0),
+}
+"""Traffic mixes by name; ``largest`` is the paper's, every box the largest vehicle."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TrafficFrames:
+    """T frames of up to B vehicles or people, each an oriented vertical prism, in world metres.
+
+    ``center`` is at mid-height; ``yaw`` in radians; ``size`` is length, width,
+    height; ``kind`` indexes :data:`CLASSES`. Entries with ``valid`` false are
+    padding. Entry b of one frame need not be entry b of the next: who is the
+    same has the same number in ``track``, −1 in padding. ``velocity`` in m/s;
+    ``time`` of each frame in seconds, from the first.
+    """
+
+    center: Float[np.ndarray, "T B 3"]
+    yaw: Float[np.ndarray, "T B"]
+    size: Float[np.ndarray, "T B 3"]
+    valid: Bool[np.ndarray, "T B"]
+    kind: Int[np.ndarray, "T B"]
+    track: Int[np.ndarray, "T B"]
+    velocity: Float[np.ndarray, "T B 3"]
+    time: Float[np.ndarray, " T"]
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames T."""
+        return self.center.shape[0]
+
+    @property
+    def mean_count(self) -> float:
+        """Mean number of objects a frame."""
+        return float(self.valid.sum(1).mean()) if self.frame_count else 0.0
+
+
+class Snapshot(NamedTuple):
+    """One frame of n road users, in the words of :class:`TrafficFrames`."""
+
+    center: Float[np.ndarray, "n 3"]
+    yaw: Float[np.ndarray, " n"]
+    size: Float[np.ndarray, "n 3"]
+    kind: Int[np.ndarray, " n"]
+    track: Int[np.ndarray, " n"]
+    velocity: Float[np.ndarray, "n 3"]
+
+    def within(self, middle: Float[np.ndarray, "3"], radius: float) -> "Snapshot":
+        """Those whose centre lies within ``radius`` [m] of the middle, in plan."""
+        away = self.center[:, :2] - np.asarray(middle)[:2]
+        near = away[:, 0] ** 2 + away[:, 1] ** 2 <= radius**2
+        return Snapshot(*(part[near] for part in self))
+
+
+def pack_frames(seen: Sequence[Snapshot], step: float) -> TrafficFrames:
+    """Frames of unequal number ``step`` seconds apart, padded at the end to the fullest."""
+    shape = (len(seen), max(len(frame.kind) for frame in seen))
+    padding: dict[str, np.ndarray] = {
+        "center": np.zeros((*shape, 3)),
+        "yaw": np.zeros(shape),
+        "size": np.ones((*shape, 3)),
+        "kind": np.zeros(shape, np.int8),
+        "track": np.full(shape, -1, np.int32),
+        "velocity": np.zeros((*shape, 3)),
+    }
+    valid = np.zeros(shape, bool)
+    for t, frame in enumerate(seen):
+        valid[t, : len(frame.kind)] = True
+        for name, part in zip(Snapshot._fields, frame, strict=True):
+            padding[name][t, : len(part)] = part
+    return TrafficFrames(**padding, valid=valid, time=np.arange(len(seen)) * step)
+
+
+def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
+    """How many of ``count`` are of each class, by largest remainder, among those that ``may`` be.
+
+    All 0 where none of the mix may.
+    """
+    share = np.where(may, mix.shares, 0.0)
+    if not share.any():
+        return np.zeros(len(CLASSES), int)
+    exact = count * share / share.sum()
+    each = np.floor(exact).astype(int)
+    most = np.argsort(each - exact, kind="stable")
+    each[most[: count - each.sum()]] += 1
+    return each
+
+
+def check_traffic(
+    *, radius: float, count: int, frames: int, mix: str, step: float, seed: int
+) -> None:
+    """Raise InspeError where a value is out of range, or the mix is unknown."""
+    if mix not in MIXES:
+        raise InspeError(f"traffic mix '{mix}': one of {', '.join(MIXES)}{nearest(mix, [*MIXES])}")
+    for name, value, least in (("count", count, 0), ("frames", frames, 1), ("seed", seed, 0)):
+        if value < least:
+            raise InspeError(f"traffic {name} {value} is out of range: at least {least}")
+    if frames > MOST_FRAMES:
+        raise InspeError(f"traffic frames {frames} is out of range: at most {MOST_FRAMES}")
+    for name, size in (("radius", radius), ("step", step)):
+        if not (np.isfinite(size) and size > 0):
+            raise InspeError(f"traffic {name} {size} is out of range: above 0")

@@ -1,0 +1,185 @@
+"""Ways through a region of interest on a SUMO network: driven, ridden and walked."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from inspe_jax.scene.maps.parts import distance_from
+from inspe_jax.scene.maps.sumo.lanes import Streets
+from inspe_jax.scene.traffic.frames import CLASSES
+
+APPROACH = 60.0
+"""Vehicles come in this much beyond the radius [m], or where their road begins."""
+TOUCH = 15.0
+"""A road that comes this near to the region [m] leads into it: junctions are that wide."""
+FOOT_APPROACH = 15.0
+"""… and people on foot."""
+V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestrian": "pedestrian"}
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way through: its edges, where on the first it begins and on the last it ends [m], and its
+    share of the arrivals."""
+
+    edges: tuple[str, ...]
+    begin: float
+    end: float
+    weight: float
+
+
+def ways_through(streets: Streets, center: np.ndarray, radius: float) -> dict[str, list[Way]]:
+    """The ways of each class through the region of interest."""
+    return {
+        kind: _walks(streets, center, radius)
+        if kind == "pedestrian"
+        else _drives(streets, V_CLASS[kind], center, radius)
+        for kind in CLASSES
+    }
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """An edge near the region: its middle line (N, 2), the arc [m] at each point of it, how far
+    each is from the centre [m], and its lanes that a class may use."""
+
+    name: str
+    line: Float[np.ndarray, "N 2"]
+    arc: Float[np.ndarray, " N"]
+    away: Float[np.ndarray, " N"]
+    lanes: int
+    edge: Any
+
+
+def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> list[_Edge]:
+    """The edges that come within reach and that a class may use, in the network's order."""
+    found = []
+    for edge in streets.road.net.getEdges(withInternal=False):
+        lanes = [lane for lane in edge.getLanes() if lane.allows(v_class)]
+        if v_class == "pedestrian":  # beside the road, not on it
+            lanes = [lane for lane in lanes if not lane.allows("passenger")]
+        strips = [streets.strips[n.getID()] for n in lanes if n.getID() in streets.strips]
+        if not strips:
+            continue
+        line = strips[0].center[:, :2]
+        away = distance_from(line, center)
+        if away.min() > reach:
+            continue
+        steps = np.hypot(*np.diff(line, axis=0).T)
+        arc = np.concatenate([[0.0], np.cumsum(steps)]) * edge.getLength() / steps.sum()
+        found.append(_Edge(edge.getID(), line, arc, away, len(lanes), edge))
+    return found
+
+
+def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[Way]:
+    """The shortest ways from every road that leads into the region to every one that leads out.
+
+    Back to where one came from only if there is no other way. From each road straight on is
+    likelier, up to three to one. Ways begin some way up the road, so that queues have room.
+    """
+    edges = _edges(streets, v_class, center, radius + APPROACH)
+    index = {e.name: k for k, e in enumerate(edges)}
+    links = [
+        (k, index[after.getID()])
+        for k, e in enumerate(edges)
+        for after in e.edge.getAllowedOutgoing(v_class)
+        if after.getID() in index
+    ]
+    near = [e.away.min() <= radius + TOUCH for e in edges]
+    entries = [
+        k for k, e in enumerate(edges) if near[k] and e.away[0] > radius and e.away[-1] < e.away[0]
+    ]
+    exits = [
+        k for k, e in enumerate(edges) if near[k] and e.away[-1] > radius and e.away[-1] > e.away[0]
+    ]
+    inner = [(a, b) for a, b in links if near[a] and near[b] and b not in entries]
+    inner = [(a, b) for a, b in inner if a not in exits]  # once out, nobody comes in again
+    one, two = np.array(inner, int).reshape(-1, 2).T
+    length = np.array([e.edge.getLength() for e in edges]) + 1e-3
+    graph = csr_array((length[two], (one, two)), shape=(len(edges),) * 2)
+    ways = []
+    for entry in entries:
+        away, before = dijkstra(graph, indices=entry, return_predecessors=True)
+        paths = [_path(before, k) for k in exits if k != entry and np.isfinite(away[k])]
+        paths = [p for p in paths if min(edges[k].away.min() for k in p) <= radius]
+        onward = [p for p in paths if not _returns(edges[entry], edges[p[-1]])] or paths
+        if not onward:
+            continue
+        first = _upstream(edges, links, entry)
+        begin = _arc_at(edges[first[0]], radius + APPROACH, first=True)
+        straight = [1 + 2 * max(_alike(edges[entry], edges[p[-1]]), 0.0) for p in onward]
+        for path, weight in zip(onward, straight, strict=True):
+            names = [edges[k].name for k in (*first, *path[1:])]
+            end = _arc_at(edges[path[-1]], radius + APPROACH, first=False)
+            share = edges[entry].lanes * weight / sum(straight)
+            ways.append(Way(tuple(names), begin, end, share))
+    return ways
+
+
+def _upstream(edges: list[_Edge], links: list[tuple[int, int]], entry: int) -> list[int]:
+    """The edges that lead to an entry, straight on, for :data:`APPROACH` metres; and the entry."""
+    found, far = [entry], float(edges[entry].away[0])
+    while far < edges[entry].away.min() + APPROACH:
+        here = edges[found[0]]
+        before = [a for a, b in links if b == found[0] and a not in found]
+        before = [a for a in before if not _returns(edges[a], here) and edges[a].away[0] > far]
+        if not before:
+            break
+        found.insert(0, max(before, key=lambda a: _alike(edges[a], here)))
+        far = float(edges[found[0]].away[0])
+    return found
+
+
+def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
+    """The first or last arc of an edge that lies within reach [m]; its end where none does."""
+    inside = np.flatnonzero(edge.away <= reach)
+    if not len(inside):
+        return float(edge.arc[-1 if first else 0])
+    return float(edge.arc[inside[0 if first else -1]])
+
+
+def _returns(one: _Edge, two: _Edge) -> bool:
+    """Whether an edge leads back along another."""
+    return bool(
+        one.edge.getFromNode() is two.edge.getToNode()
+        and one.edge.getToNode() is two.edge.getFromNode()
+    ) or bool(
+        np.hypot(*(one.line[0] - two.line[-1])) < 20.0
+        and _alike(one, two) < -0.9
+        and one.edge.getFromNode() is two.edge.getToNode()
+    )
+
+
+def _alike(one: _Edge, two: _Edge) -> float:
+    """Cosine between the headings with which one is entered and the other left."""
+    a, b = one.line[1] - one.line[0], two.line[-1] - two.line[-2]
+    return float(a @ b / np.hypot(*a) / np.hypot(*b))
+
+
+def _path(before: np.ndarray, sink: int) -> list[int]:
+    """The edges from a source to a sink."""
+    path = [sink]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    return path[::-1]
+
+
+def _walks(streets: Streets, center: np.ndarray, radius: float) -> list[Way]:
+    """Walks from the rim of the region to the rim elsewhere; SUMO finds the way between."""
+    edges = _edges(streets, "pedestrian", center, radius + FOOT_APPROACH)
+    ends = []  # (edge, arc, point) where a sidewalk leaves the region
+    for e in edges:
+        rim = np.flatnonzero((e.away[:-1] <= radius) != (e.away[1:] <= radius))
+        ends += [(e.name, float(e.arc[k]), e.line[k]) for k in rim]
+    if len(ends) < 2:
+        ends = [(e.name, float(e.arc[len(e.arc) // 2]), e.line[len(e.line) // 2]) for e in edges]
+    return [
+        Way((a, b), begin, end, 1.0)
+        for a, begin, here in ends
+        for b, end, there in ends
+        if a != b and np.hypot(*(here - there)) > 0.5 * radius
+    ]

@@ -1,0 +1,1 @@
+"""The metrics, and how they are counted over frames and sensors."""

@@ -1,0 +1,289 @@
+"""Score a layout on a scene: visibility in, the four metrics out."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.numerics import Softness
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.voxels import check_memory
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
+from inspe_jax.scoring.reference import Crew, sensor_array
+from inspe_jax.scoring.soft import read_softly
+from inspe_jax.scoring.tiled_scene import World, bare_world_of, whole_world_of, world_of
+from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.centered_scene import from_center, poses_about_center
+from inspe_jax.visibility.queries import check_layout
+
+VISIBILITIES = ("in_view", "line_of_sight", "past_others")
+"""What information gain calls visible. ``in_view``: f, as in the paper; ``line_of_sight``: f × the
+share of frames in which no vehicle hides the voxel; ``past_others``: the same, but for the vehicle
+that the voxel is inside, which does not hide it."""
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What the layout loses when one sensor is left out, metric by metric."""
+
+    sensor: str
+    coverage: float
+    occlusion: float
+    information_gain: float
+    surrogate: float
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The scores of one layout on one scene, each between 0 and 1, higher is better.
+
+    Numbers; or JAX arrays, where the layout's poses are traced.
+    ``region_coverage`` and ``level_coverage`` are unweighted shares of the voxels
+    of one region and of one level (lowest first); ``contributions`` has one row a
+    sensor, in the layout's order, none where poses are traced, and can be negative only for
+    occlusion with the reference ``covered``, whose voxels change with the sensors;
+    ``seen_share`` (L,) is the share of frames and levels in which each column is seen, for
+    pictures: it has no gradient;
+    ``settings`` are the options used.
+    """
+
+    coverage: float
+    occlusion: float
+    information_gain: float
+    surrogate: float
+    region_coverage: dict[str, float]
+    level_coverage: tuple[float, ...]
+    contributions: tuple[Contribution, ...]
+    seen_share: Float[np.ndarray, " L"]
+    settings: dict[str, Any]
+
+    @property
+    def information_gain_literal(self) -> float:
+        """IG to the letter of the paper, which falls as sensors see more: for comparison only."""
+        return 1.0 - self.information_gain
+
+    @property
+    def conditions(self) -> Conditions:
+        """The light and weather that they are of."""
+        return Conditions.of(
+            **{key: self.settings.get(key, FAIR.record[key]) for key in FAIR.record}
+        )
+
+
+def evaluate(
+    scene: Scene,
+    layout: Layout,
+    *,
+    weights: tuple[float, float, float] = metrics.WEIGHTS,
+    occlusion_reference: str | None = None,
+    visibility: str | None = None,
+    softness: Any = 0.0,
+    conditions: Conditions = FAIR,
+) -> Scores:
+    """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
+
+    ``weights`` of C, O, IG in P_sm; ``occlusion_reference`` as in
+    :func:`~inspe_jax.scoring.metrics.occlusion_terms`; ``visibility`` for information gain, one of
+    :data:`VISIBILITIES`; those two are the scene's profile's where they are not given. ``softness``
+    [m] is 0 for the exact scores, or the width that fields of view and shadows are read with, or a
+    :class:`~inspe_jax.core.numerics.Softness`. With poses P (S, 6) traced, ``evaluate(scene,
+    layout.with_poses(P), softness=0.5).surrogate`` is differentiable in P; read exactly it is a
+    step function, with gradient 0. Such a gradient needs no ``jax.jit`` about it: without, what is
+    compiled serves other scenes and layouts of similar size; within, the scene is a part of the
+    program. ``conditions`` are the light and the weather that the sensors work in.
+
+    Raises InspeError where a sensor is in the
+    ground or out of reach of the scene, an option is unknown, the arrays would not
+    fit in memory, or there is no traffic and so no entropy to resolve; unless
+    information gain has weight 0, and then it is 0.
+    """
+    options = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **options, conditions=conditions)
+    check_layout(scene, layout)
+    check_memory(scene.voxels.count, len(layout))
+    layout = perceiving(scene, layout, conditions)
+    traced, voxel = isinstance(layout.poses, jax.core.Tracer), scene.voxels.size
+    each = () if traced else tuple((s,) for s in range(len(layout)))
+    width = Softness.of(softness)
+    sensors = sensor_array(Crew.of(layout, each), ONE_MORE if width.exact else 0)
+    given = layout.poses
+    if width.exact and traced:  # a step function of the poses
+        given = jax.lax.stop_gradient(given)
+    filled = from_center(scene, sensors.filled(given))
+    if width.exact:
+        world = (whole_world_of if traced else world_of)(scene)
+        found = count_exactly(world, filled, sensors, voxel, **options)
+    else:
+        world = bare_world_of(scene)
+        found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)
+    if weights[2] > 0:
+        check_entropy(scene, found.entropy)
+    found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
+    regions = _by_region(scene, world, found.column_coverage)
+    measured = jax.tree.map(_array, found)
+    c, o, ig = (x[: 1 + len(each)] for x in measured[:3])
+    rows = (c, o, ig, metrics.surrogate(c, o, ig, weights))
+    total, *without = zip(*(_numbers(row) for row in rows), strict=True)
+    return Scores(
+        coverage=total[0],
+        occlusion=total[1],
+        information_gain=total[2],
+        surrogate=total[3],
+        region_coverage={key: _numbers(share) for key, share in regions.items()},
+        level_coverage=tuple(_numbers(measured.level_coverage)),
+        contributions=tuple(
+            Contribution(sensor.name, *(a - b for a, b in zip(total, left, strict=True)))
+            for sensor, left in zip(layout.sensors, without, strict=False)
+        ),
+        seen_share=measured.seen_share[world.tiles.place],
+        settings=dict(
+            weights=list(weights),
+            profile=scene.profile.name,
+            **options,
+            softness=softness,
+            **conditions.record,
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class ManyScores:
+    """The exact scores of M layouts, (M,) each."""
+
+    coverage: Float[np.ndarray, " M"]
+    occlusion: Float[np.ndarray, " M"]
+    information_gain: Float[np.ndarray, " M"]
+    surrogate: Float[np.ndarray, " M"]
+
+
+def evaluate_many(
+    scene: Scene,
+    layout: Layout,
+    poses: Float[np.ndarray, "M S 6"],
+    *,
+    weights: tuple[float, float, float] = metrics.WEIGHTS,
+    occlusion_reference: str | None = None,
+    visibility: str | None = None,
+    conditions: Conditions = FAIR,
+) -> ManyScores:
+    """Exact scores of one layout's sensors at M times S world poses.
+
+    Layouts are worked on side by side, on all cores or devices, and nothing else is found.
+    They are those of :func:`evaluate`, from the same counts, though sums may be rounded otherwise.
+    ``poses`` are x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`.
+    Raises InspeError as that does, and where ``poses`` has another shape or is traced.
+    """
+    options = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **options, conditions=conditions)
+    try:
+        poses = np.asarray(poses, float)
+    except (TypeError, ValueError):  # a traced array's error is a TypeError
+        raise InspeError(
+            f"poses: numbers (M, {len(layout)}, 6) are needed, as of "
+            "[layout.poses for layout in layouts]; for gradients, use evaluate"
+        ) from None
+    if poses.ndim != 3 or poses.shape[1:] != (len(layout), 6) or not len(poses):
+        raise InspeError(
+            f"poses of shape {poses.shape}: (M, {len(layout)}, 6) for M times the sensors of "
+            f"{layout.name}, x, y, z, roll, pitch, yaw each"
+        )
+    check_memory(scene.voxels.count, len(layout))
+    layouts = [
+        replace(layout.with_poses(row), name=f"poses[{number}]") for number, row in enumerate(poses)
+    ]
+    for one in layouts:
+        check_layout(scene, one)
+    layout = perceiving(scene, layout, conditions)
+    world = whole_world_of(scene)
+    if weights[2] > 0:
+        check_entropy(scene, metrics.entropy(world.occupancy).sum())
+    c, o, ig = measure_many(
+        world,
+        np.stack([poses_about_center(scene, one) for one in layouts]),
+        Crew.of(layout),
+        scene.voxels.size,
+        **options,
+    )
+    return ManyScores(c, o, ig, np.asarray(metrics.surrogate(c, o, ig, weights)))
+
+
+def _by_region(
+    scene: Scene, world: World, columns: Float[Array, " MC"]
+) -> dict[str, Float[Array | np.ndarray, ""]]:
+    """The mean over the columns of each region that there is."""
+    place, label = np.asarray(world.tiles.place), scene.voxels.region
+    there = [region for region in Region if (label == region).any()]
+    if not isinstance(columns, jax.core.Tracer):
+        share = np.asarray(columns)[place]
+        return {region.key: share[label == region].mean() for region in there}
+    belongs = np.zeros((len(Region), len(columns)), bool)
+    for region in there:
+        belongs[region, place[label == region]] = True
+    means = _means(columns, belongs)
+    return {region.key: means[region] for region in there}
+
+
+@jax.jit
+def _means(x: Float[Array, " n"], rows: Bool[Array, "R n"]) -> Float[Array, " R"]:
+    """The mean of ``x`` where each row says so; 0 of nothing."""
+    counted = rows.astype(x.dtype)
+    return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1.0)
+
+
+def _array(x: Array) -> Any:
+    """In NumPy, unless it is traced."""
+    return x if isinstance(x, jax.core.Tracer) else np.asarray(x)
+
+
+def _numbers(x: Any) -> Any:
+    """Python numbers, nested as the array is; a traced array stays one, split along axis 0."""
+    if not isinstance(x, jax.core.Tracer):
+        return np.asarray(x, float).tolist()
+    return [_numbers(row) for row in x] if x.ndim else x
+
+
+def options_of(
+    scene: Scene, occlusion_reference: str | None = None, visibility: str | None = None
+) -> dict[str, str]:
+    """The two options by name, as the scene's profile has what is not given."""
+    return dict(
+        occlusion_reference=occlusion_reference or scene.profile.occlusion_reference,
+        visibility=visibility or scene.profile.visibility,
+    )
+
+
+def check_options(
+    weights: tuple[float, float, float],
+    occlusion_reference: str,
+    visibility: str,
+    conditions: Conditions = FAIR,
+) -> None:
+    """Raise InspeError where an option of :func:`evaluate` is unknown."""
+    if not isinstance(conditions, Conditions):
+        raise InspeError(
+            f"conditions {conditions!r}: give them as inspe_jax.Conditions.of('night', 'rain:10')"
+        )
+    if occlusion_reference not in metrics.OCCLUSION_REFERENCES:
+        raise metrics.unknown_reference(occlusion_reference)
+    if visibility not in VISIBILITIES:
+        raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
+    metrics.check_weights(weights)
+
+
+def check_entropy(scene: Scene, entropy: Float[Array, ""]) -> None:
+    """Raise InspeError unless there is entropy H(Ω) to resolve; a traced one passes."""
+    if isinstance(entropy, jax.core.Tracer):
+        return
+    if not float(entropy) > 0:
+        raise InspeError(
+            f"{scene.name}: information gain needs traffic: no voxel of the scene is occupied in "
+            "some frames and free in others, so there is no entropy to resolve; build the scene "
+            "with a density of low, medium or high and at least 2 frames, or give it no weight"
+        )

@@ -1,0 +1,159 @@
+"""What is seen where, voxel by voxel: by how many sensors, how often, in which frame.
+
+The cumulative viewsheds of geographic information systems, from the same masks that exact scores
+are counted from. For pictures: scores need no more than their sums.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt
+
+from inspe_jax.core.geometry import Prism
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.evaluate import options_of
+from inspe_jax.scoring.exact import ONE_MORE, in_view_of, watch_all
+from inspe_jax.scoring.reference import Crew, sensor_array
+from inspe_jax.scoring.tiled_scene import by_level, whole_world_of, world_of
+from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.centered_scene import poses_about_center
+from inspe_jax.visibility.queries import check_frame, check_layout
+from inspe_jax.visibility.shadows import Casts, casts, clear_masks
+from inspe_jax.visibility.tiles import Tile, Tiles
+
+
+class Sight(IntEnum):
+    """What a voxel is to a layout in one frame."""
+
+    OUT_OF_VIEW = 0
+    HIDDEN = 1
+    SEEN = 2
+    OCCUPIED = 3
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Viewshed:
+    """How well each voxel of a scene is watched by a layout.
+
+    ``sensors`` (V,) have it in view; in ``seen`` (V,) of ``frame_count`` frames some sensor sees
+    it; in ``occupied`` (V,) it is inside a road user. ``resolved`` (V,) is q_i, the chance that its
+    occupancy is resolved, as information gain has it with the visibility of the scene's profile.
+    """
+
+    sensors: Int[np.ndarray, " V"]
+    seen: Int[np.ndarray, " V"]
+    occupied: Int[np.ndarray, " V"]
+    resolved: Float[np.ndarray, " V"]
+    frame_count: int
+
+    @property
+    def entropy(self) -> Float[np.ndarray, " V"]:
+        """Entropy of each voxel's occupancy [bit]."""
+        share = jnp.asarray(self.occupied / self.frame_count, float)
+        return np.asarray(metrics.entropy(share)) / np.log(2.0)
+
+
+def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> Viewshed:
+    """How well each voxel is watched, over all frames.
+
+    Raises InspeError as :func:`inspe_jax.evaluate` does, but for want of traffic.
+    """
+    layout, tiles, views, sensors = _views(scene, layout, conditions)
+    levels = tiles.tile.heights.shape[1]
+    seen = np.zeros((*views.shape[1:], levels), int)
+    occupied = np.zeros_like(seen)
+    for share in whole_world_of(scene).shares:
+        assert share.solid is not None  # it is not bare
+        seen += np.asarray(by_level(_look(tiles.tile, views, share.prisms, sensors), levels))
+        occupied += np.asarray(by_level(share.solid, levels))
+    flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
+    visible = _visible(scene, layout, flags, views, sensors)
+    return Viewshed(
+        sensors=flags.sum(0),
+        seen=tiles.of_voxels(seen),
+        occupied=tiles.of_voxels(occupied),
+        resolved=1.0 - np.prod(1.0 - visible * layout.reliability[:, None], axis=0),
+        frame_count=scene.traffic.frame_count,
+    )
+
+
+def _visible(
+    scene: Scene,
+    layout: Layout,
+    flags: Bool[np.ndarray, "S V"],
+    views: UInt[np.ndarray, "s N C"],
+    sensors: Float[np.ndarray, "s 3"],
+) -> Float[np.ndarray, "S V"]:
+    """Visibility of each voxel from each sensor, as information gain has it: whether it is in view,
+    or in what share of the frames in sight. By what is compiled for a score."""
+    reference, visibility = options_of(scene).values()
+    if visibility == "in_view":
+        return flags.astype(float)
+    world = world_of(scene)
+    sights = watch_all(world, views, sensors, None, reference, visibility).sights
+    assert sights is not None  # they are counted unless only views are asked for
+    shares = [world.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
+    return np.stack(shares) / world.frame_count
+
+
+def sight_in(
+    scene: Scene, layout: Layout, frame: int, *, conditions: Conditions = FAIR
+) -> UInt[np.ndarray, " V"]:
+    """What each voxel is to a layout in one frame: a :class:`Sight` for each.
+
+    Raises InspeError as :func:`viewshed` does, or where there is no such frame.
+    """
+    frame = check_frame(scene, frame)
+    layout, tiles, views, sensors = _views(scene, layout, conditions)
+    world = whole_world_of(scene)
+    (share,) = (s for s in world.shares if s.begin <= frame < s.begin + len(s.prisms.top))
+    at = frame - share.begin
+    assert share.solid is not None  # it is not bare
+    prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[at : at + 1], share.prisms)
+    seen = np.asarray(_look(tiles.tile, views, prisms, sensors))
+    found = np.where(tiles.by_voxel(views).any(0), Sight.HIDDEN, Sight.OUT_OF_VIEW)
+    found[tiles.by_voxel(seen[:, 0])] = Sight.SEEN
+    found[tiles.by_voxel(np.asarray(share.solid)[:, at])] = Sight.OCCUPIED
+    return found.astype(np.uint8)
+
+
+def _views(
+    scene: Scene, layout: Layout, conditions: Conditions
+) -> tuple[Layout, Tiles, UInt[np.ndarray, "S N C"], Float[np.ndarray, "S 3"]]:
+    """The layout as it is in the conditions, the tiles, what each sensor has in view, and where it
+    is; with room for some more sensors."""
+    check_layout(scene, layout)
+    layout, world = perceiving(scene, layout, conditions), whole_world_of(scene)
+    sensors = sensor_array(Crew.of(layout), ONE_MORE)
+    poses = sensors.filled(poses_about_center(scene, layout))
+    views = np.asarray(in_view_of(world, poses, sensors, scene.voxels.size / 2))
+    return layout, world.tiles, views, poses[:, :3]
+
+
+@jax.jit
+def _look(
+    tiles: Tile, views: UInt[Array, "S N C"], prisms: Prism, sensors: Float[Array, "S 3"]
+) -> UInt[Array, "N T C"]:
+    """Masks of what some sensor sees in each frame."""
+    cast = jax.vmap(casts, (0, None))(sensors, prisms)
+
+    def look(part: tuple[Tile, Array]) -> Array:
+        tile, views = part
+
+        def add(seen: Array, one: tuple[Array, Casts, Array]) -> tuple[Array, None]:
+            sensor, cast, view = one
+
+            def look(seen: Array) -> Array:
+                return seen | view[None] & clear_masks(sensor, cast, tile)
+
+            return jax.lax.cond((view != 0).any(), look, lambda seen: seen, seen), None
+
+        none = jnp.zeros((len(prisms.top), views.shape[1]), views.dtype)
+        return jax.lax.scan(add, none, (sensors, cast, views))[0]
+
+    return jax.lax.map(look, (tiles, views.swapaxes(0, 1)))

@@ -1,0 +1,1 @@
+"""Recording by a CARLA server."""

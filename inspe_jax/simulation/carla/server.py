@@ -1,0 +1,223 @@
+"""A CARLA server while we record: on the right map, in step with us, and put back afterwards."""
+
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.simulation.recorder import Server
+
+LOADING = 180.0
+"""So long may a map take to load [s]."""
+ENDING = 5.0
+"""So long a call may take when all is put back [s]: the server may be gone."""
+OURS = "inspe"
+"""The role of the actors that we spawn."""
+
+_OPENDRIVE = " (OpenDRIVE)"
+_PARKED = ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
+
+
+def client_library() -> Any:
+    """The module ``carla``. Raises InspeError where it is missing."""
+    try:
+        import carla
+    except ImportError as error:
+        raise InspeError(
+            "recording with CARLA needs its client, of the server's version: "
+            "pip install 'inspe_jax[opendrive]' (Linux and Windows, Python up to 3.12)"
+        ) from error
+    return carla
+
+
+def town_of(place: Intersection) -> str:
+    """The map that an intersection is of. Raises InspeError where no CARLA server can have it."""
+    if not place.source.endswith(_OPENDRIVE):
+        raise InspeError(
+            f"{place.name}: its source is {place.source}, which a CARLA server cannot show; read "
+            "an intersection from the OpenDRIVE map (.xodr) of one of CARLA's towns"
+        )
+    return Path(place.source.removesuffix(_OPENDRIVE)).stem
+
+
+@contextmanager
+def failing_plainly(server: Server) -> Iterator[None]:
+    """What the client raises, a RuntimeError for everything, as an InspeError."""
+    try:
+        yield
+    except RuntimeError as error:
+        if type(error) is not RuntimeError:
+            raise
+        raise InspeError(f"CARLA at {server}: {' '.join(str(error).split())}") from error
+
+
+@dataclass(eq=False)
+class Session:
+    """A connected client and its world, and what is to be put back there."""
+
+    carla: Any
+    client: Any
+    world: Any
+    server: Server
+    settings: Any
+    weather: Any
+    actors: dict[int, None] = field(default_factory=dict)
+    listening: list[Any] = field(default_factory=list)
+    hidden: list[int] = field(default_factory=list)
+
+    def transform(self, cords: Iterable[float]) -> Any:
+        """A transform of cords (6,), as :mod:`~inspe_jax.core.carla_frame` has them."""
+        x, y, z, roll, yaw, pitch = map(float, cords)
+        carla = self.carla
+        return carla.Transform(
+            carla.Location(x, y, z), carla.Rotation(pitch=pitch, yaw=yaw, roll=roll)
+        )
+
+    def spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
+        """An actor, which is gone again at the end."""
+        actor = self.world.spawn_actor(blueprint, self.transform(cords))
+        self.actors[actor.id] = None
+        return actor
+
+    def try_spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
+        """As :meth:`spawn`, or None where it cannot be."""
+        actor = self.world.try_spawn_actor(blueprint, self.transform(cords))
+        if actor is not None:
+            self.actors[actor.id] = None
+        return actor
+
+    def command(self, commands: list[Any]) -> list[int]:
+        """Have commands done, all or as far as possible: the actors' ids.
+
+        Raises InspeError where one cannot be.
+        """
+        if not commands:
+            return []
+        replies = self.client.apply_batch_sync(commands, False)
+        found = []
+        for command, reply in zip(commands, replies, strict=True):
+            if reply.has_error():
+                continue
+            found.append(reply.actor_id)
+            if isinstance(command, self.carla.command.SpawnActor):
+                self.actors[reply.actor_id] = None
+            elif isinstance(command, self.carla.command.DestroyActor):
+                self.actors.pop(reply.actor_id, None)
+        wrong = next((reply.error for reply in replies if reply.has_error()), None)
+        if wrong is not None:
+            raise InspeError(f"CARLA at {self.server}: {wrong}")
+        return found
+
+    def destroy(self, actors: Iterable[int]) -> None:
+        """Destroy actors by id; who is gone already is no matter."""
+        actors = list(actors)
+        if actors:
+            destroy = self.carla.command.DestroyActor
+            self.client.apply_batch_sync([destroy(actor) for actor in actors], False)
+        for actor in actors:
+            self.actors.pop(actor, None)
+
+    def put_back(self) -> None:
+        """Leave the server as it was, but for the map. Raises RuntimeError where it is gone."""
+        self.client.set_timeout(min(self.server.timeout, ENDING))
+        for sensor in self.listening:
+            sensor.stop()
+        self.destroy(list(self.actors))
+        if self.hidden:
+            self.world.enable_environment_objects(self.hidden, True)
+        self.world.set_weather(self.weather)
+        self.world.apply_settings(self.settings)
+
+
+@contextmanager
+def session_on(server: Server, place: Intersection, rate: float, weather: Any) -> Iterator[Session]:
+    """A session on the map of a place, where a tick is 1 / rate seconds and waits for us.
+
+    Vehicles that are parked there as a part of the map are hidden, as no frame would tell of them.
+    ``weather`` makes the weather's parameters of the module ``carla``. Actors, settings and
+    weather are put back at the end, however it comes. Raises InspeError where there is no server,
+    it is of another version or has no such map, or other traffic is on it.
+    """
+    town, carla = town_of(place), client_library()
+    client = _connected(carla, server)
+    world = client.get_world()
+    settings = world.get_settings()
+    world = _on_map(client, world, town, server)
+    session = Session(carla, client, world, server, settings, world.get_weather())
+    try:
+        ours = world.get_settings()
+        ours.synchronous_mode, ours.fixed_delta_seconds = True, 1.0 / rate
+        ours.no_rendering_mode = False
+        world.apply_settings(ours)
+        world.tick(server.timeout)  # where time stood still the client knows of nobody before
+        _check_empty(world, server)
+        world.set_weather(weather(carla))
+        session.hidden = [
+            thing.id
+            for label in _PARKED
+            for thing in world.get_environment_objects(getattr(carla.CityObjectLabel, label))
+        ]
+        if session.hidden:
+            world.enable_environment_objects(session.hidden, False)
+        yield session
+    except BaseException:
+        with suppress(RuntimeError):  # the first error tells more
+            session.put_back()
+        raise
+    session.put_back()
+
+
+def _connected(carla: Any, server: Server) -> Any:
+    """A client of a server of its own version."""
+    server.reach()
+    client = carla.Client(server.host, server.port)
+    client.set_timeout(server.timeout)
+    theirs, own = client.get_server_version(), client.get_client_version()
+    if _release(theirs) != _release(own):  # what does not fit on the wire ends the process
+        raise InspeError(
+            f"CARLA at {server} is {theirs} and the client here {own}: "
+            f"pip install carla=={_release(theirs)}"
+        )
+    return client
+
+
+def _release(version: str) -> str:
+    """0.9.16 of 0.9.16-3-gabc, as builds of one's own are called."""
+    found = re.match(r"\d+(\.\d+)*", version)
+    return found[0] if found else version
+
+
+def _on_map(client: Any, world: Any, town: str, server: Server) -> Any:
+    """The world on a map, loaded if another one is there."""
+    if _plain(world.get_map().name) == _plain(town):
+        return world
+    there = sorted({name.rpartition("/")[2] for name in client.get_available_maps()})
+    same = [name for name in there if _plain(name) == _plain(town)]
+    if not same:
+        hint = nearest(town, there)
+        raise InspeError(f"CARLA at {server} has no map '{town}'; it has {', '.join(there)}{hint}")
+    client.set_timeout(LOADING)
+    world = client.load_world(town if town in same else same[0])
+    client.set_timeout(server.timeout)
+    return world
+
+
+def _plain(name: str) -> str:
+    """A map's name without its folder; those in layers are the same map."""
+    return name.rpartition("/")[2].removesuffix("_Opt")
+
+
+def _check_empty(world: Any, server: Server) -> None:
+    """Others' road users would be in pictures, and no frame would tell of them."""
+    actors = world.get_actors()
+    others = [*actors.filter("vehicle.*"), *actors.filter("walker.*")]
+    if others:
+        names = ", ".join(sorted({actor.type_id for actor in others})[:3])
+        raise InspeError(
+            f"CARLA at {server}: {len(others)} vehicles or walkers are there already ({names}), "
+            "which frames would not tell of: destroy them or reload the world"
+        )

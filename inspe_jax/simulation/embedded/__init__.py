@@ -1,0 +1,1 @@
+"""The package's own world of triangles: cameras and LiDARs by ray casting."""

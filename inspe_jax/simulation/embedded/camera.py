@@ -1,0 +1,373 @@
+"""A camera in the triangles: a ray through every pixel, shaded by sun, sky and street lamps.
+
+What stands still is met and shaded once for each camera. In each frame only those pixels are looked
+at anew that a road user or its shadow may fall on.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from PIL import Image as Pillow
+from PIL import ImageDraw
+from scipy.ndimage import minimum_filter
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.regions import Region
+from inspe_jax.sensing.sensors import CameraSpec
+from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.light import developed, parts
+from inspe_jax.simulation.embedded.road_users import Company, Movers, paints
+from inspe_jax.simulation.embedded.shading import FAR, Shading
+from inspe_jax.simulation.embedded.shapes import PARTS
+from inspe_jax.simulation.embedded.static_world import (
+    BUILDING,
+    CROWN,
+    GROUND,
+    KERB,
+    POLE,
+    ROOF,
+    TRUNK,
+    Statics,
+)
+from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
+from inspe_jax.simulation.frame import Image, Thing
+from inspe_jax.simulation.projection import corners, outlines
+
+SHADOWED = 150.0
+"""Shadows of road users are looked for so far from the centre [m]."""
+LONGEST = 200.0
+"""… and anybody's so far from what throws them [m]."""
+ASIDE = 8.0
+"""What a road user reaches from its centre in plan, at most [m]."""
+SKY = 11
+SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
+"""CARLA's labels (0.9.14 and later) of the classes."""
+_OF_MATERIAL = {KERB: 2, BUILDING: 3, ROOF: 3, TRUNK: 9, CROWN: 9, POLE: 6}
+_OF_LABEL = {
+    Region.DRIVEWAY: 1,
+    Region.JUNCTION: 1,
+    Region.CROSSWALK: 1,
+    Region.SIDEWALK: 2,
+    Region.SHOULDER: 25,
+    GRASS: 10,
+    PAINT: 24,
+}
+_GLOSS = np.zeros(len(PARTS), np.float32)
+for _part, _share in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
+    _GLOSS[PARTS.index(_part)] = _share
+_GLOW = np.zeros((len(PARTS), 3), np.float32)
+_GLOW[PARTS.index("lamp")] = [1.0, 0.95, 0.85]
+_GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
+
+
+class Ground(NamedTuple):
+    """What lies behind every pixel when nobody is there: R pixels, row by row.
+
+    ``other`` is its colour without the sun, before what the air does to it.
+    """
+
+    distance: Float[np.ndarray, " R"]
+    point: Float[np.ndarray, "R 3"]
+    in_sun: Bool[np.ndarray, " R"]
+    other: Float[np.ndarray, "R 3"]
+    colour: Float[np.ndarray, "R 3"]
+    semantic: UInt8[np.ndarray, " R"]
+
+
+class Cells:
+    """Points (R, 3) sorted by the square metre that each is over, those in the sun alone."""
+
+    def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
+        self.reach, self.size = reach, int(2 * reach)
+        x, y = np.abs(point[:, :2].T)
+        pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
+        cell = np.floor(point[pixels, :2] + reach).astype(int)
+        cell = np.minimum(cell, self.size - 1)  # sums in single precision round up to the rim
+        number = cell[:, 1] * self.size + cell[:, 0]
+        order = np.argsort(number, kind="stable")
+        self.pixels = pixels[order]
+        self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
+        lowest = np.full(self.size**2, np.inf, np.float32)
+        np.minimum.at(lowest, number, point[pixels, 2])
+        square = lowest.reshape(self.size, self.size)
+        around = 2 * (int(ASIDE) + 1) + 1  # and a metre more: that from step to step in ``ends``
+        self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
+
+    def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
+        """Those over the squares that a rectangle touches."""
+        x0, y0 = np.clip(np.floor(low + self.reach), 0, self.size - 1).astype(int)
+        x1, y1 = np.clip(np.floor(high + self.reach), 0, self.size - 1).astype(int)
+        rows = np.arange(y0, y1 + 1) * self.size
+        runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
+        return np.concatenate([self.pixels[a:b] for a, b in runs])
+
+    def ends(
+        self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, " B"]:
+        """How far in plan one may go from each top along a sinking direction until no point is
+        beneath any more [m]: on ground that sinks with it, further than on level ground."""
+        far = np.arange(0, LONGEST)
+        unit = along / np.hypot(*along[:2])
+        at = top[:, None] + far[:, None] * unit
+        x, y = np.moveaxis(np.floor(at[..., :2] + self.reach).astype(int), -1, 0)
+        here = (np.minimum(x, y) >= -ASIDE) & (np.maximum(x, y) < self.size + ASIDE)
+        x, y = np.clip((x, y), 0, self.size - 1)
+        beneath = here & (self._lowest[y, x] < at[..., 2])
+        return np.where(beneath, far + 1, 0).max(-1)
+
+
+class Seen(NamedTuple):
+    """P pixels that look otherwise than when nobody is there: their colours, how far away what is
+    seen is [m], and which road user it is (−1: what stands still, in somebody's shadow)."""
+
+    pixels: Int[np.ndarray, " P"]
+    colour: Float[np.ndarray, "P 3"]
+    distance: Float[np.ndarray, " P"]
+    thing: Int[np.ndarray, " P"]
+
+
+class Camera:
+    """One camera at its place, in one light."""
+
+    def __init__(
+        self,
+        spec: CameraSpec,
+        pose: Float[np.ndarray, "6"],
+        statics: Statics,
+        still: Caster,
+        shading: Shading,
+        scale: float = 1.0,
+    ) -> None:
+        self.pose, self.statics, self.still_caster = np.asarray(pose, float), statics, still
+        self.shading, self.light = shading, shading.light
+        self.height, self.width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
+        across, down = self.width / spec.width, self.height / spec.height
+        self.intrinsic = np.array(
+            [
+                [spec.focal * across, 0.0, spec.principal[0] * across],
+                [0.0, spec.focal * down, spec.principal[1] * down],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        (fx, _, cx), (_, fy, cy), _ = self.intrinsic
+        body = np.stack([np.ones_like(u), (cx - u) / fx, (cy - v) / fy], -1).reshape(-1, 3)
+        self.ahead = 1.0 / np.linalg.norm(body, axis=1)  # depth along the axis for 1 m of ray
+        turned = (body * self.ahead[:, None]) @ rotation(self.pose[3:], np).T
+        self.directions = np.ascontiguousarray(turned, np.float32)
+        self.origin = (self.pose[:3] - statics.center).astype(np.float32)
+        self.ground = self._behind()
+        self.sunny = Cells(self.ground.point, self.ground.in_sun, SHADOWED)
+
+    # ── What stands still ───────────────────────────────────────────────────
+
+    def _behind(self) -> Ground:
+        hits = self.still_caster.cast(self.origin, self.directions, FAR)
+        many = len(self.directions)
+        point, other, colour = (np.empty((many, 3), np.float32) for _ in range(3))
+        in_sun, semantic = np.empty(many, bool), np.empty(many, np.uint8)
+        wholes: tuple[np.ndarray, ...] = (point, in_sun, other, colour, semantic)
+        for part in parts(many):
+            found = self._behind_part(part, *(x[part] for x in hits))
+            for whole, own in zip(wholes, found, strict=True):
+                whole[part] = own
+        return Ground(hits.distance, point, in_sun, other, colour, semantic)
+
+    def _behind_part(
+        self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """The look of some of the pixels, as in :class:`Ground` but for the distance."""
+        shading, met = self.shading, face >= 0
+        point = self._points(pixels, np.where(met, distance, 0))
+        albedo, semantic = _still_look(self.statics, face, point, normal)
+        other = shading.other(point, normal, albedo)
+        other[~met] = shading.sky(self.directions[pixels][~met])
+        direct = shading.sunlight(normal, albedo)
+        in_sun = direct[:, 0] > 0
+        shaded = np.flatnonzero(in_sun)
+        shaded = shaded[self._dark(self.still_caster, point[shaded], normal[shaded])]
+        direct[shaded], in_sun[shaded] = 0, False
+        colour = shading.through_air(direct + other, distance)
+        return point, in_sun, other, colour, np.where(met, semantic, SKY)
+
+    def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
+        """What is seen at pixels, by how far away it is, about the centre."""
+        return self.origin + self.directions[pixels] * distance[:, None]
+
+    def _dark(
+        self, caster: Caster, point: np.ndarray, normal: np.ndarray
+    ) -> Bool[np.ndarray, " R"]:
+        """Whether something stands between points and the sun."""
+        return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
+
+    # ── A frame ─────────────────────────────────────────────────────────────
+
+    def image(
+        self,
+        company: Company,
+        seed: int,
+        rng: np.random.Generator,
+        layers: tuple[str, ...] = (),
+    ) -> Image:
+        """The picture of one frame; the middle of the exposure is the frame's time."""
+        moments = self.light.moments
+        painted = paints(company.things, seed)
+        middle = None
+        total = self.ground.colour.copy()
+        for k in range(moments):
+            after = ((k + 0.5) / moments - 0.5) * self.light.exposure
+            seen = self._moment(company, painted, after)
+            total[seen.pixels] += (seen.colour - self.ground.colour[seen.pixels]) / moments
+            middle = seen if after == 0 else middle
+        shape = (self.height, self.width)
+        rgb = developed(total.reshape(*shape, 3), self.light, rng)
+        extra = {}
+        if layers:
+            whole = self._layers(middle or self._moment(company, painted, 0.0), company.things)
+            extra = {name: whole[name].reshape(shape) for name in layers}
+        return Image(self.pose, self.intrinsic, rgb, **extra)
+
+    def _layers(self, seen: Seen, things: tuple[Thing, ...]) -> dict[str, np.ndarray]:
+        """Depth, instance and semantic of every pixel."""
+        distance, semantic = self.ground.distance.copy(), self.ground.semantic.copy()
+        instance = np.zeros(len(distance), np.int32)
+        met = seen.thing >= 0
+        at, thing = seen.pixels[met], seen.thing[met]
+        distance[at] = seen.distance[met]
+        instance[at] = np.array([t.track + 1 for t in things], int)[thing]
+        semantic[at] = np.array([SEMANTIC[t.kind] for t in things], int)[thing]
+        return {
+            "depth": (distance * self.ahead).astype(np.float32),
+            "instance": instance,
+            "semantic": semantic,
+        }
+
+    def _moment(self, company: Company, painted: np.ndarray, after: float) -> Seen:
+        """What road users change at one moment."""
+        movers, caster = company.at(after)
+        boxes = corners(company.things) + after * company.velocity[:, None]
+        pixels = self._may_see(boxes)
+        reach = np.minimum(self.ground.distance[pixels], FAR)
+        hits = caster.cast(self.origin, self.directions[pixels], reach)
+        met = hits.face >= 0
+        at, distance, face = pixels[met], hits.distance[met], hits.face[met]
+        look = self._mover_look(caster, movers, painted, at, distance, face, hits.normal[met])
+        covered = np.zeros(len(self.directions), bool)
+        covered[at] = True
+        shadow = self._shadows(caster, company.things, after)
+        shadow = shadow[~covered[shadow]]
+        distance = np.concatenate([distance, self.ground.distance[shadow]])
+        colour = np.concatenate([look, self.ground.other[shadow]])
+        return Seen(
+            np.concatenate([at, shadow]),
+            self.shading.through_air(colour, distance),
+            distance,
+            np.concatenate([movers.thing[face], np.full(len(shadow), -1)]),
+        )
+
+    def _mover_look(
+        self,
+        caster: Caster,
+        movers: Movers,
+        painted: np.ndarray,
+        at: np.ndarray,
+        distance: np.ndarray,
+        face: np.ndarray,
+        normal: np.ndarray,
+    ) -> Float[np.ndarray, "P 3"]:
+        """Colours of road users at the pixels where they are met."""
+        shading, part = self.shading, movers.part[face]
+        point = self._points(at, distance)
+        albedo = painted[movers.thing[face], part]
+        colour = shading.other(point, normal, albedo)
+        if self.light.has_sun:
+            direct = shading.sunlight(normal, albedo)
+            lit = np.flatnonzero(direct[:, 0] > 0)
+            for one in (caster, self.still_caster):
+                lit = lit[~self._dark(one, point[lit], normal[lit])]
+            colour[lit] += direct[lit]
+        colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)
+        if self.light.lamps > 0:
+            colour += _GLOW[part] * np.float32(self.light.lamps)
+        return colour
+
+    def _shadows(
+        self, caster: Caster, things: tuple[Thing, ...], after: float
+    ) -> Int[np.ndarray, " P"]:
+        """The pixels of what stands still, in the sun but for the shadow of a road user."""
+        if not (self.light.has_sun and things):
+            return np.zeros(0, int)
+        near = np.zeros(len(self.directions), bool)
+        at = np.array([t.center + after * t.velocity for t in things]) - self.statics.center
+        size = np.array([t.size for t in things])
+        away = -self.light.to_sun
+        long = self.sunny.ends(at + [0, 0, 0.5] * size, away)
+        end = at[:, :2] + long[:, None] * away[:2] / np.hypot(*away[:2])
+        reach = np.hypot(size[:, :1], size[:, 1:2]) / 2
+        low, high = np.minimum(at[:, :2], end) - reach, np.maximum(at[:, :2], end) + reach
+        for corners_of_one in zip(low, high, strict=True):
+            near[self.sunny.within(*corners_of_one)] = True
+        pixels = np.flatnonzero(near)
+        up = np.array([0, 0, 1], np.float32)
+        return pixels[self._dark(caster, self.ground.point[pixels], up)]
+
+    def _may_see(self, boxes: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
+        """The pixels within the outlines of boxes, and a little around them."""
+        wanted = Pillow.new("1", (self.width, self.height))
+        pen = ImageDraw.Draw(wanted)
+        for outline in outlines(self, boxes, self.width, self.height, margin=2.0):
+            pen.polygon(outline.ravel().tolist(), fill=1)
+        return np.flatnonzero(np.asarray(wanted))
+
+
+def _still_look(
+    statics: Statics, face: np.ndarray, point: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(linear albedo, CARLA's label) of what stands still, by where it is met."""
+    material = np.where(face >= 0, statics.material[face], -1)
+    body = np.where(face >= 0, statics.body[face], 0)
+    albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
+    for kind, label in _OF_MATERIAL.items():
+        semantic[material == kind] = label
+    ground = material == GROUND
+    world = point[:, :2] + statics.center[:2]
+    albedo[ground] = statics.surface.albedo(world[ground])
+    labels = np.array([_OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
+    semantic[ground] = labels[statics.surface.label(world[ground])]
+    albedo[material == KERB] = 0.34
+    albedo[material == ROOF] = [0.16, 0.12, 0.11]
+    albedo[material == TRUNK] = [0.11, 0.075, 0.05]
+    albedo[material == POLE] = [0.28, 0.29, 0.30]
+    crown = material == CROWN
+    leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
+    tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
+    albedo[crown] = np.array([0.065, 0.11, 0.035]) * (leaf * tint)[:, None]
+    wall = material == BUILDING
+    albedo[wall] = _facade(point[wall], normal[wall], body[wall])
+    return albedo, semantic
+
+
+_WALLS = np.array(
+    [
+        [0.42, 0.36, 0.30],
+        [0.34, 0.17, 0.12],
+        [0.50, 0.48, 0.44],
+        [0.30, 0.31, 0.33],
+        [0.46, 0.38, 0.24],
+    ]
+)
+
+
+def _facade(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Plaster or brick with rows of windows, 3 m by 3 m."""
+    along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
+    across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
+    pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)
+    frame = (across > 0.7) & (across < 2.2) & (up > 0.9) & (up < 2.5)
+    colour = (
+        _WALLS[body % len(_WALLS)]
+        * (0.9 + 0.2 * noise(np.column_stack([along, point[:, 2]]) * 1.3))[:, None]
+    )
+    colour = np.where(frame[:, None], 0.55, colour)
+    return np.where(pane[:, None], [0.05, 0.06, 0.075], colour)

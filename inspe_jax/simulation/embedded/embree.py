@@ -1,0 +1,81 @@
+"""Triangles and the rays that meet them, by Embree; in single precision about a centre."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from inspe_jax.core.errors import InspeError
+
+
+class Hits(NamedTuple):
+    """What R rays meet first: how far away [m], which face (−1: nothing) and its unit normal."""
+
+    distance: Float[np.ndarray, " R"]
+    face: Int[np.ndarray, " R"]
+    normal: Float[np.ndarray, "R 3"]
+
+
+class Caster:
+    """Triangles (F, 3, 3), ready to be asked; nothing is met where there are none."""
+
+    def __init__(self, triangles: Float[np.ndarray, "F 3 3"]) -> None:
+        self.count = len(triangles)
+        if self.count:
+            core, mesh = _library()
+            self._scene = core.EmbreeScene(robust=True)  # or rays slip through between faces
+            mesh.TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
+
+    def cast(
+        self,
+        origins: Float[np.ndarray, "*R 3"],
+        directions: Float[np.ndarray, "R 3"],
+        reach: float | Float[np.ndarray, " R"],
+    ) -> Hits:
+        """The first face on each ray within ``reach`` [m]; one origin, or one for each ray.
+
+        Normals face the ray. ``distance`` is infinite where nothing is met.
+        """
+        many = len(directions)
+        distance, normal = np.full(many, np.inf, np.float32), np.zeros((many, 3), np.float32)
+        if not (self.count and many):
+            return Hits(distance, np.full(many, -1), normal)
+        start, to, reach = _rays(origins, directions, reach)
+        found = self._scene.run(start, to, dists=reach, output=True)
+        met = np.flatnonzero(found["primID"] >= 0)
+        distance[met] = found["tfar"][met]
+        across = found["Ng"][met]
+        along = np.einsum("rk,rk->r", across, to[met])
+        across /= np.copysign(np.sqrt(np.einsum("rk,rk->r", across, across)), -along)[:, None]
+        normal[met] = across
+        return Hits(distance, found["primID"], normal)
+
+    def meets(
+        self,
+        origins: Float[np.ndarray, "R 3"],
+        directions: Float[np.ndarray, "*R 3"],
+        reach: float | Float[np.ndarray, " R"] = 1e4,
+    ) -> Bool[np.ndarray, " R"]:
+        """Whether anything is met on each ray within ``reach`` [m]; one direction, or many."""
+        start, to, reach = _rays(origins, directions, reach)
+        if not (self.count and len(to)):
+            return np.zeros(len(to), bool)
+        return self._scene.run(start, to, dists=reach, query="OCCLUDED") >= 0
+
+
+def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Copies of origins, directions and reaches, one for each ray, as Embree takes them."""
+    start, to = np.broadcast_arrays(origins, directions)
+    given = start, to, np.broadcast_to(reach, start.shape[:1])
+    start, to, far = (np.array(x, np.float32, order="C") for x in given)
+    return start, to, far
+
+
+def _library() -> tuple[Any, Any]:
+    try:
+        from embreex import mesh_construction, rtcore_scene
+    except ImportError as error:
+        raise InspeError(
+            "recording needs Embree: pip install 'inspe_jax[dataset]' (no wheels for Linux on ARM)"
+        ) from error
+    return rtcore_scene, mesh_construction

@@ -1,0 +1,98 @@
+"""What surfaces send back in one light: the sun's, the sky's and street lamps', through the air."""
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.simulation.embedded.light import LAMP, haze, light_of, parts
+
+LAMP_ABOVE = 1.5
+"""Street lamps hang so far above the tops of poles [m]."""
+FAR = 1000.0
+"""Cameras see so far [m], but for haze; how far they perceive is the scores' business."""
+
+
+class Shading:
+    """One light at one place. Colours are linear, in single precision as everything here.
+
+    ``poles`` (P, 3) are the tops of the poles, about the centre as points are.
+    """
+
+    def __init__(self, conditions: Conditions, poles: Float[np.ndarray, "P 3"]) -> None:
+        self.light, self.haze = light_of(conditions), haze(conditions)
+        self.to_sun = self.light.to_sun.astype(np.float32)
+        self.sun, self.ambient, self.sky_colour = (
+            np.array(colour, np.float32)
+            for colour in (self.light.sun, self.light.ambient, self.light.sky)
+        )
+        self.lamps = (poles + [0.0, 0.0, LAMP_ABOVE]).astype(np.float32)
+        self.lamp_colour = np.float32(self.light.lamps) * np.array(LAMP, np.float32)
+
+    def sunlight(
+        self, normal: Float[np.ndarray, "R 3"], albedo: Float[np.ndarray, "R 3"]
+    ) -> Float[np.ndarray, "R 3"]:
+        """What surfaces send back of the sun where nothing is in its way (Lambert)."""
+        facing = np.maximum(normal @ self.to_sun, 0)
+        direct: np.ndarray = albedo * facing[:, None] * self.sun
+        return direct
+
+    def other(
+        self,
+        point: Float[np.ndarray, "R 3"],
+        normal: Float[np.ndarray, "R 3"],
+        albedo: Float[np.ndarray, "R 3"],
+    ) -> Float[np.ndarray, "R 3"]:
+        """What surfaces send back of all other light: of the sky, and of street lamps."""
+        light = (0.65 + 0.35 * normal[:, 2:]) * self.ambient
+        if self.light.lamps > 0 and len(self.lamps):
+            light += self._lamplight(point, normal)[:, None] * self.lamp_colour
+        return albedo * light
+
+    def _lamplight(
+        self, point: Float[np.ndarray, "R 3"], normal: Float[np.ndarray, "R 3"]
+    ) -> Float[np.ndarray, " R"]:
+        """Σ n·d / (|d|² + 1)^(3/2) over the ways d to the lamps [m]: cos θ / r² from afar, and not
+        more than 0.4 each, as they are no points."""
+        found = np.empty(len(point), np.float32)
+        own = (self.lamps**2).sum(1) + 1
+        for at in parts(len(point)):
+            p, n = point[at], normal[at]
+            squared = own + np.einsum("rk,rk->r", p, p)[:, None] - 2 * (p @ self.lamps.T)
+            along = n @ self.lamps.T - np.einsum("rk,rk->r", p, n)[:, None]
+            near = 1 / np.sqrt(np.maximum(squared, 1))
+            found[at] = (np.maximum(along, 0) * near * near * near).sum(1)
+        return found
+
+    def sky(self, directions: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
+        """Paler towards the horizon; a glow about the sun."""
+        up = np.sqrt(np.clip(directions[:, 2:], 0, 1))
+        colour = self.sky_colour * (1.25 - 0.55 * up)
+        if self.light.has_sun:
+            toward = np.clip(directions @ self.to_sun, 0, 1)[:, None]
+            colour += self.sun * (0.3 * toward**8 + 2.0 * toward**400)
+        return colour
+
+    def mirrored(
+        self,
+        share: Float[np.ndarray, " R"],
+        to: Float[np.ndarray, "R 3"],
+        normal: Float[np.ndarray, "R 3"],
+    ) -> Float[np.ndarray, "R 3"]:
+        """What lacquer and glass mirror of the sky, more at a grazing angle (Schlick 1994).
+
+        ``share`` is what they mirror of a ray that meets them head on, ``to`` where rays go.
+        """
+        along = np.einsum("rk,rk->r", to, normal)
+        grazing = share * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
+        up = to[:, 2] - 2 * along * normal[:, 2]
+        return (grazing * np.clip(0.25 + 1.5 * up, 0.1, 1))[:, None] * self.sky_colour
+
+    def through_air(
+        self, colour: Float[np.ndarray, "R 3"], distance: Float[np.ndarray, " R"]
+    ) -> Float[np.ndarray, "R 3"]:
+        """Colours as they look from a distance [m], which may be infinite (Koschmieder 1924)."""
+        if not self.haze:
+            return colour
+        clear = np.exp(-np.float32(self.haze) * np.minimum(distance, FAR))[:, None]
+        veil = self.ambient * 0.9 + 0.15 * self.sun
+        return colour * clear + veil * (1 - clear)

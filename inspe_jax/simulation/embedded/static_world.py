@@ -1,0 +1,241 @@
+"""What stands still: the ground, kerbs, buildings, trees and poles, as triangles of materials.
+
+Buildings and trees stand beyond the radius of the region of interest, so that no line of sight
+within it meets any: the scores take it to be open. Within it there are only kerbs, as low as they
+are, and thin poles.
+"""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from shapely.geometry import Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.regions import Region
+from inspe_jax.simulation.embedded.surface import Surface, lay_surface
+
+MATERIALS = ("ground", "kerb", "building", "roof", "trunk", "crown", "pole")
+GROUND, KERB, BUILDING, ROOF, TRUNK, CROWN, POLE = range(len(MATERIALS))
+
+HORIZON = 400.0
+"""The ground goes on so far [m]."""
+MAPPED = 15.0
+"""The map is read a little beyond the radius; so far the ground is as it says [m]."""
+KERB_SIZE = (0.15, 0.12)
+"""Width and height of a kerb [m]."""
+POLE_RADIUS = 0.08
+POLE_HEIGHT = 6.0
+CLEAR = 2.0
+"""Least distance of trees and buildings from any region [m]."""
+CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
+"""Nothing stands here."""
+BUILDINGS, TREES = 44, 60
+"""As many are tried for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Statics:
+    """Triangles (F, 3, 3) about ``center``, their materials, and for buildings and trees which one.
+
+    ``poles`` (P, 3) are the tops of the poles, world.
+    """
+
+    center: Float[np.ndarray, "3"]
+    triangles: Float[np.ndarray, "F 3 3"]
+    material: Int[np.ndarray, " F"]
+    body: Int[np.ndarray, " F"]
+    surface: Surface
+    poles: Float[np.ndarray, "P 3"]
+
+
+def build_statics(
+    intersection: Intersection,
+    radius: float,
+    masts: Float[np.ndarray, "U 4"],
+) -> Statics:
+    """The still world of an intersection, out to the horizon.
+
+    ``masts`` are the infrastructure units' feet and how high they rise above them [m]; units over
+    the carriageway have none. Where buildings and trees stand is drawn by lot, the same at every
+    intersection of one name.
+    """
+    rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
+    center = np.asarray(intersection.center, float)
+    open_ = unary_union(list(intersection.regions.values()))
+    road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
+    masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]  # those hang on wires
+    feet = [(*p, POLE_HEIGHT) for p in intersection.poles]
+    feet = [p for p in feet if np.hypot(*(p[:2] - center[:2])) <= radius + MAPPED]
+    feet = [p for p in feet if all(np.hypot(*(np.array(p[:2]) - m[:2])) > 0.5 for m in masts)]
+    posts = np.array([*masts, *feet], float).reshape(-1, 4)
+    parts: list[tuple[np.ndarray, int, int]] = [
+        (_terrain(intersection, radius), GROUND, 0),
+        *((ring, KERB, 0) for ring in _kerbs(intersection)),
+        *((_tube(p[:3], POLE_RADIUS, p[3]), POLE, 0) for p in posts),
+    ]
+    taken = open_.buffer(CLEAR)
+    for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
+        walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
+        parts += [(walls, BUILDING, k), (roof, ROOF, k)]
+        taken = unary_union([taken, Polygon(corners).buffer(1.0)])
+    for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
+        parts.append((_tube(foot, 0.18, 0.45 * height), TRUNK, k))
+        parts.append((_crown(foot, height, rng), CROWN, k))
+    tops = posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:]
+    sizes = [len(part) for part, _, _ in parts]
+    return Statics(
+        center=center,
+        triangles=(np.concatenate([part for part, _, _ in parts]) - center).astype(np.float32),
+        material=np.repeat([m for _, m, _ in parts], sizes),
+        body=np.repeat([b for _, _, b in parts], sizes),
+        surface=lay_surface(intersection, radius + MAPPED),
+        poles=tops,
+    )
+
+
+def _terrain(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 3 3"]:
+    """The ground as a grid: every metre where the map is, coarser beyond; two triangles if flat."""
+    center = intersection.center
+    heights = intersection.ground_points[:, 2]
+    if np.ptp(heights) < 1e-6:
+        lines = np.array([-HORIZON, HORIZON])
+    else:
+        near = np.arange(-np.ceil(radius + MAPPED), np.ceil(radius + MAPPED) + 1)
+        far = np.linspace(near[-1], HORIZON, 20)[1:]
+        lines = np.concatenate([-far[::-1], near, far])
+    x, y = np.meshgrid(center[0] + lines, center[1] + lines, indexing="ij")
+    z = intersection.ground(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+    at = np.stack([x, y, z], -1)
+    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+    return np.concatenate(
+        [np.stack([a, b, c], 2).reshape(-1, 3, 3), np.stack([a, c, d], 2).reshape(-1, 3, 3)]
+    )
+
+
+def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
+    """A ridge along the edge of the carriageway, lowered at crossings."""
+    regions = intersection.regions
+    road = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION) if r in regions]
+    foot = [regions[r] for r in (Region.SIDEWALK, Region.SHOULDER) if r in regions]
+    if not road or not foot:
+        return
+    carriageway = unary_union(road)
+    edge = carriageway.boundary.intersection(unary_union(foot).buffer(0.3))
+    if Region.CROSSWALK in regions:
+        edge = edge.difference(regions[Region.CROSSWALK].buffer(0.5))
+    width, height = KERB_SIZE
+    ribbon = edge.segmentize(3.0).buffer(width / 2, cap_style="flat", join_style="mitre")
+    for part in shapely.get_parts(ribbon.difference(carriageway)):
+        for ring in [part.exterior, *part.interiors] if part.geom_type == "Polygon" else []:
+            yield _wall(np.asarray(ring.coords)[:, :2], intersection, height)
+        yield _lid(part, intersection, height)
+
+
+def _wall(line: np.ndarray, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
+    """An upright ribbon along a line."""
+    low = np.column_stack([line, place.ground(line) - 0.05])
+    high = low + [0.0, 0.0, height + 0.05]
+    a, b, c, d = low[:-1], low[1:], high[1:], high[:-1]
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def _lid(shape: BaseGeometry, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
+    """A shape's area at a height above the ground."""
+    cut = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
+    if not len(cut):
+        return np.zeros((0, 3, 3))
+    xy = np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut])
+    z = place.ground(xy.reshape(-1, 2)).reshape(-1, 3) + height
+    return np.concatenate([xy, z[..., None]], -1)
+
+
+def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "F 3 3"]:
+    """An upright prism of eight sides, closed above."""
+    turn = np.linspace(0, 2 * np.pi, 9)
+    ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(9)])
+    top = ring + [0.0, 0.0, height]
+    a, b, c, d = ring[:-1], ring[1:], top[1:], top[:-1]
+    cap = np.broadcast_to(foot + [0.0, 0.0, height], a.shape)
+    return np.concatenate([np.stack(t, 1) for t in ((a, b, c), (a, c, d), (d, c, cap))])
+
+
+def _plots(
+    intersection: Intersection, taken: BaseGeometry, radius: float, rng: np.random.Generator
+) -> Iterator[Float[np.ndarray, "4 2"]]:
+    """Corners of buildings: along the streets, clear of all that is taken and of each other."""
+    built: list[Polygon] = []
+    streets = unary_union(list(intersection.regions.values())).boundary
+    for _ in range(BUILDINGS):
+        for _ in range(25):
+            away = radius + rng.uniform(6, 60)
+            turn = rng.uniform(0, 2 * np.pi)
+            at = intersection.center[:2] + away * np.array([np.cos(turn), np.sin(turn)])
+            size = rng.uniform([9, 8], [22, 16]) / 2
+            close = streets.interpolate(streets.project(Point(at)))
+            facing = np.arctan2(close.y - at[1], close.x - at[0])
+            axes = np.array([[np.cos(facing), np.sin(facing)], [-np.sin(facing), np.cos(facing)]])
+            corners = at + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size) @ axes
+            shape = Polygon(corners)
+            clear = shape.distance(Point(intersection.center[:2])) > radius + CLEAR
+            if clear and shape.disjoint(taken) and all(shape.distance(b) > 1.5 for b in built):
+                built.append(shape)
+                yield corners
+                break
+
+
+def _house(
+    corners: np.ndarray, place: Intersection, height: float
+) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"]]:
+    """Walls and a flat roof; sunk a little where the ground slopes."""
+    base = place.ground(corners).min() - 0.5
+    low = np.column_stack([corners, np.full(4, base)])
+    high = low + [0.0, 0.0, height + 0.5]
+    a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
+    walls = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return walls, np.array([high[[0, 1, 2]], high[[0, 2, 3]]])
+
+
+def _trees(
+    intersection: Intersection, taken: BaseGeometry, radius: float, rng: np.random.Generator
+) -> Iterator[tuple[Float[np.ndarray, "3"], float]]:
+    """Feet and heights of trees whose crowns are clear of all that is taken."""
+    for _ in range(TREES):
+        height = rng.uniform(4.5, 9.0)
+        for _ in range(15):
+            turn, away = rng.uniform(0, 2 * np.pi), radius + rng.uniform(4, 45)
+            at = intersection.center[:2] + away * np.array([np.cos(turn), np.sin(turn)])
+            if Point(at).distance(taken) > 0.35 * height:
+                yield np.array([*at, intersection.ground(at[None])[0]]), float(height)
+                break
+
+
+def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> Float[np.ndarray, "F 3 3"]:
+    """A lumpy ball on a trunk: rings of latitude, each point a little off."""
+    tall, wide = 0.62 * height / 2, 0.28 * height
+    rows, columns = 5, 8
+    up = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)[:, None]
+    turn = np.linspace(0, 2 * np.pi, columns, endpoint=False)[None]
+    lump = 1 + rng.uniform(-0.18, 0.18, (rows + 1, columns))
+    lump[[0, -1]] = 1.0
+    ball = (
+        np.stack(
+            [
+                wide * np.cos(up) * np.cos(turn) * lump,
+                wide * np.cos(up) * np.sin(turn) * lump,
+                tall * np.sin(up) * np.ones_like(turn),
+            ],
+            -1,
+        )
+        + foot
+        + [0.0, 0.0, height - tall]
+    )
+    next_ = np.roll(ball, -1, 1)
+    a, b, c, d = ball[:-1], next_[:-1], next_[1:], ball[1:]
+    faces = np.concatenate([np.stack([a, b, c], 2), np.stack([a, c, d], 2)])
+    return faces.reshape(-1, 3, 3)

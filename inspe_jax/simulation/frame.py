@@ -1,0 +1,199 @@
+"""What a moment of a data set holds: things on the road, and stations with images and scans.
+
+All in world ENU, metres and radians; a pose is (x, y, z, roll, pitch, yaw).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene.traffic.frames import CLASSES
+
+KINDS = CLASSES
+"""Kinds of :class:`Thing`."""
+
+MOST_TRACK = 2**16 - 2
+"""Tracks run to here: ``track + 1`` must fit a 16-bit picture."""
+
+MOST_FRAME = 999_999
+"""Frames are numbered to here: file names have six digits, and are sorted as text."""
+
+
+class Deferred:
+    """A record of which some fields are read when first asked for, and then kept."""
+
+    @classmethod
+    def deferred(cls, later: Mapping[str, Callable[[], Any]], **now: Any) -> Self:
+        """A record with the fields ``now``, and those that ``later`` will read."""
+        record = object.__new__(cls)
+        record.__dict__.update(now, _later=dict(later))
+        return record
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            later = self.__dict__.get("_later", {})
+            if name not in later:
+                raise AttributeError(f"{type(self).__name__} has no '{name}'")
+            value = self.__dict__[name] = later[name]()
+            return value
+
+
+def _nothing() -> None:
+    """A default that leaves no attribute on the class, which a deferred field would find there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """A road user: an upright box. ``track`` is the same in every frame of a scenario.
+
+    ``center`` is the middle of the box [m]; ``size`` is length, width, height [m]; ``velocity``
+    in m/s; ``kind`` one of :data:`KINDS`; ``name`` as of a blueprint (``vehicle.audi.tt``).
+    """
+
+    track: int
+    kind: str
+    name: str
+    center: Float[np.ndarray, "3"]
+    yaw: float
+    size: Float[np.ndarray, "3"]
+    velocity: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Image(Deferred):
+    """A camera's picture, and what it shows pixel by pixel.
+
+    ``depth`` is in metres, infinite where nothing is met; ``instance`` is track + 1, and 0 where
+    there is no thing; ``semantic`` a label per pixel. Any of these three may be None.
+    """
+
+    pose: Float[np.ndarray, "6"]
+    intrinsic: Float[np.ndarray, "3 3"]
+    rgb: UInt8[np.ndarray, "H W 3"] = field(repr=False)
+    depth: Float[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
+    instance: Int[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
+    semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan(Deferred):
+    """A LiDAR's points: x, y, z in its body frame (x forward, y left, z up) [m], intensity 0…1."""
+
+    pose: Float[np.ndarray, "6"]
+    points: Float[np.ndarray, "N 4"] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """An infrastructure unit and what its sensors saw. ``number`` n ≥ 1 is the agent −n.
+
+    In sets of others an agent with a positive id n is a vehicle: number −n.
+    """
+
+    number: int
+    name: str
+    pose: Float[np.ndarray, "6"]
+    images: tuple[Image, ...]
+    scans: tuple[Scan, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment: every thing that is there, and every station. ``time`` in seconds."""
+
+    number: int
+    time: float
+    things: tuple[Thing, ...]
+    stations: tuple[Station, ...]
+
+
+def check_frame(frame: Frame) -> None:
+    """Raise InspeError where a frame cannot be written as it is; loads all that is deferred."""
+    where = f"frame {frame.number}"
+    _whole_number(frame.number, 0, MOST_FRAME, "frame")
+    for track in (thing.track for thing in frame.things):
+        _whole_number(track, 0, MOST_TRACK, f"{where}: track")
+    for number in (station.number for station in frame.stations):
+        _whole_number(number, 1, None, f"{where}: station")
+    _no_two([thing.track for thing in frame.things], f"{where}: track")
+    _no_two([station.number for station in frame.stations], f"{where}: station")
+    for thing in frame.things:
+        _check_thing(thing, f"{where}: track {thing.track}")
+    for station in frame.stations:
+        here = f"{where}: station {station.number}"
+        _numbers(station.pose, (6,), f"{here}: pose")
+        for i, image in enumerate(station.images):
+            _check_image(image, f"{here}: image {i}")
+        for i, scan in enumerate(station.scans):
+            _numbers(scan.pose, (6,), f"{here}: scan {i}: pose")
+            _check_points(scan.points, f"{here}: scan {i}: points")
+
+
+def _check_thing(thing: Thing, where: str) -> None:
+    if thing.kind not in KINDS:
+        hint = nearest(str(thing.kind), KINDS)
+        raise InspeError(f"{where}: kind '{thing.kind}': one of {', '.join(KINDS)}{hint}")
+    for key in ("center", "size", "velocity"):
+        _numbers(getattr(thing, key), (3,), f"{where}: {key}")
+    _numbers(thing.yaw, (), f"{where}: yaw")
+    if not np.all(np.asarray(thing.size) > 0):
+        raise InspeError(f"{where}: size {np.asarray(thing.size).tolist()} is not above 0")
+
+
+def _check_image(image: Image, where: str) -> None:
+    _numbers(image.pose, (6,), f"{where}: pose")
+    _numbers(image.intrinsic, (3, 3), f"{where}: intrinsic")
+    rgb = np.asarray(image.rgb)
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or not rgb.size:
+        given = f"{rgb.dtype} {rgb.shape}"
+        raise InspeError(f"{where}: rgb must be uint8 (height, width, 3), got {given}")
+    for key, kinds in (("depth", "f"), ("instance", "iu"), ("semantic", "u")):
+        layer = getattr(image, key)
+        if layer is None:
+            continue
+        layer = np.asarray(layer)
+        if layer.shape != rgb.shape[:2] or layer.dtype.kind not in kinds:
+            allowed = f"{rgb.shape[:2]} as rgb, of {_KIND_WORDS[kinds]}"
+            raise InspeError(f"{where}: {key} must be {allowed}, got {layer.dtype} {layer.shape}")
+        least, most = _LAYER_LIMITS[key]
+        if not (layer.min() >= least and layer.max() <= most):  # also false for NaN
+            given = f"{layer.min()} to {layer.max()}"
+            raise InspeError(f"{where}: {key} runs from {given}: allowed {least} to {most}")
+
+
+_KIND_WORDS = {"f": "floats", "iu": "integers", "u": "unsigned integers"}
+_LAYER_LIMITS = {"depth": (0.0, np.inf), "instance": (0, MOST_TRACK + 1), "semantic": (0, 255)}
+
+
+def _check_points(points: Any, where: str) -> None:
+    points = np.asarray(points)
+    _numbers(points, (len(points) if points.ndim else 0, 4), where)
+    intensity = points[:, 3]
+    if len(points) and not (intensity.min() >= 0 and intensity.max() <= 1):
+        given = f"{intensity.min():g} to {intensity.max():g}"
+        raise InspeError(f"{where}: intensity runs from {given}: allowed 0 to 1")
+
+
+def _numbers(value: Any, shape: tuple[int, ...], where: str) -> None:
+    array = np.asarray(value)
+    if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        given = array.tolist() if array.size <= 9 else f"{array.dtype} {array.shape}"
+        raise InspeError(f"{where} must be finite numbers of shape {shape}, got {given}")
+
+
+def _whole_number(value: Any, least: int, most: int | None, where: str) -> None:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):
+        allowed = f"at least {least}" if most is None else f"{least} to {most}"
+        raise InspeError(f"{where} {value!r} is out of range: a whole number, {allowed}")
+
+
+def _no_two(numbers: Sequence[int], where: str) -> None:
+    twice = next((n for n in numbers if numbers.count(n) > 1), None)
+    if twice is not None:
+        raise InspeError(f"{where} {twice} is given twice")

@@ -1,0 +1,114 @@
+"""Boxes as a camera sees them: the edges that fall on its picture."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.simulation.frame import Thing
+
+NEAR = 0.1
+"""Edges are cut where they come nearer to the plane of the camera than this [m]."""
+TOUCHING = 0.01
+"""As near as that a road user is looked for [m]."""
+
+_SIGNS = np.array([[x, y, z] for z in (-1, 1) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+_BOTTOM = [(0, 1), (1, 2), (2, 3), (3, 0)]
+EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) for k in range(4))])
+"""The 12 edges of a box, two of :func:`corners` each; of those at the front, (3, 0) is lowest."""
+
+
+def corners(things: Sequence[Thing]) -> Float[np.ndarray, "B 8 3"]:
+    """Corners of boxes in the world [m]: front left, rear left, rear right, front right at the
+    bottom, and again at the top."""
+    found = np.zeros((len(things), 8, 3))
+    for k, thing in enumerate(things):
+        turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
+        found[k] = np.asarray(thing.center) + (_SIGNS * np.asarray(thing.size) / 2) @ turn.T
+    return found
+
+
+class Pinhole(Protocol):
+    """Where a camera is, and how it sees: an :class:`~inspe_jax.simulation.frame.Image`, say."""
+
+    @property
+    def pose(self) -> Float[np.ndarray, "6"]:
+        """Its pose in the world."""
+        ...
+
+    @property
+    def intrinsic(self) -> Float[np.ndarray, "3 3"]:
+        """Its calibration in pixels."""
+        ...
+
+
+def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Points of the world on a picture: column, row and depth, in pixels and metres.
+
+    (0, 0) is the outer corner of the first pixel. What is behind the camera has no place there:
+    its depth is below 0.
+    """
+    pose = np.asarray(image.pose, float)
+    body = (points - pose[:3]) @ rotation(pose[3:], np)
+    seen = np.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ image.intrinsic.T
+    placed: np.ndarray = np.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)
+    return placed
+
+
+def box_lines(
+    image: Pinhole, things: Sequence[Thing], width: int, height: int
+) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
+    """Edges of boxes, each cut to what is on a picture: (column, row) of their ends, and whose.
+
+    A box that is behind the camera, or beside the picture, has none.
+    """
+    lines, owner = _in_front(image, corners(things), NEAR)
+    for axis, most in ((0, width), (1, height)):
+        lines, owner = _cut(lines, owner, lines[..., axis])
+        lines, owner = _cut(lines, owner, most - lines[..., axis])
+    return lines, owner
+
+
+def outlines(
+    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], width: int, height: int, margin: float = 0.0
+) -> list[Float[np.ndarray, "N 2"]]:
+    """What boxes cover of a picture, as polygons of (column, row), each ``margin`` pixels wider.
+
+    ``boxes`` are as of :func:`corners`. Those behind the camera or beside the picture have none.
+    """
+    lines, owner = _in_front(image, boxes, TOUCHING)
+    _, own = np.unique(np.repeat(owner, 2), return_inverse=True)
+    hulls = shapely.convex_hull(shapely.multipoints(lines.reshape(-1, 2), indices=own))
+    cut = shapely.clip_by_rect(shapely.buffer(hulls, margin, quad_segs=1), 0, 0, width, height)
+    return [
+        np.asarray(shape.exterior.coords)
+        for shape in cut
+        if shape.geom_type == "Polygon" and not shape.is_empty
+    ]
+
+
+def _in_front(
+    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], near: float
+) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
+    """Edges of boxes on a picture's plane, cut where they come nearer than ``near`` [m]; whose."""
+    pose = np.asarray(image.pose, float)
+    ends = boxes[:, EDGES].reshape(-1, 2, 3)
+    owner = np.repeat(np.arange(len(boxes)), len(EDGES))
+    depth = (ends - pose[:3]) @ rotation(pose[3:], np)[:, 0]  # (M, 2)
+    ends, owner = _cut(ends, owner, depth - near)
+    return pixels(image, ends)[..., :2], owner
+
+
+def _cut(
+    ends: Float[np.ndarray, "M 2 D"], owner: Int[np.ndarray, " M"], margin: Float[np.ndarray, "M 2"]
+) -> tuple[Float[np.ndarray, "N 2 D"], Int[np.ndarray, " N"]]:
+    """Segments as far as a margin that is given at their ends, and linear, is above 0."""
+    kept = (margin > 0).any(1)
+    ends, margin = ends[kept], margin[kept]
+    (a, b), out = margin.T, (margin < 0)[..., None]  # out (N, 2, 1)
+    share = (a / np.where(a == b, 1.0, a - b))[:, None]
+    crossing = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+    return np.where(out, crossing[:, None], ends), owner[kept]

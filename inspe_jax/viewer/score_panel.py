@@ -1,0 +1,97 @@
+"""What the page says of a layout: its scores as bars, what it costs, what rules it breaks."""
+
+from collections.abc import Sequence
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.problem import Objective
+from inspe_jax.report.figures import SENSOR_COLORS
+from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.page import template
+from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
+from inspe_jax.report.tables import METRICS
+from inspe_jax.scoring.viewshed import Sight
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.scorer import Scored
+
+SIGHTS = {
+    Sight.HIDDEN: "hidden by traffic",
+    Sight.OUT_OF_VIEW: "never in view",
+    Sight.SEEN: "seen",
+}
+"""Kinds of voxels in words."""
+KEYS = (
+    *((words, SIGHT_COLORS[kind]) for kind, words in SIGHTS.items()),
+    ("road user", USER_COLOR),
+    ("camera", SENSOR_COLORS["camera"]),
+    ("LiDAR", SENSOR_COLORS["lidar"]),
+)
+
+_BOARD = template("viewer", "score_panel.html.j2")
+
+
+def board(
+    layout: Layout,
+    scored: Scored | None,
+    *,
+    frames: int,
+    opened: float | None = None,
+    faults: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    waiting: str = "scoring …",
+    faded: bool = False,
+) -> str:
+    """A layout's scores as HTML.
+
+    ``scored`` is the last that was scored, None while there is none; of another layout it stands
+    there, in grey, until there are new ones. ``frames`` of the whole traffic; ``opened``, the score
+    of the layout that was opened; ``faults``, why it cannot be mounted; ``notes``, what mounting
+    made of the last change; ``waiting``, what is done while there are no scores; ``faded``, whether
+    those of another layout fade.
+    """
+    scores = None if scored is None else scored.scores
+    new = scored if scored is not None and scored.layout is layout else None
+    regions = {} if scores is None else scores.region_coverage
+    return _BOARD.render(
+        scores=scores,
+        around="" if scores is None else scores.conditions.words,
+        change=None if scores is None or opened is None else scores.surrogate - opened,
+        state=waiting if new is None else _state(new, frames),
+        new=new is not None,
+        faded=faded and new is None,
+        wrong="" if new is None else new.wrong,
+        faults=faults,
+        notes=notes,
+        broken=BROKEN_COLOR,
+        metrics=[
+            (f"{name.replace('_', ' ')} {symbol}", getattr(scores, name))
+            for name, symbol in METRICS.items()
+            if scores is not None and name != "surrogate"
+        ],
+        regions=list(regions.items()),
+        sensors=len(layout),
+        units=len(layout.units),
+        cost=cost_of(layout),
+        keys=KEYS,
+        mounting=MOUNTING_COLOR,
+    )
+
+
+def _state(scored: Scored, frames: int) -> str:
+    if scored.scores is None:
+        return "no scores"
+    some = f"{scored.frames} of {frames} frames" if scored.frames < frames else "all frames"
+    return f"{some}, scored in {scored.seconds:.2f} s"
+
+
+def cost_of(layout: Layout) -> str:
+    """What a layout's sensors cost by the catalogue, in words."""
+    wanted, known, unknown = Objective(), 0.0, set[str]()
+    for sensor in layout.sensors:
+        try:
+            known += wanted.price_of(sensor.spec.name)
+        except InspeError:
+            unknown.add(sensor.spec.name)
+    if not unknown:
+        return f"{known:,.0f} US dollars"
+    without = f"no list price for {', '.join(sorted(unknown))}"
+    return f"{known:,.0f} US dollars and {without}" if known else without

@@ -1,0 +1,127 @@
+"""Bit masks: many yes-or-no answers in one integer.
+
+The levels of a column fit in the bits of one word, and then what a sensor has in
+view is a mask, what a shadow leaves of it is a mask without its low bits, a union
+of sensors is OR, and a count of voxels is a count of bits; each is one operation
+for 32 voxels, exact in any order.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int, UInt
+
+from inspe_jax.core.numerics import Groups, without_each
+
+WORD = 32
+"""Bits of the longest word."""
+
+
+def word(bits: int) -> Any:
+    """The shortest unsigned integer of at least so many bits, up to :data:`WORD`."""
+    return next(t for t in (jnp.uint8, jnp.uint16, jnp.uint32) if bits <= jnp.iinfo(t).bits)
+
+
+def pack(flags: Bool[np.ndarray, "... n"]) -> UInt[np.ndarray, "... w"]:
+    """Flags as the bits of words, lowest first; a last word that is not full ends in zeros."""
+    n = flags.shape[-1]
+    kind = np.dtype(word(min(n, WORD)))
+    size = kind.itemsize * 8
+    flags = np.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, -n % size)])
+    return np.packbits(flags, axis=-1, bitorder="little").view(kind.newbyteorder("<")).astype(kind)
+
+
+def bits(masks: UInt[np.ndarray, "... w"], n: int) -> Bool[np.ndarray, "... n"]:
+    """The first ``n`` bits of words: what :func:`pack` packed."""
+    masks = np.ascontiguousarray(masks, masks.dtype.newbyteorder("<"))
+    return np.unpackbits(masks.view(np.uint8), axis=-1, count=n, bitorder="little").astype(bool)
+
+
+def count(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+    """How many bits are set in each word."""
+    return jax.lax.population_count(masks).astype(jnp.int32)
+
+
+def without_one(masks: UInt[Array, "S ..."], groups: Groups | None) -> UInt[Array, "1+G ..."]:
+    """The union of all rows, and of all but those of each group."""
+    if groups is None:
+        return jax.lax.reduce(masks, masks.dtype.type(0), jax.lax.bitwise_or, (0,))[None]
+    return without_each(masks, groups, jax.lax.bitwise_or, jnp.zeros_like(masks[0]))
+
+
+BYTE = 255
+"""Masks of which a byte can count the bits."""
+
+
+def tally(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
+    """In how many of F masks each of the first ``n`` bits is set; in bytes, where they fit.
+
+    Four bits are spread over the four bytes of a word, so that one sum counts all of them.
+    """
+    masks, count = jax.lax.optimization_barrier(masks), len(masks)
+    parts = max(-(-count // BYTE), 1)
+    each = -(-count // parts)
+    masks = jnp.pad(masks, [(0, parts * each - count)] + [(0, 0)] * (masks.ndim - 1))
+    masks = masks.reshape(parts, each, *masks.shape[1:])
+    counts = []
+    for z in range(0, n, 4):
+        four = ((masks >> masks.dtype.type(z)) & masks.dtype.type(15)).astype(jnp.uint32)
+        # Bit k of the four times 2^(7k) is bit 8k, the lowest one of byte k.
+        spread = (four * jnp.uint32(0x00204081)) & jnp.uint32(0x01010101)
+        sums = spread.sum(1, dtype=jnp.uint32)
+        for k in range(min(4, n - z)):
+            counts.append((sums >> jnp.uint32(8 * k)).astype(jnp.uint8))
+    found = jnp.stack(counts, -1)  # (parts, …, Z)
+    return found[0] if parts == 1 else found.astype(jnp.int32).sum(0)
+
+
+def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:
+    """Flags as the bits of words along the first axis, W = ⌈B/32⌉."""
+    number, rest = len(flags), flags.shape[1:]
+    words = -(-number // WORD)
+    flags = jnp.pad(flags, [(0, words * WORD - number)] + [(0, 0)] * len(rest))
+    bit = jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32)
+    bit = bit.reshape(1, -1, *(1 for _ in rest))
+    flags = flags.reshape(words, WORD, *rest)
+    return jnp.where(flags, bit, jnp.uint32(0)).sum(1, dtype=jnp.uint32)
+
+
+def lowest(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+    """Number of the lowest bit that is set; of no meaning where none is."""
+    return jnp.minimum(count((masks & (~masks + 1)) - 1), WORD - 1)
+
+
+def first_mark(marked: UInt[Array, "W ..."]) -> tuple[Int[Array, "..."], UInt[Array, "W ..."]]:
+    """The first flag of :func:`marks` that is set, −1 where none is, and the marks without it."""
+    found = jnp.full(marked.shape[1:], -1)
+    rest = []
+    for w in range(len(marked)):
+        mask = marked[w]
+        here = (found < 0) & (mask != 0)
+        found = jnp.where(here, w * WORD + lowest(mask), found)
+        rest.append(jnp.where(here, mask & (mask - 1), mask))
+    return found, jnp.stack(rest)
+
+
+def fold_marked(
+    marked: UInt[Array, "W T"],
+    add: Callable[[Any, Int[Array, " T"], Bool[Array, " T"]], Any],
+    start: Any,
+) -> Any:
+    """``add(sum, index, some)`` for one mark after another, in all T rows at once.
+
+    Takes as many rounds as the fullest row has marks; ``some`` tells the rows that still had one.
+    """
+
+    if not len(marked):  # nothing to mark at all
+        return start
+
+    def step(state: tuple[Any, Array]) -> tuple[Any, Array]:
+        total, marked = state
+        index, marked = first_mark(marked)
+        return add(total, jnp.maximum(index, 0), index >= 0), marked
+
+    return jax.lax.while_loop(lambda state: (state[1] != 0).any(), step, (start, marked))[0]

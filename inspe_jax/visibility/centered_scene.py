@@ -1,0 +1,72 @@
+"""What sensing works on: a scene's arrays, about its centre."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from inspe_jax.core.arrays import bucket, on_device, on_host
+from inspe_jax.core.geometry import Prism
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Layout
+
+PRISMS = 16
+"""Prisms of a frame that there is room for, at least."""
+
+
+class Ground(NamedTuple):
+    """A scene's arrays about its centre, where single precision is finest.
+
+    ``columns`` (L, 2), ``heights`` (L, Z) of the voxel centres, ``prisms`` (T, B).
+    """
+
+    columns: Float[Array, "L 2"]
+    heights: Float[Array, "L Z"]
+    prisms: Prism
+
+    @property
+    def centers(self) -> Float[Array, "V 3"]:
+        """Voxel centres, column by column."""
+        z = self.heights.reshape(-1, 1)
+        return jnp.concatenate([jnp.repeat(self.columns, self.heights.shape[1], 0), z], axis=1)
+
+
+def about_center(scene: Scene) -> Ground:
+    """The scene's columns, heights and prisms, relative to its centre.
+
+    Of the prisms of each frame some more at the end are not valid, for scenes of similar traffic to
+    have arrays of one shape.
+    """
+    grid, traffic = scene.voxels, scene.traffic
+    x, y, z = grid.center
+    spare = bucket(traffic.valid.shape[1], PRISMS) - traffic.valid.shape[1]
+
+    def filled(values: np.ndarray) -> np.ndarray:
+        return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
+
+    return Ground(
+        columns=on_device(grid.columns - [x, y], float),
+        heights=on_device(grid.ground[:, None] - z + grid.levels, float),
+        prisms=Prism(
+            center=on_device(filled(traffic.center[..., :2] - [x, y]), float),
+            yaw=on_device(filled(traffic.yaw), float),
+            half=on_device(filled(traffic.size[..., :2] / 2), float),
+            top=on_device(filled(traffic.center[..., 2] + traffic.size[..., 2] / 2 - z), float),
+            valid=on_device(filled(traffic.valid)),
+        ),
+    )
+
+
+def poses_about_center(scene: Scene, layout: Layout) -> Any:
+    """The layout's poses (S, 6) relative to the scene's centre: traced, or in NumPy."""
+    return from_center(scene, layout.poses)
+
+
+def from_center(scene: Scene, poses: Any) -> Any:
+    """World poses (S, 6) relative to the scene's centre: traced, or in NumPy."""
+    shift = np.concatenate([scene.voxels.center, np.zeros(3)])
+    if isinstance(poses, jax.core.Tracer):
+        return jnp.asarray(poses - shift[None], float)
+    return on_host(np.asarray(poses) - shift, float)

@@ -1,0 +1,83 @@
+"""Which voxels each sensor has in view, and which of them traffic leaves visible.
+
+Two questions, kept apart: does a ray of the sensor pass through the voxel (the
+frame does not matter: :mod:`~inspe_jax.visibility.in_view`), and does a vehicle cut
+the line of sight to its centre (the rays do not matter:
+:mod:`~inspe_jax.visibility.shadows`).
+"""
+
+import operator
+
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.voxels import ROI_HEIGHT
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.shadows import sight_masks
+from inspe_jax.visibility.tiles import tiles_of
+from inspe_jax.visibility.view_masks import in_view_masks
+
+
+def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
+    """Whether some ray of each sensor passes through each voxel; traffic does not matter."""
+    check_layout(scene, layout)
+    tiles, poses = tiles_of(about_center(scene)), poses_about_center(scene, layout)
+    half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
+    for grid, index in layout.groups():
+        for s in index:
+            found[s] = tiles.by_voxel(np.asarray(in_view_masks(grid, poses[s], tiles.tile, half)))
+    return found
+
+
+def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:
+    """Whether the segment from each sensor to each voxel's centre clears one frame's traffic.
+
+    The rays and the reach do not matter. A voxel inside a vehicle is not in line
+    of sight. Raises InspeError where there is no such frame.
+    """
+    check_layout(scene, layout)
+    frame = check_frame(scene, frame)
+    ground = about_center(scene)
+    tiles, poses = tiles_of(ground), poses_about_center(scene, layout)
+    prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], ground.prisms)
+    clear = [tiles.by_voxel(sight_masks(pose[:3], prisms, tiles.tile)[:, 0]) for pose in poses]
+    return np.stack(clear)
+
+
+def check_frame(scene: Scene, frame: int) -> int:
+    """The frame as an int. Raises InspeError where there is no such frame."""
+    frame, last = operator.index(frame), scene.traffic.frame_count - 1
+    if not 0 <= frame <= last:
+        raise InspeError(f"frame {frame} is out of range: {scene.name} has frames 0 to {last}")
+    return frame
+
+
+def check_layout(scene: Scene, layout: Layout) -> None:
+    """Raise InspeError where a pose is not finite, or a sensor is in the ground or out of reach.
+
+    Traced poses have no value to check yet and pass.
+    """
+    if isinstance(layout.poses, jax.core.Tracer):
+        return
+    grid, poses = scene.voxels, np.asarray(layout.poses, float)
+    for pose, sensor in zip(poses, layout.sensors, strict=True):
+        where = f"{layout.name}: sensor '{sensor.name}' at ({pose[0]:.2f}, {pose[1]:.2f})"
+        if not np.isfinite(pose).all():
+            raise InspeError(f"{where}: its pose has a value that is not finite")
+        away, reach = np.hypot(*(pose[:2] - grid.center[:2])), sensor.spec.grid.reach
+        ground = float(scene.intersection.ground(pose[None, :2])[0])
+        gap = np.hypot(max(away - grid.radius, 0.0), max(pose[2] - ground - ROI_HEIGHT, 0.0))
+        if gap > reach:
+            raise InspeError(
+                f"{where}, {pose[2] - ground:.0f} m up, is {gap:.0f} m from the region of interest "
+                f"of {scene.name} and reaches {reach:g} m; is this layout for another scene?"
+            )
+        if not pose[2] > ground:
+            raise InspeError(
+                f"{where} is in the ground: its height is {pose[2]:.2f} m and the ground's "
+                f"{ground:.2f} m"
+            )

@@ -1,0 +1,209 @@
+"""The voxels in tiles: neighbouring columns together, the levels of a column in one word.
+
+What scores go through, exact and soft. A tile is small enough to be told apart from most
+shadows and fields of view as a whole, and large enough to be worked on at once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
+
+from inspe_jax.core.arrays import on_device, wide_bucket
+from inspe_jax.core.geometry import NEVER, Prism, top_over
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import Ground
+
+COLUMNS = (96, 320)
+"""Columns of a tile, in a sample of few and else."""
+SHARES = 8
+"""Least number of tiles, which divides every other, so that they can be shared out evenly."""
+WIDE = 512
+"""Tiles up to which three of four may be padding: of more, their masks would take gigabytes."""
+CLOSE = 1e-2
+"""What tells whole tiles apart is wider by this [m], more than single precision is off by."""
+
+
+class Tile(NamedTuple):
+    """Columns of voxels that stand together; :class:`Tiles` has a leading axis N of them.
+
+    ``columns`` (2, C) are x and y; ``heights`` (Z, C) of the voxels' centres; ``there`` (C,) are
+    masks of the voxels that there are, the others being padding. The column centres are within
+    ``radius`` of ``center`` (2,), and their voxels' between ``low`` and ``high`` [m].
+    """
+
+    columns: Float[Array, "*N 2 C"]
+    heights: Float[Array, "*N Z C"]
+    there: UInt[Array, "*N C"]
+    center: Float[Array, "*N 2"]
+    radius: Float[Array, "*N"]
+    low: Float[Array, "*N"]
+    high: Float[Array, "*N"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Tiles:
+    """All voxels in N tiles of up to C columns and :data:`~inspe_jax.visibility.bitmask.WORD`
+    levels.
+
+    Where there are more levels than bits in a word, the columns are cut into slabs of levels, and
+    the tiles of the lowest come first. ``place`` (L,) is where each column is among the columns of
+    a slab's tiles; None where nobody asks.
+    """
+
+    tile: Tile
+    place: Int[Array | np.ndarray, " L"] | None
+    level_count: int = field(metadata={"static": True})
+
+    @property
+    def slabs(self) -> int:
+        """Slabs of levels that the columns are cut into."""
+        return -(-self.level_count // bitmask.WORD)
+
+    def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
+        """Masks of the tiles' columns, for the voxels as the scene has them."""
+        return self.of_voxels(
+            bitmask.bits(np.asarray(words)[..., None], self.tile.heights.shape[-2])
+        )
+
+    def of_voxels(self, values: Shaped[np.ndarray, "... N C Z"]) -> Shaped[np.ndarray, "... V"]:
+        """A value for each level of the tiles' columns, for the voxels as the scene has them."""
+        assert self.place is not None
+        lead, height = values.shape[:-3], values.shape[-1]
+        values = values.reshape(*lead, self.slabs, -1, height)[..., np.asarray(self.place), :]
+        values = values.swapaxes(-3, -2).reshape(*lead, len(self.place), -1)  # (…, L, slabs·Z)
+        return values[..., : self.level_count].reshape(*lead, -1)
+
+
+def tiles_of(ground: Ground) -> Tiles:
+    """Columns halved by their place, along the longer side, into tiles of nearly as many each.
+
+    Tiles end in padding, which repeats a column, and there are some tiles of nothing else, so that
+    scenes of similar size have arrays of one shape.
+    """
+    columns, heights = np.asarray(ground.columns), np.asarray(ground.heights)
+    few = -(-len(columns) // SHARES)
+    size = next((size for size in COLUMNS if size >= few), COLUMNS[-1])
+    parts = _halved(columns, np.arange(len(columns)), -(-len(columns) // size))
+    number = wide_bucket(len(parts), SHARES, WIDE)
+    index, real = np.zeros((number, size), int), np.zeros((number, size), bool)
+    for t, part in enumerate(parts):
+        index[t], real[t, : len(part)] = part[0], True
+        index[t, : len(part)] = part
+    place = np.empty(len(columns), int)
+    place[index[real]] = np.flatnonzero(real)
+
+    slab, exists = _slabs(heights.shape[1])
+    slabs = len(slab)
+    xy = columns[index].swapaxes(1, 2)  # (N, 2, C)
+    z = heights[index][:, :, slab].transpose(2, 0, 3, 1)  # (slabs, N, Z, C)
+    there = bitmask.pack(exists[:, None, None] & real[None, :, :, None])[..., 0]  # (slabs, N, C)
+    middle = (xy.min(2) + xy.max(2)) / 2
+    away = np.hypot(*(xy - middle[:, :, None]).swapaxes(0, 1)).max(1)
+
+    def stacked(x: np.ndarray) -> Array:
+        return on_device(x.reshape(slabs * number, *x.shape[2:]))
+
+    def repeated(x: np.ndarray) -> Array:
+        return stacked(np.broadcast_to(x, (slabs, *x.shape)))
+
+    tile = Tile(
+        columns=repeated(xy),
+        heights=stacked(z),
+        there=stacked(there),
+        center=repeated(middle),
+        radius=repeated(away),
+        low=stacked(z.min((2, 3))),
+        high=stacked(z.max((2, 3))),
+    )
+    return Tiles(tile, place, heights.shape[1])
+
+
+def _halved(
+    columns: Float[np.ndarray, "L 2"], index: Int[np.ndarray, " l"], number: int
+) -> list[Int[np.ndarray, " c"]]:
+    """Columns by their numbers, in so many parts; one has at most one column more than another."""
+    if number == 1:
+        return [index]
+    xy, few = columns[index], number // 2
+    along = xy[:, (xy.max(0) - xy.min(0)).argmax()]
+    index, middle = index[along.argsort(kind="stable")], len(index) * few // number
+    return [
+        *_halved(columns, index[:middle], few),
+        *_halved(columns, index[middle:], number - few),
+    ]
+
+
+def one_tile(ground: Ground) -> Tiles:
+    """All columns in one tile (of each slab), traced or not: for a few columns, far apart."""
+    columns, heights = ground.columns, ground.heights
+    slab, exists = _slabs(heights.shape[1])
+    slabs = len(slab)
+    z = heights[:, slab].transpose(1, 2, 0)  # (slabs, Z, L)
+    middle = (columns.min(0) + columns.max(0)) / 2
+    away = jnp.hypot(*(columns - middle[None]).T).max()
+
+    def repeated(x: Array) -> Array:
+        return jnp.broadcast_to(x, (slabs, *x.shape))
+
+    there = jnp.broadcast_to(jnp.asarray(bitmask.pack(exists)), (slabs, len(columns)))
+    ends = z.min((1, 2)), z.max((1, 2))
+    tile = Tile(repeated(columns.T), z, there, repeated(middle), repeated(away), *ends)
+    return Tiles(tile, np.arange(len(columns)), heights.shape[1])
+
+
+def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "slabs Z"]]:
+    """The levels of each slab, and which of them there are: the last may end in padding."""
+    slabs = -(-levels // bitmask.WORD)
+    index = np.arange(slabs * -(-levels // slabs)).reshape(slabs, -1)
+    return np.minimum(index, levels - 1), index < levels
+
+
+@jax.jit
+def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
+    """Masks of the voxels of N tiles that are inside a vehicle, in each of T frames."""
+    return jax.lax.map(unless_empty(lambda one: solid_in(one, prisms)), tile)
+
+
+def unless_empty(work: Callable[[Tile], Any]) -> Callable[[Tile], Any]:
+    """``work`` on a tile; zeros, at once, of one that is nothing but padding."""
+
+    def done(tile: Tile) -> Any:
+        return jax.lax.cond((tile.there != 0).any(), work, partial(nothing_of, work), tile)
+
+    return done
+
+
+def nothing_of(work: Callable[..., Any], *given: Any) -> Any:
+    """Zeros, of the shapes of what ``work`` gives."""
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(work, *given))
+
+
+def solid_in(tile: Tile, prisms: Prism) -> UInt[Array, "T C"]:
+    """The same of one tile."""
+    frames = jnp.arange(len(prisms.top))
+    span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1])  # (T, B)
+    x, y = prisms.center[..., 0] - tile.center[0], prisms.center[..., 1] - tile.center[1]
+    near = jnp.hypot(x, y) < span + tile.radius + CLOSE
+    near &= prisms.valid & (prisms.top > tile.low)
+
+    def higher(top: Array, index: Array, some: Array) -> Array:
+        prism = jax.tree.map(lambda leaf: leaf[frames, index][:, None], prisms)
+        prism = prism._replace(valid=prism.valid & some[:, None])
+        return jnp.maximum(top, top_over(prism, *tile.columns[:, None]))
+
+    start = jnp.full((len(frames), tile.columns.shape[1]), NEVER, tile.columns.dtype)
+    top = bitmask.fold_marked(bitmask.marks(near.T), higher, start)
+    return levels(tile.heights[:, None] < top[None], tile.there.dtype) & tile.there[None]
+
+
+def levels(flags: Bool[Array, "Z ..."], kind: jnp.dtype) -> UInt[Array, "..."]:
+    """A flag for each level as masks of levels."""
+    each = (jnp.where(flags[z], kind.type(1 << z), kind.type(0)) for z in range(len(flags)))
+    return sum(each, jnp.zeros(flags.shape[1:], kind))

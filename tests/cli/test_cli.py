@@ -1,0 +1,573 @@
+"""The command line as a stranger meets it: what it prints, what it writes, how it fails."""
+
+import base64
+import csv
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import urlopen
+
+import jax
+import numpy as np
+import pytest
+from processes import inspe_here, inspe_process
+from worlds import rilsa
+
+from inspe_jax.cli.common import keep_compiled
+from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+
+LAYOUT = """
+units:
+  - base: [8.0, 8.0]
+    sensors:
+      - {device: paper-camera, height: 6.0, yaw_deg: -135, pitch_deg: -20}
+      - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
+"""
+
+# On a corner of the four-way, with its back to the traffic: easily bettered.
+AWAY = """
+units:
+  - base: [9.6, 9.6]
+    sensors:
+      - {device: paper-camera, height: 6.0, yaw_deg: 45, pitch_deg: -20}
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A small scene, one without traffic, and a layout."""
+    folder = tmp_path_factory.mktemp("files")
+    small = build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
+    save_scene(small, folder / "s.npz")
+    empty = build_scene(built_in("four_way"), radius=15, voxel=1.0, density="none")
+    save_scene(empty, folder / "empty.npz")
+    (folder / "layout.yaml").write_text(LAYOUT)
+    (folder / "away.yaml").write_text(AWAY)
+    (folder / "none.yaml").write_text("")
+    (folder / "list.yaml").write_text("- a\n- b\n")
+    (folder / "zero.npz").write_bytes(b"")
+    with (folder / "array.npz").open("wb") as f:
+        np.save(f, np.zeros(3))
+    (folder / "nan.yaml").write_text(LAYOUT.replace("height: 6.0", "height: .nan"))
+    (folder / "buried.yaml").write_text(
+        LAYOUT.replace("base: [8.0, 8.0]", "base: [8.0, 8.0, -7.0]")
+    )
+    (folder / "device.yaml").write_text(LAYOUT.replace("paper-lidar-32", "paper-lidar-23"))
+    (folder / "key.yaml").write_text(LAYOUT.replace("yaw_deg: -135", "yaw: -135"))
+    (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
+    (folder / "page.xodr").write_text("<html></html>")
+    (folder / "cut.xodr").write_text("<OpenDRIVE><road id='1'>")
+    return folder
+
+
+@pytest.fixture
+def inspe(files, monkeypatch, capsys):
+    """Run the command line in the folder of files: (status, stdout, stderr)."""
+    return partial(inspe_here, files, monkeypatch, capsys)
+
+
+def test_score_prints_a_table_and_the_same_numbers_as_json(inspe, files):
+    status, table, _ = inspe("score", "s.npz", "layout.yaml", "--json", "scores.json")
+    assert status == 0
+    status, text, _ = inspe("score", "s.npz", "layout.yaml", "--json", "-")
+    record = json.loads(text)
+    assert record == json.loads((files / "scores.json").read_text())
+    for name in ("coverage", "occlusion", "information_gain", "surrogate"):
+        assert 0 < record[name] < 1
+        assert f"{record[name]:.3f}" in table
+    assert len(record["contributions"]) == 2
+
+
+def test_plots_are_written(inspe, files):
+    assert inspe("score", "s.npz", "layout.yaml", "--plot", "plan.png")[0] == 0
+    assert inspe("scene", "s.npz", "--plot", "scene.svg")[0] == 0
+    assert (files / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert b"<svg" in (files / "scene.svg").read_bytes()[:1000]
+
+
+def test_report_has_the_numbers_of_score(inspe, files):
+    status, words, _ = inspe("report", "s.npz", "layout.yaml", "L-c", "--pdf", "figures.pdf")
+    assert status == 0
+    assert "wrote report.html" in words
+    page = (files / "report.html").read_text(encoding="utf-8")
+    found = re.search(r"data:application/json;base64,([^\"]+)", page)
+    for record, name in zip(
+        json.loads(base64.b64decode(found[1])), ("layout.yaml", "L-c"), strict=True
+    ):
+        assert record == json.loads(inspe("score", "s.npz", name, "--json", "-")[1])
+    assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_view_serves_until_it_is_stopped(files, stop):
+    """In a process of its own, as a stranger meets it; also a layout that breaks a rule."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        arguments = ("view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml")
+        served = inspe_process(*arguments, cwd=files)
+        try:
+            url = served.stdout.readline().split()[-1]
+            assert "only this machine can" in served.stdout.readline()
+            assert "Ctrl-C ends" in served.stdout.readline()
+            with urlopen(url) as page:
+                assert b"<html" in page.read()
+            with pytest.raises(HTTPError) as refused:
+                urlopen(f"http://{urlsplit(url).netloc}/")
+            refused.value.close()
+            served.send_signal(stop)
+            words, said = served.communicate(timeout=120)
+        finally:
+            served.kill()
+    assert served.returncode == 0
+    assert url.startswith("http://127.0.0.1:")
+    assert not url.startswith(f"http://127.0.0.1:{port}/")
+    assert len(urlsplit(url).path) > 20  # a token
+    assert f"port {port} cannot be had" in said
+    assert "refused 127.0.0.1: it does not have the token" in said
+    assert "not saved" not in words  # nothing was changed
+    assert "Traceback" not in said
+    assert not (files / "moved.yaml").exists()
+
+
+def test_a_strategy_is_written_and_scores_as_by_name(inspe):
+    assert inspe("layout", "s.npz", "--strategy", "cam-d1/l-d1", "--out", "placed.yaml")[0] == 0
+    by_file = json.loads(inspe("score", "s.npz", "placed.yaml", "--json", "-")[1])
+    by_name = json.loads(inspe("score", "s.npz", "Cam-d1/L-d1", "--json", "-")[1])
+    # The file keeps 0.1 mm and 0.0001°.
+    assert by_file["surrogate"] == pytest.approx(by_name["surrogate"], abs=1e-3)
+
+
+def test_scene_from_a_built_in_is_saved_and_listed(inspe, files):
+    arguments = ("--radius", 15, "--voxel", 1, "--density", "low", "--frames", 3)
+    status, text, _ = inspe("scene", "triangle", *arguments, "--out", "t.npz")
+    assert status == 0
+    assert "voxels" in text
+    assert (files / "t.npz").is_file()
+    assert "roundabout" in inspe("scene", "--list")[1]
+
+
+def test_a_scene_without_traffic_is_built(inspe, files):
+    arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
+    assert inspe("scene", "four_way", *arguments)[0] == 0
+    assert (files / "quiet.npz").is_file()
+    weights = ("--weights", 0.5, 0.5, 0)
+    status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
+    assert status == 0
+    assert json.loads(text)["information_gain"] == 0
+
+
+def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
+    arguments = ("--radius", 15, "--density", 60, "--frames", 2)
+    assert "objects on average, not the 60 asked" in " ".join(
+        inspe("scene", "triangle", *arguments)[2].split()
+    )
+
+
+def test_devices_and_version(inspe):
+    assert "paper-lidar-64" in inspe("devices")[1]
+    assert inspe("--version")[1].startswith("inspe_jax 0.")
+
+
+def search_files(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
+    """The file it writes scores as it says."""
+    arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 120, "--out", "o")
+    status, text, error = inspe("optimise", *arguments)
+    assert (status, error) == (0, "")
+    assert search_files(files / "o") == [
+        "before_after.png",
+        "history.csv",
+        "layout.yaml",
+        "path.csv",
+        "result.json",
+        "start.yaml",
+    ]
+    record = json.loads((files / "o" / "result.json").read_text())
+    assert record["objective"] > record["objective_before"] + 0.01
+    for layout, key in (("layout.yaml", "scores"), ("start.yaml", "scores_before")):
+        again = json.loads(inspe("score", "s.npz", f"o/{layout}", "--json", "-")[1])
+        assert again["surrogate"] == pytest.approx(record[key]["surrogate"], abs=1e-4)
+        assert f"{record[key]['surrogate']:.3f}" in text
+    assert (files / "o" / "before_after.png").read_bytes().startswith(b"\x89PNG")
+    assert "random, seed 0: budget spent" in text
+    assert "next: inspe score s.npz o/layout.yaml" in text
+
+
+def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, files):
+    arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
+    options = ("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5)
+    options = (*options, "--weights", 0.5, 0.5, 0, "--start", "random", "--checkpoint", "c.npz")
+    assert inspe("optimise", *arguments, *options)[0] == 0
+    settings = json.loads((files / "p" / "result.json").read_text())["settings"]
+    assert (settings["start"], settings["budget"]["evaluations"]) == ("random", 3)
+    assert settings["objective"]["over"] == "worst"
+    assert settings["objective"]["weights"] == [0.5, 0.5, 0]
+    assert settings["constraints"]["places"] == "areas"
+    assert settings["constraints"]["heights"] == [4, 8]
+    assert len(settings["scenes"]) == 2
+    assert "c.npz holds a search that has ended" in inspe("optimise", *arguments, *options)[2]
+    status, _, error = inspe("optimise", *arguments, "--checkpoint", "c.npz")
+    assert status == 2
+    assert "c.npz: a checkpoint of another search, with another scene, another" in error
+
+
+def test_optimise_says_where_a_start_had_to_be_moved(inspe, files):
+    """The unit of this layout stands in the middle of the junction."""
+    (files / "road.yaml").write_text(AWAY.replace("base: [9.6, 9.6]", "base: [3.0, 0.0]"))
+    status, _, error = inspe(
+        "optimise", "s.npz", "road.yaml", "--method", "random", "--evaluations", 1, "--out", "q"
+    )
+    assert status == 0
+    assert "Note: unit 'unit 1' moved" in error
+    (files / "road.yaml").unlink()
+
+
+def test_compare_ranks_methods(inspe, files):
+    arguments = ("--methods", "random, grid", "--evaluations", 40, "--seeds", 2, "--out", "v")
+    status, text, _ = inspe("compare", "s.npz", "away.yaml", *arguments)
+    assert status == 0
+    assert search_files(files / "v") == ["compare.csv", "compare.png", "history.csv", "layout.yaml"]
+    with (files / "v" / "compare.csv").open() as f:
+        rows = list(csv.DictReader(f))
+    assert [(row["method"], row["seed"]) for row in rows] == [
+        ("random", "0"),
+        ("random", "1"),
+        ("grid", "0"),
+        ("grid", "1"),
+    ]
+    best = max(float(row["objective"]) for row in rows)
+    assert f"{best:.4f}" in text
+    again = json.loads(inspe("score", "s.npz", "v/layout.yaml", "--json", "-")[1])
+    assert again["surrogate"] == pytest.approx(best, abs=1e-4)
+    with (files / "v" / "history.csv").open() as f:
+        assert {row["method"] for row in csv.DictReader(f)} == {"random", "grid"}
+
+
+def test_pareto_finds_what_is_worth_its_money(inspe, files):
+    devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera:0-1")
+    prices = ("--price", "paper-camera=1,000")
+    arguments = ("--method", "random", "--evaluations", 3, "--out", "w")
+    status, text, _ = inspe("pareto", "s.npz", *devices, *prices, *arguments)
+    assert status == 0
+    with (files / "w" / "pareto.csv").open() as f:
+        rows = list(csv.DictReader(f))
+    assert [float(row["cost_usd"]) for row in rows] == [1000, 4000, 5000]
+    front = [row for row in rows if row["layout"]]
+    assert search_files(files / "w") == sorted(
+        ["pareto.csv", "pareto.png", *(row["layout"] for row in front)]
+    )
+    for row in front:
+        again = json.loads(inspe("score", "s.npz", f"w/{row['layout']}", "--json", "-")[1])
+        assert again["surrogate"] == pytest.approx(float(row["surrogate"]), abs=1e-4)
+        assert f"{float(row['objective']):.4f}" in text
+
+
+def test_tolerance_prints_and_writes_the_same(inspe, files):
+    arguments = ("--samples", 3, "--position", 0.2, "--angle", 2, "--json")
+    status, text, _ = inspe("tolerance", "s.npz", "layout.yaml", *arguments, "-")
+    assert status == 0
+    record = json.loads(text)
+    assert (record["settings"]["position"], record["settings"]["samples"]) == (0.2, 3)
+    assert record["settings"]["angle_deg"] == pytest.approx(2)
+    assert len(record["left"]) == 3
+    again = json.loads(inspe("score", "s.npz", "layout.yaml", "--json", "-")[1])
+    assert record["score"] == pytest.approx(again["surrogate"], abs=1e-5)
+    status, text, _ = inspe("tolerance", "s.npz", "layout.yaml", *arguments, "t.json")
+    assert status == 0
+    assert json.loads((files / "t.json").read_text()) == record
+    assert f"{record['score']:.4f}" in text
+    assert f"{record['slopes'][0]['yaw_per_deg']:+.5f}" in text
+    (files / "t.json").unlink()
+
+
+def test_light_and_weather(inspe, files):
+    """In a score; and in a search, where every light is a scene of its own."""
+    fair, foul = (
+        json.loads(inspe("score", "s.npz", "layout.yaml", "--json", "-", *more)[1])
+        for more in ((), ("--light", "night", "--weather", "fog:50"))
+    )
+    assert foul["surrogate"] < fair["surrogate"]
+    assert (foul["settings"]["light"], foul["settings"]["weather"]) == ("night", "fog:50")
+    title = inspe("score", "s.npz", "layout.yaml", "--light", "dusk")[1]
+    assert "dusk, clear" in title
+    both = ("--light", "midday,night", "--weather", "fog:50", "--worst")
+    arguments = ("--method", "random", "--evaluations", 2, "--out", "foggy")
+    status, _, _ = inspe("optimise", "s.npz", "layout.yaml", *both, *arguments)
+    assert status == 0
+    record = json.loads((files / "foggy" / "result.json").read_text())
+    lights = [row["light"] for row in record["settings"]["scenes"]]
+    assert lights == ["midday", "night"]
+    night = ("--light", "night", "--weather", "fog:50", "--json", "-")
+    start = json.loads(inspe("score", "s.npz", "foggy/start.yaml", *night)[1])
+    assert record["objective_before"] == pytest.approx(start["surrogate"], abs=1e-4)
+
+
+def test_a_study_is_checked_and_counted_before_it_is_run(inspe, files):
+    text = "scenes: [{file: s.npz}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
+    (files / "study.yaml").write_text(text % "midday, night")
+    status, words, _ = inspe("sweep", "study.yaml", "--dry-run")
+    assert status == 0
+    assert "study: 4 jobs, 2 layouts on 1 scene" in words
+    assert not (files / "sweep").exists()
+    (files / "dark.yaml").write_text(text % "dark")
+    status, _, words = inspe("sweep", "dark.yaml")
+    assert status == 2
+    assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
+
+
+def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
+    text = "scenes: [{built_in: four_way}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
+    (files / "set.yaml").write_text(text % "midday, night")
+    status, words, _ = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
+    assert status == 0
+    assert "set: 4 scenarios (3 train, 0 validate, 1 test), 400 frames" in words
+    status, _, words = inspe("generate", "set.yaml", "--out", "set", "--dry-run", "--server", "sim")
+    assert status == 2
+    assert "server sim:2000: goes with backend carla, and this is embedded" in words
+    assert not (files / "set").exists()
+    (files / "dark.yaml").write_text(text % "dark")
+    status, _, words = inspe("generate", "dark.yaml", "--out", "set")
+    assert status == 2
+    assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
+
+
+COMMANDS = [
+    *("scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep"),
+    "generate",
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_examples(inspe, command):
+    status, text, _ = inspe(command, "--help")
+    assert status == 0
+    assert "Examples" in text
+    assert f"inspe {command}" in text
+
+
+BAD = [
+    (("score", "none.npz"), "none.npz: no such file"),
+    (("score", "s.npz", "missing.yaml"), "missing.yaml: no such file"),
+    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': a .yaml file or a strategy: Cam-c"),
+    (("score", "s.npz", "none.yaml"), "the layout is empty"),
+    (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
+    (("score", "s.npz", "buried.yaml"), "is in the ground"),
+    (("score", "s.npz", "device.yaml"), "did you mean paper-lidar-"),
+    (("score", "s.npz", "key.yaml"), "unknown key; did you mean yaw_deg"),
+    (("score", "s.npz", "rule.yaml"), "are 3.00 m apart in plan; at most 2 m"),
+    (("score", "empty.npz", "layout.yaml"), "information gain needs traffic"),
+    (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
+    (("score", "s.npz", "layout.yaml", "--weights", 1, 1, 1), "sum to 1"),
+    (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
+    (("score", "s.npz", "layout.yaml", "--json", "a.json", "--plot", "b.xyz"), "must end in .png"),
+    (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
+    (("scene", "four_way", "--out", "s2.txt"), "must end in .npz"),
+    (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
+    (("score", "zero.npz"), "not a scene saved by this package"),
+    (("score", "array.npz"), "not a scene saved by this package"),
+    (("scene", "nosuch", "--list"), "no scene 'nosuch': a built-in (four_way"),
+    (("scene", "for_way"), "did you mean four_way"),
+    (("scene", "four_way", "--junction", 3), "--junction and --center are for maps"),
+    (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
+    (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
+    (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
+    (("scene", "s.npz", "--radius", 30), "a saved scene keeps its settings"),
+    (("scene", "page.xodr"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "four_way", "--frames", 10**9), "at most 10000"),
+    (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, profile, units"),
+    (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
+    (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
+    (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),
+    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has its own traffic"),
+    (("scene", "four_way", "--step", 0), "traffic step 0.0 is out of range: above 0"),
+    (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
+    (("scene", "none.osm"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
+    (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
+    (("scene", "cut.xodr", "--list"), "cut.xodr"),
+    (("layout", "s.npz", "--strategy", "L-x"), "L-x"),
+    (("layout", "s.npz", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
+    (("score", "s.npz", "--light", "noon"), "light 'noon': one of midday, dusk, night"),
+    (("score", "s.npz", "--weather", "rain:x"), "rain:NUMBER, between 0.1 and 200 mm/h"),
+    (("optimise", "s.npz", "--light", "midday,noon"), "light 'noon': one of"),
+    (("tolerance", "s.npz", "--weather", "hail"), "weather 'hail': one of clear, rain, fog"),
+    (("sweep", "missing.yaml"), "missing.yaml: no such file"),
+    (("generate", "missing.yaml", "--out", "set"), "missing.yaml: no such file"),
+    (("generate", "missing.yaml", "--out", "no/such"), "no/such: no such folder: no"),
+    (("generate", "none.yaml", "--out", "set", "--backend", "carl"), "did you mean carla"),
+    (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),
+    (("generate", "none.yaml", "--out", "set"), "none.yaml: the study is empty"),
+    (("optimise", "s.npz", "--method", "adm"), "no method 'adm': adam"),
+    (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),
+    (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),
+    (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
+    (("optimise", "s.npz", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
+    (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 0 of kind camera"),
+    (("optimise", "s.npz", "--worst"), "name more with --also"),
+    (("optimise", "s.npz", "--also", "missing.npz"), "missing.npz: no such file"),
+    (("optimise", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
+    (("optimise", "nosuch", "--out", "s.npz"), "s.npz: is a file; name a folder"),
+    (("optimise", "nosuch", "--checkpoint", "c.txt"), "c.txt: the name must end in .npz"),
+    (("optimise", "nosuch", "--places", "pole"), "places 'pole': one of any, areas, poles, keep"),
+    (("optimise", "nosuch", "--heights", 9, 3), "heights 9 to 3 m"),
+    (("optimise", "nosuch", "--weights", 1, 1, 1), "sum to 1"),
+    (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
+    (("optimise", "s.npz", "layout.yaml", "--checkpoint", "s.npz"), "not a checkpoint of a search"),
+    (("optimise", "empty.npz"), "information gain needs traffic"),
+    (("compare", "s.npz", "--methods", "grid,gird"), "no method 'gird'"),
+    (("compare", "s.npz", "--methods", "grid,grid"), "one is named twice"),
+    (("compare", "s.npz", "--seeds", 0), "seeds 0: at least 1"),
+    (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
+    (("compare", "nosuch", "--seconds", 0), "seconds 0: a budget must be more than 0"),
+    (("pareto", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
+    (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: DEVICE:COUNTS"),
+    (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
+    (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
+    (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is named twice"),
+    (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
+    (("pareto", "s.npz", "--price", "hesai-xt32=-5"), "price of hesai-xt32 -5.0: 0 or more"),
+    (("pareto", "s.npz", "--budget", 100), "the cheapest costs 4,000"),
+    (("pareto", "nosuch"), "no scene 'nosuch'"),
+    (("tolerance", "s.npz", "--angle", 90), "angle 90° is out of range: between 0° and 30°"),
+    (("tolerance", "s.npz", "--position", -1), "position -1 m is out of range: between 0 m and 2"),
+    (("tolerance", "s.npz", "--samples", 0), "samples 0 is out of range: between 1 and 10000"),
+    (("tolerance", "nosuch"), "no scene 'nosuch'"),
+    (("report", "nosuch", "--out", "report.pdf"), "report.pdf: the name must end in .html"),
+    (("report", "nosuch", "--pdf", "no/such.pdf"), "no/such.pdf: no such folder: no"),
+    (("report", "s.npz", "layout.yaml", "layout.yaml"), "two layouts are named 'layout'"),
+    (("report", "s.npz", "L-c", "L-d3"), "no layout 'L-d3'"),
+    (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
+    (("report", "s.npz", "."), "result.json: no such file"),
+    (("report", "s.npz", "--pareto", "."), "pareto.csv: no such file"),
+    (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
+    (
+        ("view", "s.npz", "--host", "203.0.113.1"),
+        "host 203.0.113.1, port 8080: nothing can be served",
+    ),
+    (
+        ("view", "s.npz", "--host", "0.0.0.0", "--no-token"),
+        "--no-token: only on this machine, and --host 0.0.0.0 lets others in",
+    ),
+    (("view", "s.npz", "layout.yaml", "--light", "noon"), "light"),
+    (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
+)
+def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
+    before = sorted(files.iterdir())
+    status, _, error = inspe(*arguments)
+    assert status == 2
+    assert message in " ".join(error.split())
+    assert "Traceback" not in error
+    assert sorted(files.iterdir()) == before  # nothing half-written
+
+
+def test_unknown_junction_lists_those_there_are(inspe, maps):
+    status, _, error = inspe("scene", maps / "Town10HD.xodr", "--junction", 7)
+    assert status == 2
+    assert "189" in error
+
+
+def test_a_network_and_its_traffic(inspe, files):
+    net = rilsa()
+    status, table, _ = inspe("scene", net, "--list")
+    assert status == 0
+    assert "rilsa1.net.xml" in table
+    where = ("--junction", 0, "--radius", 25, "--voxel", 1, "--density", 8, "--frames", 5)
+    status, table, _ = inspe(
+        "scene", net, *where, "--traffic", "sumo", "--step", 0.5, "--out", "sumo.npz"
+    )
+    assert status == 0
+    assert dict(load_scene(files / "sumo.npz").settings)["traffic"] == "sumo"
+    assert inspe("score", "sumo.npz", "L-d1")[0] == 0
+    status, _, error = inspe("scene", net, "--junction", 9)
+    assert status == 2
+    assert "no junction '9'; there are: 0" in error
+    (files / "sumo.npz").unlink()
+
+
+def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
+    monkeypatch.setitem(sys.modules, "carla", None)
+    (files / "ok.xodr").write_text("<OpenDRIVE><road id='1' length='9'/></OpenDRIVE>")
+    status, _, error = inspe("scene", "ok.xodr", "--list")
+    assert status == 2
+    assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())
+
+
+ON_ONE_CORE = """import os
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+"""
+"""Two threads that trace at once may share parts of their code or not, as it comes: then JAX knows
+a kernel by another name, and keeps it once more."""
+
+
+def in_a_new_shell(files, cache, *arguments):
+    """(stdout, names of what was kept in the cache) of the command line in its own process."""
+    own = {key: str(cache) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
+    other = ("JAX_", "INSPE_")
+    env = {key: value for key, value in os.environ.items() if not key.startswith(other)}
+    ran = subprocess.run(
+        [sys.executable, "-c", f"{ON_ONE_CORE}from inspe_jax.cli import main; main()", *arguments],
+        env=env | own,
+        cwd=files,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stderr == ""
+    kept = {path.name for path in cache.rglob("*-cache") if "inspe_jax" in path.parts}
+    return ran.stdout, kept
+
+
+@pytest.mark.process
+def test_what_is_compiled_is_kept_for_the_next_run(files, tmp_path):
+    command = ("score", "s.npz", "layout.yaml")
+    first, kept = in_a_new_shell(files, tmp_path, *command)
+    assert kept
+    again, after = in_a_new_shell(files, tmp_path, *command)
+    assert again == first
+    assert after == kept
+
+
+@pytest.mark.process
+def test_nothing_is_kept_where_it_is_not_wanted(files, tmp_path):
+    _, kept = in_a_new_shell(files, tmp_path, "--no-cache", "score", "s.npz", "layout.yaml")
+    assert not kept
+
+
+def no_home(*_, **__):
+    raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    "folder", [no_home, lambda *_, **__: Path("~/x"), lambda *_, **__: Path("/dev/null/x")]
+)
+def test_nowhere_to_keep_what_is_compiled_is_no_error(monkeypatch, folder):
+    monkeypatch.setattr("platformdirs.user_cache_path", folder)
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    try:
+        keep_compiled()
+        assert jax.config.jax_compilation_cache_dir is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)

@@ -1,0 +1,122 @@
+"""What is told of compiling: that it is done, how often, and for how long."""
+
+import threading
+import time
+from collections import Counter
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from inspe_jax.core import compiling
+from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
+
+
+def compile_something(length):
+    """A program that nobody has compiled: of a shape of its own."""
+    return jax.block_until_ready(jax.jit(lambda x: jnp.sort(jnp.sin(x)) @ x)(jnp.ones(length)))
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_run_of_tests_that_compiles_too_much_fails(pytestconfig, monkeypatch, more):
+    """Two processes, of which one is told of by the hook that ends it; the budget is for both."""
+    plugins = pytestconfig.pluginmanager.get_plugins()
+    (hooks,) = (plugin for plugin in plugins if hasattr(plugin, "PROGRAMS"))
+    lines = []
+    ends = SimpleNamespace(config=SimpleNamespace(workeroutput={}), exitstatus=pytest.ExitCode.OK)
+    monkeypatch.setattr(hooks, "programs", Counter({"a": 20}))
+    hooks.pytest_sessionfinish(ends)
+    monkeypatch.setattr(hooks, "programs", Counter({"a": hooks.PROGRAMS - 30, "b": 10 + more}))
+    hooks.pytest_testnodedown(SimpleNamespace(workeroutput=ends.config.workeroutput))
+    whole = SimpleNamespace(config=SimpleNamespace(), exitstatus=pytest.ExitCode.OK)
+    hooks.pytest_sessionfinish(whole)
+    hooks.pytest_terminal_summary(
+        SimpleNamespace(write_line=lambda line, **options: lines.append(line))
+    )
+    assert whole.exitstatus == (pytest.ExitCode.TESTS_FAILED if more else pytest.ExitCode.OK)
+    assert f"{hooks.PROGRAMS + more} programs" in lines[0]
+    assert lines[0].startswith("ERROR") == bool(more)
+
+
+def test_programs_are_counted_and_their_time():
+    before, began = compiled(), time.monotonic()
+    compile_something(1231)
+    after, took = compiled(), time.monotonic() - began
+    assert after.programs > before.programs
+    assert 0 < after.seconds - before.seconds <= took
+    assert not after.now
+    compile_something(1231)  # another function: the same shapes, compiled anew
+    jax.block_until_ready(jnp.ones(1231) + 1)
+    again = compiled()
+    jax.block_until_ready(jnp.ones(1231) + 1)
+    assert compiled().programs == again.programs
+
+
+def test_that_something_is_being_compiled_is_told_meanwhile():
+    """A program whose compilation is held up by another thread's look at it."""
+    seen, watch = [], compiling._Watch()
+    watch.hear(compiling.LOWERED, 0.0)
+    seen.append(watch.compiled())
+    time.sleep(0.05)
+    seen.append(watch.compiled())
+    watch.hear(compiling.COMPILED, 0.05)
+    seen.append(watch.compiled())
+    assert [state.now for state in seen] == [True, True, False]
+    assert seen[1].seconds - seen[0].seconds >= 0.05
+    assert seen[2].programs == 1
+    assert seen[2].seconds >= seen[1].seconds - 0.01
+    watch.hear(compiling.LOWERED, 0.0)  # and never compiled, as by `jit(f).lower(x)`
+    watch.hear(compiling.TRACED, 0.0)
+    assert not watch.compiled().now
+    thread = threading.Thread(target=watch.hear, args=(compiling.LOWERED, 0.0))
+    thread.start()
+    thread.join()
+    assert not watch.compiled().now  # it ended before it was compiled
+
+
+def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_wait():
+    watch = compiling._Watch()
+    for event, seconds in ((compiling.TRACED, 1.0), (compiling.TRACED, 3.0)):  # one in the other
+        watch.hear(event, seconds)
+    thread = threading.Thread(target=watch.hear, args=(compiling.COMPILED, 2.0))
+    thread.start()
+    thread.join()
+    assert watch.compiled().seconds == pytest.approx(3.0, abs=0.05)
+
+
+def test_all_that_a_thread_does_can_count_from_its_beginning_on():
+    """A search's clock stands still meanwhile: time that is taken back when something has been
+    traced would let it run backwards."""
+    watch, seen = compiling._Watch(), []
+    with watch.whole():
+        watch.hear(compiling.LOWERED, 0.0)
+        watch.hear(compiling.COMPILED, 5.0)  # within: it is not counted twice
+        thread = threading.Thread(target=watch.hear, args=(compiling.COMPILED, 0.0))
+        thread.start()
+        thread.join()
+        time.sleep(0.05)
+        seen.append(watch.compiled())
+        watch.hear(compiling.TRACED, 0.04)
+        seen.append(watch.compiled())
+    seen.append(watch.compiled())
+    assert [state.now for state in seen] == [True, True, False]
+    assert [state.programs for state in seen] == [2, 2, 2]
+    seconds = [state.seconds for state in seen]
+    assert 0.05 <= seconds[0] <= seconds[1] <= seconds[2] < 1.0
+
+
+def test_how_long_it_takes_is_as_long_as_the_last_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiling, "_times_file", lambda: tmp_path / "times.json")
+    assert usual_seconds("scores", 10.0) == 10.0
+    remember_seconds("scores", 7.25)
+    remember_seconds("scores", 0.1)  # read from what was kept
+    assert usual_seconds("scores", 10.0) == 7.2
+    assert usual_seconds("search", 40.0) == 40.0
+    for broken in ("{", "[1]", '{"scores": "long"}'):
+        (tmp_path / "times.json").write_text(broken)
+        assert usual_seconds("scores", 10.0) == 10.0
+    monkeypatch.setattr(compiling, "_times_file", lambda: None)
+    remember_seconds("scores", 7.25)
+    assert waiting_words(3.2, 10.0) == "compiling: 3 s of about 10 s"
+    assert "longer than the usual 10 s" in waiting_words(12.0, 10.0)

@@ -1,0 +1,127 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from inspe_jax.core.geometry import (
+    NEVER,
+    Prism,
+    ray_cube_margin,
+    rotation,
+    shade,
+    shadow_ceiling,
+    solid_top,
+)
+
+
+def prism(x=10.0, y=0.0, yaw=0.0, length=4.0, width=2.0, top=1.5, valid=True):
+    return Prism(
+        jnp.array([x, y]),
+        jnp.array(yaw),
+        jnp.array([length / 2, width / 2]),
+        jnp.array(top),
+        jnp.array(valid),
+    )
+
+
+def ceiling(sensor, column, spare_own=False, **shape):
+    s, c = jnp.array(sensor), jnp.array(column)
+    d = c - s[:2]
+    seen = shade(s, prism(**shape))
+    return float(shadow_ceiling(seen, d[:1], d[1:], s[2], spare_own=spare_own)[0])
+
+
+def test_rotation_follows_the_conventions():
+    """Yaw turns x to y, pitch lifts the nose, roll turns y to z; all are orthonormal."""
+    turn = lambda *angles: np.asarray(rotation(jnp.radians(jnp.array(angles))))  # noqa: E731
+    np.testing.assert_allclose(turn(0.0, 0.0, 90.0) @ [1, 0, 0], [0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(turn(0.0, 30.0, 0.0) @ [1, 0, 0], [3**0.5 / 2, 0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(turn(90.0, 0.0, 0.0) @ [0, 1, 0], [0, 0, 1], atol=1e-6)
+    # Yaw is outermost: pitched up by 30°, then heading north.
+    np.testing.assert_allclose(turn(0.0, 30.0, 90.0) @ [1, 0, 0], [0, 3**0.5 / 2, 0.5], atol=1e-6)
+    r = turn(10.0, -20.0, 130.0)
+    np.testing.assert_allclose(r @ r.T, np.eye(3), atol=1e-6)
+    assert np.linalg.det(r) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("direction", "offset", "reach", "margin"),
+    [
+        ((1, 0, 0), (5, 0, 0), 100, 0.5),  # through the centre
+        ((1, 0, 0), (5, 0.3, 0), 100, 0.2),  # 0.2 m inside one face
+        ((1, 0, 0), (5, 0.8, 0), 100, -0.3),  # misses it by 0.3 m
+        ((1, 0, 0), (5, 0, 0), 4.6, 0.1),  # ends 0.1 m inside
+        ((1, 0, 0), (5, 0, 0), 4.0, -0.5),  # ends 0.5 m before
+        ((1, 0, 0), (-5, 0, 0), 100, -4.5),  # behind
+        ((0, 0, 0), (0, 0, 0), 100, 0.5),  # a sensor in the cube
+        ((2**-0.5, 2**-0.5, 0), (5, 5, 0), 100, 0.5),
+        # Diagonal ray past an edge: support √½, offset 1.2·√½ across.
+        ((2**-0.5, 2**-0.5, 0), (5, 6.2, 0), 100, 2**0.5 / 2 * (1 - 1.2)),
+    ],
+)
+def test_ray_cube_margin_by_hand(direction, offset, reach, margin):
+    d, o = (tuple(jnp.array([float(v)]) for v in vector) for vector in (direction, offset))
+    assert float(ray_cube_margin(d, reach, o, 0.5)[0]) == pytest.approx(margin, abs=1e-5)
+
+
+def test_shadow_of_a_car_seen_from_above():
+    """Sensor 5 m up at 0, car 8..12 m away and 1.5 m high: the line over its far top edge.
+
+    At x = 24 that line is at 5 − 3.5·24/12 = −2 m; at 15 m, 5 − 3.5·15/12 = 0.625 m.
+    """
+    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0)) == pytest.approx(-2.0, abs=1e-4)
+    assert ceiling((0.0, 0.0, 5.0), (15.0, 0.0)) == pytest.approx(0.625, abs=1e-4)
+
+
+def test_shadow_of_a_truck_seen_from_below():
+    """Sensor at 1 m, truck 8..12 m away and 3 m high: the line over its near top edge."""
+    assert ceiling((0.0, 0.0, 1.0), (16.0, 0.0), top=3.0) == pytest.approx(5.0, abs=1e-4)
+
+
+def test_columns_that_a_prism_does_not_hide():
+    assert ceiling((0.0, 0.0, 5.0), (7.9, 0.0)) == NEVER  # before it
+    assert ceiling((0.0, 0.0, 5.0), (24.0, 3.0)) == NEVER  # beside it
+    assert ceiling((0.0, 0.0, 5.0), (-24.0, 0.0)) == NEVER  # on the other side
+    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0), valid=False) == NEVER
+
+
+def test_a_column_inside_a_prism_is_hidden_up_to_the_top_unless_it_is_its_own():
+    assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5)) == pytest.approx(1.5, abs=1e-4)
+    assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5), spare_own=True) == NEVER
+    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0), spare_own=True) == pytest.approx(-2.0, abs=1e-4)
+
+
+def test_a_sensor_over_a_prism_and_a_sensor_inside_one():
+    """From a mast over the car: t₀ = 0 and the exit at x = 2. From inside it sees nothing."""
+    car = dict(x=0.0, y=0.0)
+    assert ceiling((0.0, 0.0, 5.0), (4.0, 0.0), **car) == pytest.approx(5 - 3.5 * 2, abs=1e-4)
+    assert ceiling((0.0, 0.0, 1.0), (4.0, 0.0), **car) > 1e6
+
+
+def test_a_turned_prism_by_turning_the_world():
+    """The same shadow when sensor, prism and column are turned by 40° about the origin."""
+    a = np.radians(40)
+    turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+    column, center = turn @ [15.0, 0.4], turn @ [10.0, 0.0]
+    turned = ceiling((0.0, 0.0, 5.0), column, x=center[0], y=center[1], yaw=a)
+    assert turned == pytest.approx(ceiling((0.0, 0.0, 5.0), (15.0, 0.4)), abs=1e-4)
+
+
+@pytest.mark.parametrize("x", [-2.0, 2.0])
+def test_a_sensor_in_the_plane_of_a_side_sees_as_from_either_side_of_it(x):
+    """Sensor 5 m beside the prism, exactly in the plane of its front or back."""
+    for column in ((x + 1, 5.0), (x - 1, 5.0), (x + 9, -9.0), (x - 9, -9.0), (0.0, 8.0)):
+        exact, left, right = (ceiling((x + d, -5.0, 5.0), column, x=0.0) for d in (0, -1e-4, 1e-4))
+        assert min(abs(exact - left), abs(exact - right)) < 1e-2
+    assert np.isfinite(ceiling((x, -5.0, 5.0), (x, 5.0), x=0.0))
+
+
+def test_solid_top_is_the_highest_prism_that_stands_there():
+    prisms = Prism(
+        center=jnp.array([[0.0, 0.0], [0.5, 0.0], [9.0, 9.0]]),
+        yaw=jnp.array([0.0, jnp.pi / 2, 0.0]),
+        half=jnp.array([[2.0, 1.0], [2.0, 1.0], [1.0, 1.0]]),
+        top=jnp.array([1.5, 3.0, 2.0]),
+        valid=jnp.array([True, True, False]),
+    )
+    columns = jnp.array([[0.0, 0.0], [-1.0, 0.0], [0.5, 1.9], [9.0, 9.0], [5.0, 5.0]])
+    assert solid_top(columns, prisms).tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]

@@ -1,0 +1,100 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.numerics import (
+    EXACT,
+    Groups,
+    Softness,
+    any_of,
+    arctan2,
+    dot,
+    leave_one_out,
+    nonzero,
+    step,
+)
+
+EACH = tuple((s,) for s in range(5))
+
+
+def test_a_margin_is_read_hard_at_zero_and_soft_around_it():
+    margin = jnp.array([-1.0, 0.0, 1e-6, 2.0])
+    assert step(margin).tolist() == [0, 0, 1, 1]
+    # u = 1/2 ± 1/(2·3·0.5) = 1/6 and 5/6; u²·(3 − 2u) by hand
+    soft = step(jnp.array([-1.0, 0.0, 1.0]), 0.5)
+    np.testing.assert_allclose(soft, [2 / 27, 0.5, 25 / 27], atol=1e-6)
+
+
+def test_softness_to_zero_is_the_hard_reading():
+    margin = jnp.array([-0.3, -0.01, 0.01, 0.3])
+    np.testing.assert_allclose(step(margin, 1e-4), step(margin), atol=1e-6)
+
+
+def test_readings_are_exact_on_certainties_and_multiply_as_chances():
+    p = jnp.array([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]])
+    assert any_of(p).tolist() == [0.0, 1.0, 0.75]
+    left = [[0.0, 1.0, 0.75], [0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]
+    assert leave_one_out(p, Groups.of_rows(EACH[:2], 2)).tolist() == left
+    assert leave_one_out(p, Groups.of_rows((), 2)).tolist() == left[:1]
+
+
+@pytest.mark.parametrize("groups", [EACH, ((0, 3), (1,), (2, 4)), ((0, 1, 2, 3, 4),)])
+@pytest.mark.parametrize("certain", [0, 1, 2])
+def test_leave_one_out_equals_leaving_out(certain, groups):
+    """Against the product over the array with the rows deleted, with 0, 1 or 2 rows certain."""
+    p = np.random.default_rng(3).uniform(0, 0.9, (5, 7)).astype(np.float32)
+    p[:certain] = 1.0
+    expected = [1 - np.prod(1 - p, 0)]
+    expected += [1 - np.prod(1 - np.delete(p, group, 0), 0) for group in groups]
+    for spare in (0, 2):  # room for more groups, which leaves all in
+        arrays = Groups.of_rows(groups, 5, len(groups) + spare)
+        found = leave_one_out(jnp.array(p), arrays)
+        rows = np.stack(expected + expected[:1] * spare)
+        np.testing.assert_allclose(found, rows, atol=1e-6)
+
+
+def test_a_certain_reading_leaves_a_finite_gradient():
+    """Dividing ∏(1 − p) by a factor of 0 would not."""
+    p = jnp.array([[1.0, 0.2], [1.0, 0.7], [0.3, 1.0]])
+    slope = jax.jacobian(lambda p: leave_one_out(p, Groups.of_rows(EACH[:3], 3)).sum())(p)
+    # d/dp₂ of voxel 0: only where 0 and 1 do not both stand is something missed, which never is.
+    np.testing.assert_allclose(slope, [[0.7, 0.3], [0.7, 0.8], [0.0, 1.34]], atol=1e-6)
+
+
+def test_softness_is_one_width_or_one_for_each_kind():
+    assert Softness.of(0) == Softness.of(0.0) == EXACT
+    one = Softness.of(0.3)
+    assert (float(one.field), one.ray, float(one.shadow)) == (pytest.approx(0.3), None, one.field)
+    mixed = Softness.of(Softness(field=0.5, shadow=0.0))
+    assert (float(mixed.field), mixed.ray, mixed.shadow) == (0.5, None, None)
+    for bad in (-1.0, Softness(ray=-0.1), float("nan"), float("inf")):
+        with pytest.raises(InspeError, match="softness"):
+            Softness.of(bad)
+
+
+def test_dot_keeps_single_precision_over_two_million_terms():
+    """Against float64. Partial sums of ~126 terms: 3·126·2⁻²⁴ ≈ 2e-5 at worst, 1e-6 typically."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 1, (2, 2_000_003)).astype(np.float32)
+    exact = float(x.astype(float) @ y.astype(float))
+    assert float(jax.jit(dot)(jnp.array(x), jnp.array(y))) == pytest.approx(exact, rel=2e-6)
+    assert dot(jnp.ones((3, 5)), jnp.arange(5.0)).tolist() == [10.0] * 3
+
+
+def test_nonzero_keeps_the_side():
+    assert nonzero(jnp.array([-1e-9, 0.0, 1e-9, 3.0, -3.0])).tolist() == pytest.approx(
+        [-1e-6, 1e-6, 1e-6, 3.0, -3.0]
+    )
+
+
+def test_the_angle_is_that_of_the_c_library():
+    """To 2e-7 rad all round, on the axes and diagonals, and at any scale; 0 at the origin."""
+    angle = np.concatenate([np.linspace(-np.pi, np.pi, 20001), np.arange(-4, 5) * np.pi / 4])
+    for scale in (1e-6, 1.0, 1e4):
+        x, y = (scale * f(angle).astype(np.float32) for f in (np.cos, np.sin))
+        found = np.asarray(arctan2(jnp.asarray(y), jnp.asarray(x)))
+        off = np.abs(found - np.arctan2(y.astype(float), x.astype(float)))
+        assert np.minimum(off, 2 * np.pi - off).max() < 4e-7
+    assert arctan2(jnp.zeros(()), jnp.zeros(())) == 0

@@ -1,0 +1,246 @@
+"""What a set is counted to hold, against sets made by hand and counts done the long way."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from frames import WORLD, car, frame, image, station
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import inspe_jax.dataset as dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset import Frame, Scan, Station, write_frame, write_protocol
+from inspe_jax.dataset.points_in_boxes import SLACK, count_inside
+from inspe_jax.dataset.statistics import RANGE_EDGES, Hits, bands, statistics, table_row
+from inspe_jax.simulation.frame import KINDS
+
+LEVEL = np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
+
+
+def scan_of(world_points, pose=LEVEL) -> Scan:
+    """A scan whose points are at these places in the world."""
+    body = (np.asarray(world_points, float) - pose[:3]) @ rotation(np.asarray(pose)[3:], np)
+    return Scan(np.asarray(pose), np.column_stack([body, np.zeros(len(body))]).astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two splits: train with two scenarios of two frames and one, test with one of one frame.
+
+    Station 1 has a camera and a LiDAR 10 m from a car that holds 2 of its 3 points; station 2 a
+    LiDAR that has the car 20 m away, and one point in it.
+    """
+    root = tmp_path_factory.mktemp("sets") / "made"
+    near, far = LEVEL + [0, 10, -4, 0, 0, 1], LEVEL + [0, -20, -4, 0, 0, 2]
+    thing = car(1, center=np.array([0.0, 0.0, 1.0]), size=np.array([4.0, 2.0, 2.0]))
+    other = car(2, kind="truck", center=np.array([100.0, 0.0, 2.0]), size=np.array([9.0, 2.5, 4.0]))
+    one = scan_of([[0, 1.9, 1], [0.9, 0, 1], [5, 0, 1]], near)
+    two = scan_of([[0, -1.9, 1]], far)
+    stations = (
+        Station(1, "near", near, (image(layers=False),), (one,)),
+        Station(2, "far", far, (), (two,)),
+    )
+    protocol = {"world": WORLD, "year": 2025, "intersection": "1"}
+    for place, numbers in (("train/a", (0, 2)), ("train/b", (7,)), ("test/a", (3,))):
+        for number in numbers:
+            things = (thing, other) if number in (2, 7) else (thing,)
+            write_frame(root / place, Frame(number, 0.05 * number, things, stations))
+        write_protocol(root / place, protocol, stations)
+    return root
+
+
+def test_the_counts_of_each_split(made):
+    told = []
+    found = statistics(made, lambda done, total: told.append((done, total)))
+    train, test = found.splits
+    assert (train.name, train.scenarios, train.frames, train.agents) == ("train", 2, 3, 4)
+    assert (train.images, train.clouds, train.points, train.boxes) == (3, 6, 12, 5)
+    assert (test.name, test.scenarios, test.frames, test.agents) == ("test", 1, 1, 2)
+    assert (test.images, test.clouds, test.points, test.boxes) == (1, 2, 4, 1)
+    assert found.total.frames == 4
+    assert found.mean_points == 2.0
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert sorted(found.crowd.tolist()) == [1, 1, 2, 2]
+    assert found.cameras == (1, 1)
+    assert found.lidars == (2, 2)
+
+
+def test_classes_by_box_and_by_road_user(made):
+    found = statistics(made)
+    assert found.boxes == {"car": 4, "truck": 2, "cyclist": 0, "pedestrian": 0}
+    assert found.tracks == {"car": 3, "truck": 2, "cyclist": 0, "pedestrian": 0}
+    trucks = found.users.size[found.users.kind == KINDS.index("truck")]
+    np.testing.assert_allclose(trucks, [[9, 2.5, 4]] * 2, atol=1e-6)
+
+
+def test_points_by_scan_and_together(made):
+    found = statistics(made)
+    cars = found.single.kind == 0
+    assert sorted(zip(found.single.range[cars], found.single.points[cars], strict=True)) == (
+        [(10, 2)] * 4 + [(20, 1)] * 4
+    )
+    cars = found.merged.kind == 0
+    np.testing.assert_allclose(found.merged.range[cars], 10)
+    assert found.merged.points[cars].tolist() == [3] * 4
+    assert found.merged.points[~cars].tolist() == [0, 0]
+
+
+def test_a_file_with_two_names_takes_its_place_once(made):
+    files = [path for path in (made / "test").rglob("*") if path.is_file()]
+    linked = [path for path in files if path.name in ("000003.pcd",)]
+    assert all(path.stat().st_nlink == 2 for path in linked)  # OPV2V's name and the variant's
+    size = sum(path.stat().st_size for path in files if path not in linked)
+    assert statistics(made).splits[1].size == size
+
+
+def test_a_split_or_a_scenario_is_a_set_too(made):
+    assert statistics(made / "train").total.frames == 3
+    assert statistics(dataset.open(made / "train" / "b")).total.frames == 1
+
+
+def test_a_row_of_a_table(made):
+    assert table_row(statistics(made)) == {
+        "name": "made", "year": "2025", "source": "sim", "V2X": "I2I", "cameras": 1, "LiDARs": 2,
+        "frames": 4, "images": 4, "point clouds": 8, "3D boxes": 6, "classes": 2, "scenarios": 3,
+        "intersections": 1, "maps": 1,
+    }  # fmt: skip
+
+
+def test_what_a_set_does_not_tell_is_left_open(made):
+    found = statistics(made)
+    bare = replace(found, protocols=({},) * 3, cameras=(4, 6), agents=((-1, 641),))
+    row = table_row(bare)
+    assert [row[key] for key in ("year", "source", "maps", "intersections")] == [None] * 4
+    assert (row["V2X"], row["cameras"]) == ("V2X", "4–6")
+    for agents, kind in (((641, 9), "V2V"), ((-1, -2), "I2I"), ((641,), "V"), ((-1,), "I")):
+        assert table_row(replace(bare, agents=(agents,)))["V2X"] == kind
+    real = replace(bare, protocols=({"source": "real", "world": {"town": "x"}},))
+    assert [table_row(real)[key] for key in ("source", "maps")] == ["real", 1]
+
+
+def test_a_set_of_others_without_types_or_point_clouds(tmp_path):
+    """OPV2V names no types: what it lists are cars."""
+    entry = {"angle": [0, 90, 0], "extent": [2, 1, 0.75], "location": [10, 0, 0]}
+    content = {"lidar_pose": [0.0] * 6, "true_ego_pos": [0.0] * 6, "vehicles": {5: entry}}
+    for agent in ("641", "9"):
+        (tmp_path / "2021" / agent).mkdir(parents=True)
+        (tmp_path / "2021" / agent / "00068.yaml").write_text(yaml.safe_dump(content))
+        cloud = tmp_path / "2021" / agent / "00068.pcd"
+        cloud.write_text(
+            "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+            "10 0 0\n"
+        )
+    found = statistics(tmp_path)
+    assert found.boxes["car"] == 1
+    assert found.total.points == 2
+    assert found.merged.points.tolist() == [2]
+    assert found.single.range.tolist() == [10, 10]
+    assert table_row(found)["V2X"] == "V2V"
+
+
+def test_a_set_without_point_clouds(tmp_path):
+    write_frame(tmp_path / "a", frame(1, stations=(station(1, lidars=0),)))
+    found = statistics(tmp_path / "a")
+    assert (found.total.clouds, found.total.points, found.mean_points) == (0, 0, None)
+    assert found.total.images == 2
+    assert len(found.single.kind) == len(found.merged.kind) == 0
+    assert bands(found.single, 0) == ()
+
+
+def test_frames_without_a_thing(tmp_path):
+    write_frame(tmp_path / "a", frame(1, things=()))
+    found = statistics(tmp_path / "a")
+    assert found.crowd.tolist() == [0]
+    assert found.users.size.shape == (0, 3)
+    assert sum(found.boxes.values()) == 0
+
+
+def test_no_such_set_and_none_with_a_frame(tmp_path):
+    with pytest.raises(InspeError, match="nosuch: no such folder"):
+        statistics(tmp_path / "nosuch")
+    with pytest.raises(InspeError, match="not a data set"):
+        statistics(tmp_path)
+    write_protocol(tmp_path / "train" / "a", {"world": WORLD})
+    with pytest.raises(InspeError, match="no frame in 1 scenario"):
+        statistics(tmp_path)
+
+
+def test_a_broken_file_is_named(made, tmp_path):
+    write_frame(tmp_path / "a", frame(1))
+    broken = tmp_path / "a" / "-2" / "000001_lidar0.pcd"
+    os.truncate(broken, broken.stat().st_size - 4)
+    with pytest.raises(InspeError, match=r"-2/000001_lidar0\.pcd: cut short"):
+        statistics(tmp_path / "a")
+
+
+def test_bands_of_range():
+    """Of five boxes between 7.07 and 10 m four have points: 1, 2, 3 and 4."""
+    away = np.array([8.0, 8, 8, 9, 9, 0.1, 1e4, 8])
+    points = np.array([0, 1, 2, 3, 4, 0, 7, 99])
+    kind = np.array([0, 0, 0, 0, 0, 0, 0, 1])
+    near, middle, far = bands(Hits(kind, away, points), 0)
+    assert (near.low, far.high) == (RANGE_EDGES[0], RANGE_EDGES[-1])
+    assert (near.boxes, near.share, near.quartiles) == (1, 0.0, None)
+    assert (middle.boxes, middle.share, middle.quartiles) == (5, 0.8, (1.75, 2.5, 3.25))
+    assert middle.low == pytest.approx(50**0.5)
+    assert middle.high == pytest.approx(10)
+    assert far.quartiles == (7, 7, 7)
+    assert bands(Hits(kind, away, points), 2) == ()
+
+
+def test_points_in_a_box_that_stands_across():
+    """4 m long, 2 m wide, 2 m high, turned by 30°: ends of its axes are in."""
+    box = car(center=np.array([10.0, 5.0, 1.0]), yaw=np.pi / 6, size=np.array([4.0, 2.0, 2.0]))
+    ahead, left = np.array([3**0.5 / 2, 0.5, 0]), np.array([-0.5, 3**0.5 / 2, 0])
+    middle, up = box.center, np.array([0.0, 0.0, 1.0])
+    inside = [
+        middle,
+        middle + 1.99 * ahead,
+        middle - 0.99 * left,
+        middle + 1.9 * ahead + 0.9 * left,
+    ]
+    outside = [middle + 2.01 * ahead, middle + 1.01 * left, middle + [1.9, 0.9, 0]]
+    faces = [middle + 2 * ahead, middle - left, middle + up]
+    road = [middle - up, middle - up + 0.0005]
+    for points, count in ((inside, 4), (outside, 0), (faces, 3), (road, 0)):
+        pose = np.array([3.0, -2.0, 6.0, 0.1, -0.3, 2.0])
+        assert count_inside([scan_of(points, pose)], [box]).tolist() == [[count]]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_points_in_boxes_against_every_pair(seed):
+    rng = np.random.default_rng(seed)
+    scans = []
+    for many in (400, 0, 250):
+        pose = np.array([*rng.uniform(-5, 5, 3), *rng.uniform(-0.3, 0.3, 2), rng.uniform(-4, 4)])
+        scans.append(scan_of(rng.uniform([-12, -12, -2], [12, 12, 3], (many, 3)), pose))
+    things = [
+        car(
+            track,
+            center=rng.uniform([-10, -10, 0], [10, 10, 2]),
+            yaw=rng.uniform(-7, 7),
+            size=rng.uniform(0.4, 9.0, 3),
+        )
+        for track in range(7)
+    ]
+    expected = np.zeros((3, 7), int)
+    for i, scan in enumerate(scans):
+        turn = rotation(scan.pose[3:], np)
+        for k, thing in enumerate(things):
+            for point in scan.points[:, :3]:
+                place = turn @ point.astype(float) + scan.pose[:3]
+                own = rotation(np.array([0, 0, thing.yaw]), np).T @ (place - thing.center)
+                beyond = np.abs(own[:2]) - thing.size[:2] / 2
+                top, bottom = own[2] - thing.size[2] / 2, own[2] + thing.size[2] / 2
+                expected[i, k] += (beyond <= SLACK).all() and top <= SLACK and bottom >= SLACK
+    np.testing.assert_array_equal(count_inside(scans, things), expected)
+
+
+def test_nothing_to_count():
+    assert count_inside([], [car()]).shape == (0, 1)
+    assert count_inside([scan_of([[0, 0, 0]])], []).shape == (1, 0)

@@ -1,0 +1,179 @@
+"""Cost against score: which mixes are tried, which are on the front, what is written."""
+
+import csv
+from dataclasses import replace
+
+import pytest
+from mounts import assert_mountable, lanes_of
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.studies import pareto as module
+from inspe_jax.placement.studies.pareto import around, load_pareto, mixes, pareto, save_pareto
+from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.layout import load_layout
+
+CAMERA, LIDAR = "paper-camera", "velodyne-vlp-16"
+PRICED = Objective(prices={CAMERA: 1000.0})
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=3, density=20)
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    """Cameras alone, a LiDAR, and a mix."""
+    counts = {CAMERA: (0, 1, 2), LIDAR: (0, 1)}
+    told = []
+    mixed = pareto(
+        scene, counts, method="random", evaluations=6, objective=PRICED,
+        progress=lambda row, done, best: told.append((dict(row), done, best)),
+    )  # fmt: skip
+    return mixed, told
+
+
+def test_every_mix_is_searched_cheapest_first(found):
+    mixed, told = found
+    assert [(mix.counts[CAMERA], mix.counts[LIDAR]) for mix in mixed] == [
+        (1, 0), (2, 0), (0, 1), (1, 1), (2, 1),
+    ]  # fmt: skip
+    assert [mix.cost for mix in mixed] == [1000, 2000, 4000, 5000, 6000]
+    assert mixed[3].name == f"1 {CAMERA} + 1 {LIDAR}"
+    shares = [done for _, done, _ in told]
+    assert shares == sorted(shares)
+    assert 0.8 < shares[-1] <= 1.0
+    assert [row for row, _, _ in told][-1] == mixed[-1].counts
+
+
+def test_the_front_is_what_no_other_mix_beats(found):
+    """Against its definition: another is no dearer and no worse, and cheaper or better."""
+    mixed, _ = found
+    for mix in mixed:
+        beaten = [
+            other
+            for other in mixed
+            if other.cost <= mix.cost
+            and other.result.objective >= mix.result.objective
+            and (other.cost, other.result.objective) != (mix.cost, mix.result.objective)
+        ]
+        assert mix.front == (not beaten)
+    assert mixed[0].front
+
+
+def test_every_layout_can_be_mounted_and_has_its_sensors(found, scene):
+    lanes = lanes_of(scene.intersection)
+    for mix in found[0]:
+        names = [sensor.spec.name for sensor in mix.result.layout.sensors]
+        assert {name: names.count(name) for name in mix.counts} == dict(mix.counts)
+        assert_mountable(scene, mix.result.layout, lanes)
+
+
+def test_it_is_saved(found, scene, tmp_path):
+    mixed, _ = found
+    save_pareto(mixed, tmp_path / "pareto")
+    with (tmp_path / "pareto" / "pareto.csv").open() as f:
+        rows = list(csv.DictReader(f))
+    assert [float(row["cost_usd"]) for row in rows] == [mix.cost for mix in mixed]
+    assert [float(row["objective"]) for row in rows] == [mix.result.objective for mix in mixed]
+    for row, mix in zip(rows, mixed, strict=True):
+        assert bool(int(row["front"])) == mix.front == bool(row["layout"])
+        if mix.front:
+            again = load_layout(tmp_path / "pareto" / row["layout"])
+            assert len(again) == len(mix.result.layout)
+    assert load_pareto(tmp_path / "pareto") == [mix.point for mix in mixed]
+    assert [point.name for point in load_pareto(tmp_path / "pareto")] == [m.name for m in mixed]
+
+
+@pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "x,cost_usd,objective\n1,2,3\n"])
+def test_what_is_no_table_of_mixes_is_refused(content, tmp_path):
+    with pytest.raises(InspeError, match=r"pareto\.csv: no such file"):
+        load_pareto(tmp_path)
+    (tmp_path / "pareto.csv").write_text(content)
+    with pytest.raises(InspeError, match="not a table that inspe pareto wrote"):
+        load_pareto(tmp_path)
+
+
+def test_a_budget_leaves_out_what_costs_more():
+    objective = Objective(prices={CAMERA: 1000.0}, budget=5000.0)
+    costs = [cost for cost, _ in mixes({CAMERA: range(4), LIDAR: (0, 1)}, objective)]
+    assert costs == [1000, 2000, 3000, 4000, 5000]
+
+
+def test_several_scenes_are_searched_together(scene):
+    (mix,) = pareto([Case(scene), scene], {LIDAR: [1]}, method="random", evaluations=2)
+    assert len(mix.result.settings["scenes"]) == 2
+
+
+@pytest.mark.parametrize("stop", [1, 2])
+def test_ctrl_c_ends_with_the_mixes_so_far(scene, stop):
+    """In the middle of a search, which is the last of the mixes."""
+
+    def interrupt(row, share, best):
+        if row == {LIDAR: stop} and share * 2 > stop - 1:
+            raise KeyboardInterrupt
+
+    found = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=4, progress=interrupt)
+    assert [dict(mix.counts) for mix in found] == [{LIDAR: n} for n in range(1, stop + 1)]
+    assert found[-1].result.status == "interrupted"
+    assert found[0].front
+
+
+def test_ctrl_c_before_the_first_score_leaves_nothing_or_what_there_is(scene, monkeypatch):
+    """While a mix is compiled."""
+    whole, calls = module.compare, []
+
+    def interrupted(*arguments, **options):
+        if calls:
+            raise KeyboardInterrupt
+        calls.append(1)
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(module, "compare", interrupted)
+    (mix,) = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
+    assert mix.counts == {LIDAR: 1}
+    with pytest.raises(KeyboardInterrupt):
+        pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
+
+
+def test_a_mix_that_costs_its_budget_to_the_cent_is_searched(scene):
+    """Seven times 1999.85 is 13998.95; in binary, added up or multiplied, it is not."""
+    priced = Objective(prices={LIDAR: 1999.85}, budget=13998.95)
+    assert [row for _, row in mixes({LIDAR: [7]}, priced)] == [{LIDAR: 7}]
+    assert priced.price(around(scene, {LIDAR: 7})) == 0.0
+
+
+def test_failures_leave_out_mixes_of_one_sensor():
+    rows = [row for _, row in mixes({LIDAR: range(4)}, Objective(failures=True))]
+    assert rows == [{LIDAR: 2}, {LIDAR: 3}]
+
+
+def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
+    start = around(scene, {CAMERA: 3, LIDAR: 2})
+    kinds = [sensor.spec.kind for sensor in start.sensors]
+    assert kinds == ["lidar", "lidar", "camera", "camera", "camera"]
+    assert len({unit.base[:2] for unit in start.units}) == len(start.units) == 5
+
+
+@pytest.mark.parametrize(
+    ("counts", "objective", "message"),
+    [
+        ({}, PRICED, "no device to choose from"),
+        ({"no-such": [1]}, PRICED, "no device 'no-such'"),
+        ({CAMERA: [1]}, Objective(), f"'{CAMERA}' has no list price"),
+        ({CAMERA: []}, PRICED, "how many of it"),
+        ({CAMERA: [-1, 2]}, PRICED, "numbers from 0"),
+        ({CAMERA: [0]}, PRICED, "no mix is left: allow at least one sensor"),
+        ({CAMERA: [1]}, replace(PRICED, failures=True), "allow at least two sensors"),
+        ({LIDAR: [1]}, Objective(prices={"hesai-xt": 1.0}), "price of 'hesai-xt', which no mix"),
+        ({CAMERA: range(100_000), LIDAR: range(100_000)}, PRICED, "10,000,000,000 mixes, and at"),
+        ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
+        ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),
+        ({CAMERA: [99]}, PRICED, "99 sensors, and"),
+    ],
+)
+def test_bad_input(scene, counts, objective, message):
+    with pytest.raises(InspeError, match=message):
+        pareto(scene, counts, method="random", evaluations=2, objective=objective)

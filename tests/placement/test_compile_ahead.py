@@ -1,0 +1,192 @@
+"""What is compiled beside a search: that the search does not wait for it, and goes on with it."""
+
+import subprocess
+import sys
+import threading
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from inspe_jax.placement.compile_ahead import Ahead
+from inspe_jax.placement.methods import greedy_adam
+from inspe_jax.placement.methods.greedy import GREEDY
+from inspe_jax.placement.methods.greedy_adam import GRADIENT, GREEDY_ADAM
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.run import BudgetSpent, Run
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.scene import build_scene
+
+SECONDS = 3000.0
+"""By a clock that counts work, so that a search repeats; several passes of finer moves."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
+
+
+class Late(Problem):
+    """A gradient, of nothing, whose first one takes until ``go`` is set."""
+
+    def __init__(self, scene):
+        super().__init__(scene, strategy(scene, "L-c"))
+        self.go, self.asked = threading.Event(), []
+
+    def slope(self, poses, on, softness):
+        self.asked.append(threading.get_ident())
+        assert self.go.wait(60)
+        return 0.5, np.zeros((len(poses), 6), jnp.zeros((), float).dtype)
+
+
+@pytest.fixture
+def late(scene):
+    problem = Late(scene)
+    yield problem
+    problem.go.set()
+
+
+def search(problem, method, each=lambda run, state: None, **budget):
+    """A method within a budget; ``each`` sees every state."""
+    work = SimpleNamespace(evaluations=0.0)
+    budget = budget or {"seconds": SECONDS}
+    run = Run(
+        problem, problem.space.start(problem.layout)[0], clock=lambda: work.evaluations, **budget
+    )
+    work = run
+    try:
+        run.compile_ahead(method)
+        run.offer(run.start)
+        state = method.begin(run)
+        while state is not None:
+            each(run, state)
+            state = method.step(run, state)
+    except BudgetSpent:
+        pass
+    finally:
+        run.close()
+    return run
+
+
+def test_where_the_gradient_is_never_ready_it_is_greedy_placement(late):
+    found = search(late, GREEDY_ADAM)
+    assert len(late.asked) == 1  # and that one waits
+    plain = search(late, GREEDY)
+    assert len(plain.history) > 3
+    assert [row.score for row in found.history] == [row.score for row in plain.history]
+
+
+def test_adam_takes_over_from_the_best_as_soon_as_the_gradient_is_ready(late):
+    states, before = [], []
+
+    def each(run, state):
+        states.append(state)
+        if len(run.history) == 4 and not late.go.is_set():
+            before.append(run.best)
+            late.go.set()
+            run.wait(GRADIENT)
+
+    run = search(late, GREEDY_ADAM, each)
+    bursts = [state for state in states if "line" in state]
+    assert bursts
+    assert before[0] > run.history[0].score  # it was better than the start by then
+    first = next(n for n, state in enumerate(states) if "line" in state)
+    assert any((x == bursts[0]["x"]).all() for x in run.path)
+    assert bursts[0]["value"] >= before[0]
+    assert all("line" not in state for state in states[:first])
+    assert not any(state["drafted"] for state in states[first:])
+
+
+def test_a_gradient_that_is_ready_too_late_is_left(late):
+    def each(run, state):
+        assert "line" not in state
+        if run.done >= greedy_adam.UNTIL:
+            late.go.set()
+            run.wait(GRADIENT)
+
+    search(late, GREEDY_ADAM, each)
+    assert len(late.asked) == 1
+
+
+def test_a_gradient_that_will_not_be_ready_in_time_is_not_begun(late, monkeypatch):
+    monkeypatch.setattr(greedy_adam, "COMPILES", np.inf)
+    found = search(late, GREEDY_ADAM)
+    assert not late.asked
+    assert [row.score for row in found.history] == [
+        row.score for row in search(late, GREEDY).history
+    ]
+
+
+def test_with_a_budget_in_evaluations_nothing_is_done_beside_the_search(late):
+    late.go.set()
+    search(late, GREEDY_ADAM, evaluations=SECONDS)
+    assert set(late.asked) == {threading.get_ident()}
+
+
+def test_once_it_is_compiled_nothing_is_done_beside_the_search(late):
+    late.go.set()
+    search(late, GREEDY_ADAM, evaluations=SECONDS)
+    late.asked.clear()
+    assert not GREEDY_ADAM.ahead(Run(late, late.space.start(late.layout)[0], seconds=1.0))
+    search(late, GREEDY_ADAM)
+    assert set(late.asked) == {threading.get_ident()}
+
+
+def test_an_error_there_is_one_of_the_search(late, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("of the gradient")
+
+    monkeypatch.setattr(late, "slope", broken)
+    with pytest.raises(ZeroDivisionError, match="of the gradient"):
+        search(late, GREEDY_ADAM)
+
+
+def test_jobs_are_done_in_turn_and_none_is_begun_after_the_end():
+    go, begun = threading.Event(), []
+
+    def job(name, result=True):
+        begun.append(name)
+        assert go.wait(60)
+        return result
+
+    ahead = Ahead({"a": lambda: job("a"), "b": lambda: job("b", False), "c": lambda: job("c")})
+    assert not ahead.ready("a")
+    assert ahead.ready("of no job")
+    ahead.wait("of no job")
+    stopped = Ahead({"d": lambda: job("d")})
+    stopped.close()
+    go.set()
+    for name in "abc":
+        ahead.wait(name)
+    assert [ahead.ready(name) for name in "abc"] == [True, False, True]
+    assert not stopped.ready("d")
+    assert begun == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_it_compiles_for_the_precision_of_the_search(double):
+    switch = jax if hasattr(jax, "enable_x64") else jax.experimental
+    with switch.enable_x64(double):
+        ahead = Ahead(
+            {"a": lambda: jnp.zeros((), float).dtype == (np.float64 if double else np.float32)}
+        )
+        ahead.wait("a")
+        assert ahead.ready("a")
+
+
+@pytest.mark.parametrize("way", ["pass", "import os, signal; os.kill(os.getpid(), signal.SIGINT)"])
+def test_the_end_of_the_process_waits_for_xla_but_not_after_ctrl_c(way):
+    """A job that is in C and comes back to Python, as XLA does."""
+    code = f"""
+import threading, time
+from inspe_jax.placement.compile_ahead import Ahead
+Ahead({{"a": lambda: time.sleep(2.0) or print("over", flush=True) or True}})
+later = threading.Timer(0.5, lambda: exec({way!r}))
+later.daemon = True
+later.start()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == ((0, "over\n") if way == "pass" else (130, ""))

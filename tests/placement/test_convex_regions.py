@@ -1,0 +1,218 @@
+"""Convex pieces: against shapely's own geometry, and on shapes worked out by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import MultiPoint, Point, Polygon, box
+
+from inspe_jax.placement.convex_regions import (
+    LEAST_AREA,
+    into_disc,
+    make_pieces,
+    merge,
+    swing,
+    swing_disc,
+    unswing,
+    unswing_disc,
+)
+
+SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)
+TRAPEZE = np.array([[0, 4], [12, 4], [9, 7], [1, 7]], float)
+LEANING = SQUARE @ np.array([[0.8, 0.6], [-0.6, 0.8]]) * 3.0 + [12, -9]
+WEDGE = np.array(
+    [[20, 0], [26, 0.0], [26.06, 2.0], [23, 2.5], [20, 2]], float
+)  # an end nearly upright
+SHAPES = [SQUARE, TRAPEZE, LEANING, WEDGE, np.array([[-3.0, 5.0]])]
+PIECES = make_pieces(SHAPES)
+SOLID = [Polygon(shape) for shape in SHAPES if len(shape) > 1]
+ALL = np.ones((1, len(SHAPES)), bool)
+
+at = jax.jit(lambda v, which: PIECES.at(v, which, jnp))
+slope_of_at = jax.jit(jax.jacobian(lambda v, which: PIECES.at(v, which, jnp).sum(0)))
+slope_of_nearest = jax.jit(jax.jacobian(lambda p, ok: PIECES.nearest(p, ok, jnp)[0].sum(0)))
+
+
+def triangles(shape) -> np.ndarray:
+    parts = shapely.constrained_delaunay_triangles(shape).geoms
+    return np.array([t.exterior.coords[:3] for t in parts])
+
+
+def ragged(seed: int) -> Polygon:
+    """A star-shaped outline with a hole."""
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.uniform(0, 2 * np.pi, 25))
+    far = rng.uniform(6, 10, (25, 1))
+    outer = far * np.stack([np.cos(angle), np.sin(angle)], 1)
+    return Polygon(outer).difference(Point(0.5, 0).buffer(3, quad_segs=4)).buffer(0)
+
+
+ELL = Polygon([(0, 0), (6, 0), (6, 2), (2, 2), (2, 6), (0, 6)])
+RING = box(0, 0, 10, 10).difference(box(4, 4, 6, 6))
+
+
+@pytest.mark.parametrize(
+    ("shape", "most"),
+    [(box(0, 0, 3, 1), 1), (ELL, 2), (RING, 6), *[(ragged(seed), 30) for seed in range(6)]],
+)
+def test_merged_pieces_are_convex_and_cover_exactly(shape, most):
+    outlines = merge(triangles(shape))
+    parts = [Polygon(outline) for outline in outlines]
+    assert len(parts) <= most < len(triangles(shape)) + most
+    for part in parts:
+        assert part.exterior.is_ccw
+        assert part.convex_hull.area == pytest.approx(part.area, abs=1e-9)
+        assert shape.buffer(1e-9).covers(part)
+    lost = shape.area - sum(part.area for part in parts)
+    assert -1e-9 <= lost <= len(triangles(shape)) * LEAST_AREA
+    assert shapely.union_all(parts).area == pytest.approx(sum(part.area for part in parts))
+
+
+def test_a_round_outline_stays_one_piece():
+    (outline,) = merge(triangles(Point(0, 0).buffer(5)))
+    assert len(outline) == 64
+
+
+def test_pieces_that_share_two_sides_in_line_stay_apart():
+    middle, corners = [1.0, 1.0], [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+    fan = [[a, b, middle] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    outlines = merge(np.array(fan))
+    assert sum(Polygon(outline).area for outline in outlines) == pytest.approx(4)
+    for outline in outlines:
+        assert len(np.unique(outline, axis=0)) == len(outline)
+
+
+def test_slivers_are_left_out():
+    assert merge(triangles(box(0, 0, 1, LEAST_AREA * 0.9))) == []
+    assert merge(np.zeros((0, 3, 2))) == []
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_nearest_point_is_shapelys(xp):
+    p = np.random.default_rng(1).uniform([-8, -12], [30, 12], (400, 2))
+    found, which, squared = PIECES.nearest(xp.asarray(p), np.repeat(ALL, 400, 0), xp)
+    union = shapely.union_all([*SOLID, Point(-3, 5)])
+    lines = shapely.shortest_line(union, shapely.points(p))
+    np.testing.assert_allclose(found, shapely.get_coordinates(lines)[::2], atol=1e-5)
+    for at, k, far in zip(np.asarray(found), np.asarray(which), np.asarray(squared), strict=True):
+        shape = Point(SHAPES[k][0]) if len(SHAPES[k]) == 1 else Polygon(SHAPES[k])
+        assert shape.distance(Point(at)) < 1e-5
+        assert far[k] == far.min()
+
+
+def test_nearest_keeps_to_the_allowed_pieces():
+    only = np.arange(len(SHAPES))[None] == 4
+    inside = np.array([[1.0, 1.0]])
+    np.testing.assert_array_equal(PIECES.nearest(inside, ALL)[0], inside)
+    np.testing.assert_array_equal(PIECES.nearest(inside, only)[0], [[-3.0, 5.0]])
+
+
+def test_charts_invert():
+    rng = np.random.default_rng(2)
+    for k, shape in enumerate(SHAPES[:3]):
+        # Away from the edges, which the inverse takes to lie slightly inside.
+        polygon = Polygon(shape).buffer(-0.35)
+        p = rng.uniform(shape.min(0), shape.max(0), (200, 2))
+        p = p[shapely.contains_xy(polygon, p)]
+        which = np.full(len(p), k)
+        assert len(p) > 20
+        np.testing.assert_allclose(PIECES.at(PIECES.chart(p, which, np), which, np), p, atol=1e-9)
+    # On the edge: inside, and within 1 % of the piece's size.
+    for k, shape in enumerate(SHAPES[:4]):
+        which = np.full(len(shape), k)
+        back = PIECES.at(PIECES.chart(shape, which, np), which, np)
+        assert np.abs(back - shape).max() < 0.02 * np.ptp(shape, axis=0).max() + 0.1
+        assert shapely.contains_xy(Polygon(shape), back).all()
+
+
+def test_charts_reach_across_to_the_edges_and_stop_short_of_a_steep_end():
+    rng = np.random.default_rng(6)
+    for k, shape in enumerate(SHAPES[:4]):
+        for side in (-1, 1):
+            v = np.column_stack([rng.uniform(-9, 9, 50), np.full(50, side * PIECES.across[k])])
+            v[:, 1] *= np.pi / 2
+            p = PIECES.at(v, np.full(50, k), np)
+            rim = Polygon(shape).exterior
+            assert max(rim.distance(q) for q in shapely.points(p)) < 1e-9
+    ends = np.pi / 2 * np.array([[PIECES.half[3], 0.0], [-PIECES.half[3], 0.0]])
+    along = PIECES.at(ends, np.full(2, 3), np)[:, 0]
+    np.testing.assert_allclose(np.sort(along), [20.0, 26.0], atol=0.1)
+    assert along.max() < 26.02  # and not 26.06, where the edge across leans by 1 in 33
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0, 1e6, 1e30, np.inf])
+def test_any_chart_coordinates_are_inside(size):
+    rng = np.random.default_rng(3)
+    v = size * np.sign(rng.normal(size=(100, 2))) * rng.uniform(size=(100, 2))
+    v = v.astype(np.float32)
+    for k, shape in enumerate(SHAPES):
+        p = np.asarray(at(v, np.full(100, k)), float)
+        polygon = MultiPoint(shape).convex_hull
+        assert max(polygon.distance(q) for q in shapely.points(p)) < 1e-5
+
+
+def test_charts_count_metres_in_the_middle():
+    for k in range(3):
+        matrix = np.asarray(slope_of_at(np.zeros((1, 2), np.float32), np.array([k])))[:, 0]
+        # A turn: a step of 1 m in the chart is a step of 1 m, along or across. The chord of the
+        # trapeze shrinks across the middle of its length, which its longest one scales.
+        sizes = np.linalg.norm(matrix, axis=0)
+        assert sizes[0] == pytest.approx(1, abs=0.02)
+        assert sizes[1] == pytest.approx(1, abs=0.02)
+
+
+def test_everything_has_a_gradient():
+    corners = np.concatenate(SHAPES)
+    edges = (SQUARE + np.roll(SQUARE, 1, 0)) / 2
+    p = np.concatenate([corners, edges, corners + 1e-3, [[1e4, -1e4]]]).astype(np.float32)
+    assert np.isfinite(slope_of_nearest(p, np.repeat(ALL, len(p), 0))).all()
+    # Inside nothing is held back; on a point everything is.
+    inside, point = np.array([[[1.0, 1.2]], [[-5.0, 6.0]]], np.float32)
+    for q, expected in ((inside, np.eye(2)), (point, np.zeros((2, 2)))):
+        slope = slope_of_nearest(q, ALL)[:, 0]
+        np.testing.assert_allclose(slope, expected, atol=1e-6)
+    v = np.array([[0, 0], [1e30, -1e30], [3.0, 1e-9], [np.pi, -np.pi]], np.float32)
+    for k in range(len(SHAPES)):
+        assert np.isfinite(slope_of_at(v, np.full(4, k))).all()
+
+
+def test_intervals_and_discs_swing_and_invert():
+    radius = np.array([2.0, 0.5, 0.0])
+    x = radius * [0.9, -0.5, 0.0]
+    np.testing.assert_allclose(swing(unswing(x, radius, np), radius, np), x, atol=1e-12)
+    way = np.array([[0.6, 0.8]]) * (radius * [0.9, 0.5, 0.0])[:, None]
+    np.testing.assert_allclose(swing_disc(unswing_disc(way, radius, np), radius, np), way)
+    # In the middle both move as their argument does; the ends are reached and never passed.
+    assert jax.grad(lambda v: swing(v, jnp.asarray(2.0), jnp))(0.0) == pytest.approx(1)
+    turn = jax.jacobian(lambda v: swing_disc(v, jnp.asarray(2.0), jnp))(jnp.zeros(2))
+    np.testing.assert_allclose(turn, np.eye(2), atol=1e-6)
+    # What lies on the rim still moves.
+    rim = jnp.asarray([2.0, 0.0]), jnp.asarray(2.0)
+    for there, back, x in ((swing, unswing, rim[1]), (swing_disc, unswing_disc, rim[0])):
+        slope = jax.jacobian(lambda v, there=there: there(v, rim[1], jnp))(back(x, rim[1], jnp))
+        assert np.abs(slope).ravel()[0] > 0.1  # outward, of the disc
+        assert np.linalg.norm(np.asarray(there(back(x, rim[1], jnp), rim[1], jnp))) > 1.95
+    v = np.linspace(-50, 50, 10001)
+    assert np.abs(swing(v, np.full(10001, 2.0), np)).max() == pytest.approx(2, abs=1e-4)
+    wide = swing_disc(np.random.default_rng(4).normal(size=(5000, 2)) * 9, np.full(5000, 2.0), np)
+    assert np.hypot(*wide.T).max() == pytest.approx(2, abs=1e-3)
+    assert np.hypot(*wide.T).max() <= 2
+
+
+def test_nearest_point_of_a_disc():
+    x = np.array([[3.0, 4.0], [0.3, 0.4], [0.0, 0.0], [1.0, 1.0]])
+    radius = np.array([1.0, 1.0, 1.0, 0.0])
+    expected = [[0.6, 0.8], [0.3, 0.4], [0, 0], [0, 0]]
+    np.testing.assert_allclose(into_disc(x, radius, np), expected, atol=1e-12)
+    slope = jax.jacobian(lambda x: into_disc(x, jnp.asarray(radius), jnp))(jnp.asarray(x))
+    assert np.isfinite(slope).all()
+
+
+def test_draws_are_even_over_the_area():
+    drawn = PIECES.draw(np.random.default_rng(5), ALL[0], 20_000)
+    areas = np.array([polygon.area for polygon in SOLID])
+    shares = np.array([shapely.contains_xy(polygon, drawn).mean() for polygon in SOLID])
+    np.testing.assert_allclose(shares, areas / areas.sum(), atol=0.015)  # 4 standard deviations
+    middle = drawn[shapely.contains_xy(SOLID[1], drawn)].mean(0)
+    np.testing.assert_allclose(middle, SOLID[1].centroid.coords[0], atol=0.25)

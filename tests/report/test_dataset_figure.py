@@ -1,0 +1,237 @@
+"""What the figures of a data set and of its frames show, read back from them; and the tables."""
+
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frames import WORLD, car, image, scan, station
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from rich.console import Console
+
+import inspe_jax.dataset as dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset import Frame, Image, Station, write_frame, write_protocol
+from inspe_jax.dataset.statistics import Hits, statistics
+from inspe_jax.report.dataset_figure import FEWEST, statistics_view
+from inspe_jax.report.dataset_tables import frame_table, statistics_record, statistics_table
+from inspe_jax.report.figures import CLASS_COLORS
+from inspe_jax.report.frames import frame_view
+from inspe_jax.report.sheet import save_figure
+from inspe_jax.simulation.frame import KINDS
+
+LEVEL = np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])
+CAMERA = Image(
+    LEVEL, np.array([[100.0, 0, 400], [0, 100.0, 300], [0, 0, 1]]), np.zeros((600, 800, 3), "u1")
+)
+AHEAD = car(1, center=np.array([10.0, 0.0, 1.0]), yaw=0.0, size=np.array([4.0, 2.0, 2.0]))
+BEHIND = car(2, kind="truck", center=np.array([-20.0, 0.0, 2.0]), size=np.array([9.0, 2.5, 4.0]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A scenario of six frames: two things, one of which a level camera has ahead of it."""
+    root = tmp_path_factory.mktemp("sets") / "seen"
+    masts = (Station(1, "mast", LEVEL, (CAMERA,), (scan(200, LEVEL),)), station(2, layers=False))
+    for number in range(6):
+        write_frame(root / "test" / "a", Frame(number, 0.05 * number, (AHEAD, BEHIND), masts))
+    write_protocol(root / "test" / "a", {"world": WORLD}, masts)
+    return root
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return statistics(folder)
+
+
+@pytest.fixture
+def scenario(folder):
+    return dataset.open(folder).scenario()
+
+
+def panels(fig: Figure) -> dict[str, list]:
+    """Panels by their titles."""
+    by: dict[str, list] = {}
+    for ax in fig.axes:
+        by.setdefault(ax.get_title(loc="left"), []).append(ax)
+    return by
+
+
+def words(fig: Figure) -> str:
+    return "\n".join(text.get_text() for text in fig.texts)
+
+
+def printed(table) -> str:
+    file = io.StringIO()
+    Console(file=file, width=120).print(table)
+    return file.getvalue()
+
+
+def test_counts_of_a_set_are_drawn(found):
+    fig = statistics_view(found)
+    (ax,) = panels(fig)["Objects per class"]
+    assert [bar.get_width() for bar in ax.patches] == [6, 6, 0, 0]
+    assert [to_hex(bar.get_facecolor()) for bar in ax.patches] == list(CLASS_COLORS)
+    assert [text.get_text() for text in ax.texts] == ["6 (1)", "6 (1)", "0", "0"]
+    (ax,) = panels(fig)["Objects per frame"]
+    assert sum(bar.get_height() for bar in ax.patches) == 6
+    assert "mean 2.0" in ax.get_xlabel()
+    assert "Data set seen" in words(fig)
+    assert "1 split, 1 scenario, 6 frames, 12 boxes of 2 road users" in words(fig)
+    assert "18 images, 12 point clouds of 125 points on average" in words(fig)
+
+
+def test_sizes_are_drawn_where_they_are(found):
+    fig = statistics_view(found)
+    for axis, (name, size) in enumerate(
+        {"Length": (4, 9), "Width": (2, 2.5), "Height": (2, 4)}.items()
+    ):
+        (ax,) = panels(fig)[name]
+        values = [patch.get_data() for patch in ax.patches]
+        for (heights, ends, base), wide, row in zip(values, size, (0, 1), strict=True):
+            full = np.flatnonzero(heights != base)
+            assert len(full) == 1, axis
+            assert ends[full[0]] <= wide <= ends[full[0] + 1]
+            assert abs(base - row) < 0.5
+
+
+def test_points_against_range_are_those_counted(found):
+    """One scan: 1 to 5 points at 8 m, and too few boxes at 30 m; all together: 10 points."""
+    kind = np.zeros(FEWEST + 2, int)
+    single = Hits(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
+    merged = Hits(kind[:5], np.full(5, 9.0), np.full(5, 10))
+    fig = statistics_view(replace(found, single=single, merged=merged))
+    above, *_ = panels(fig)["car"]
+    dots, one, together = above.lines
+    assert sorted(dots.get_ydata()) == [1, 2, 3, 4, 5, 9, 9]
+    np.testing.assert_allclose(one.get_xydata(), [[(50**0.5 * 10) ** 0.5, 3]])
+    np.testing.assert_allclose(together.get_xydata(), [[(50**0.5 * 10) ** 0.5, 10]])
+    (band,) = above.collections
+    assert band.get_paths()[0].get_extents().ymin == 2
+    assert band.get_paths()[0].get_extents().ymax == 4
+    assert above.get_xscale() == above.get_yscale() == "log"
+    below = next(ax for ax in fig.axes if ax.get_ylabel() == "share\nwith any")
+    assert [line.get_ydata().tolist() for line in below.lines] == [[1], [1]]
+    (none, *_) = panels(fig)["pedestrian"]
+    assert [text.get_text() for text in none.texts] == ["none"]
+
+
+def test_a_set_without_point_clouds_says_so(found):
+    empty = Hits(np.zeros(0, int), np.zeros(0), np.zeros(0, int))
+    splits = tuple(replace(split, clouds=0, points=0) for split in found.splits)
+    fig = statistics_view(replace(found, splits=splits, single=empty, merged=empty))
+    assert "car" not in panels(fig)
+    assert "There is no point cloud" in words(fig)
+
+
+def test_a_set_without_things_is_drawn(tmp_path):
+    write_frame(tmp_path / "a", Frame(1, 0.05, (), (station(),)))
+    fig = statistics_view(statistics(tmp_path / "a"))
+    save_figure(fig, tmp_path / "empty.png")
+    assert not len(panels(fig)["Length"][0].patches)
+
+
+def test_the_figure_is_the_same_each_time(found, tmp_path):
+    for name in ("a.svg", "b.svg"):
+        save_figure(statistics_view(found), tmp_path / name)
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_boxes_are_where_the_calibration_puts_them(scenario):
+    """The near corners of the box ahead: 12.5 pixels beside, 50 below the middle; see
+    test_projection. What is behind the camera is on no picture."""
+    fig = frame_view(scenario, 3)
+    (ax,) = panels(fig)["station 1, camera 0: 1 box"]
+    lines = [line for drawn in ax.collections for line in drawn.get_segments()]
+    assert len(lines) == 12
+    ends = np.concatenate(lines)
+    for corner in ([387.5, 350], [412.5, 350], [387.5, 375], [412.5, 375]):
+        assert (np.abs(ends - corner).max(1) < 1e-4).sum() == 3
+    colors = {to_hex(c) for drawn in ax.collections for c in drawn.get_colors()}
+    assert colors == {CLASS_COLORS[KINDS.index("car")]}
+    assert ax.get_xlim() == (0, 800)
+    assert ax.get_ylim() == (600, 0)
+
+
+def test_boxes_that_no_pixel_shows_are_dotted(tmp_path):
+    instance = np.zeros((600, 800), np.int32)
+    instance[300, 400] = AHEAD.track + 1
+    beside = replace(AHEAD, track=4, center=np.array([10.0, 5.0, 1.0]))
+    told = Image(LEVEL, CAMERA.intrinsic, CAMERA.rgb, None, instance, None)
+    masts = (Station(1, "mast", LEVEL, (told,), ()),)
+    write_frame(tmp_path / "a", Frame(1, 0.05, (AHEAD, beside), masts))
+    fig = frame_view(dataset.open(tmp_path / "a").scenario(), 1)
+    (ax,) = panels(fig)["station 1, camera 0: 1 box"]
+    dotted, full = ax.collections
+    assert np.concatenate(full.get_segments())[:, 0].max() == pytest.approx(412.5)
+    assert np.concatenate(dotted.get_segments())[:, 0].max() == pytest.approx(400 - 100 * 4 / 12)
+
+
+def test_the_plan_has_points_boxes_and_stations(scenario):
+    fig = frame_view(scenario, 3)
+    plan = next(ax for ax in fig.axes if ax.get_xlabel() == "x, east [m]")
+    cloud, boxes, heads = plan.collections
+    assert 200 <= len(cloud.get_offsets()) <= 250
+    assert (np.diff(cloud.get_array()) >= 0).all()  # the highest is drawn last
+    car_, truck = (path.vertices[:4] for path in boxes.get_paths())
+    np.testing.assert_allclose(car_.min(0), [8, -1], atol=1e-6)
+    np.testing.assert_allclose(truck.max(0) - truck.min(0), [2.5, 9], atol=1e-6)  # faces north
+    np.testing.assert_allclose(heads.get_segments()[0], [[10, 0], [12, 0]], atol=1e-6)
+    assert [text.get_text() for text in plan.texts] == ["1", "2"]
+    low, high = plan.get_xlim()
+    assert low < -21.25
+    assert high > 12
+    assert "a, frame 3" in words(fig)
+    assert "0.15 s; 2 objects; 2 stations" in words(fig)
+    assert "3 images; 2 point clouds of 250 points together" in words(fig)
+
+
+@pytest.mark.parametrize("cameras", [0, 1, 5, 13])
+def test_any_number_of_cameras_has_room(tmp_path, cameras):
+    masts = (Station(1, "mast", LEVEL, tuple(image(12, 9 - k % 3) for k in range(cameras)), ()),)
+    write_frame(tmp_path / "a", Frame(1, 0.05, (AHEAD,), masts))
+    fig = frame_view(dataset.open(tmp_path / "a").scenario(), 1)
+    places = [ax.get_position() for ax in fig.axes if ax.images]
+    assert len(places) == cameras
+    for k, one in enumerate(places):
+        assert one.x0 > 0
+        assert one.x1 < 1
+        assert one.y0 > 0
+        for other in places[:k]:
+            assert one.x0 >= other.x1 or one.x1 <= other.x0 or one.y1 <= other.y0
+
+
+def test_vehicles_are_named_as_such(tmp_path, scenario):
+    class Moved:
+        name = "moved"
+
+        def frame(self, number):
+            return Frame(1, 0.05, (AHEAD,), (Station(-641, "641", LEVEL, (), ()),))
+
+    fig = frame_view(Moved(), 1)
+    assert [text.get_text() for text in fig.axes[0].texts] == ["v641"]
+    save_figure(fig, tmp_path / "moved.png")
+
+
+def test_no_such_frame(scenario):
+    with pytest.raises(InspeError, match=r"000009\.yaml: no such frame; there are 6, 0 to 5"):
+        frame_view(scenario, 9)
+
+
+def test_tables_and_the_record_have_the_counts(found, scenario):
+    text = printed(statistics_table(found))
+    assert "Data set seen" in text
+    assert any(row.split()[:3] == ["car", "6", "1"] for row in text.splitlines())
+    assert any(row.split() == ["V2X", "I2I"] for row in text.splitlines())
+    record = json.loads(json.dumps(statistics_record(found)))
+    assert record["classes"]["truck"]["length"] == pytest.approx([9, 9, 9])
+    assert record["classes"]["cyclist"]["length"] is None
+    assert record["objects_per_frame"] == {"mean": 2, "least": 2, "most": 2}
+    assert record["total"]["points"] == 1500
+    assert sum(band["boxes"] for band in record["points"]["one_scan"]["car"]) == 12
+    assert sum(band["boxes"] for band in record["points"]["all_scans"]["car"]) == 6
+    rows = [row.split() for row in printed(frame_table(scenario, 0)).splitlines()]
+    (row,) = (row for row in rows if row[:2] == ["2", "truck"])
+    assert row[2:9] == ["-20.0", "0.0", "90", "10.0", "9.00", "2.50", "4.00"]

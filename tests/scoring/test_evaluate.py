@@ -1,0 +1,312 @@
+"""The limits and invariances of the scores, and an independent calculation of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapely import affinity
+from worlds import (
+    CAMERA,
+    LIDAR,
+    embree_line_of_sight,
+    no_traffic,
+    place_sensors,
+    random_layout,
+    with_boxes,
+    world,
+)
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.voxels import build_voxels
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.evaluate import evaluate, evaluate_many
+from inspe_jax.scoring.viewshed import viewshed
+from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.visibility import raycast
+
+SPECS = [LIDAR, CAMERA, CAMERA]
+FOUR = ("coverage", "occlusion", "information_gain", "surrogate")
+
+
+def solid_voxels(scene, frame):
+    """Voxels whose centre is in a vehicle, by turning each into the vehicle's frame."""
+    t, centers = scene.traffic, scene.voxels.centers
+    solid = np.zeros(len(centers), bool)
+    for b in np.flatnonzero(t.valid[frame]):
+        c, yaw, size = t.center[frame, b], t.yaw[frame, b], t.size[frame, b]
+        d = centers[:, :2] - c[:2]
+        x, y = d @ [np.cos(yaw), np.sin(yaw)], d @ [-np.sin(yaw), np.cos(yaw)]
+        stands = (np.abs(x) < size[0] / 2) & (np.abs(y) < size[1] / 2)
+        solid |= stands & (centers[:, 2] < c[2] + size[2] / 2)
+    return solid
+
+
+@pytest.mark.parametrize("reference", ["roi", "covered"])
+def test_scores_equal_those_of_walked_rays_and_embree(reference):
+    """C, O and IG once more, in NumPy, from the two oracles; both agree to 1e-3 by design."""
+    scene = world(count=15, seed=4)
+    layout = random_layout(scene, SPECS, seed=4)
+    f = raycast.in_view(scene, layout, "exact")
+    solid = np.stack([solid_voxels(scene, k) for k in range(4)])
+    w = scene.voxels.weight
+    shares = []
+    for k in range(4):
+        seen = (f & embree_line_of_sight(scene, layout, k)).any(0) & ~solid[k]
+        original = ~solid[k] if reference == "roi" else ~solid[k] & f.any(0)
+        shares.append(seen.sum() / original.sum())
+    p = solid.mean(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        h = np.nan_to_num(-p * np.log(p) - (1 - p) * np.log(1 - p))
+    q = 1 - np.prod([1 - s.reliability * row for s, row in zip(SPECS, f, strict=True)], axis=0)
+    expected = [w @ f.any(0) / w.sum(), np.mean(shares), (q * h).sum() / h.sum()]
+
+    scores = evaluate(scene, layout, occlusion_reference=reference)
+    ours = [scores.coverage, scores.occlusion, scores.information_gain]
+    assert ours == pytest.approx(expected, abs=1e-3)
+    assert scores.surrogate == pytest.approx(np.dot([0.3, 0.5, 0.2], ours), abs=1e-6)
+    assert all(type(getattr(scores, name)) is float for name in FOUR)
+
+
+def test_no_vehicles_make_occlusion_the_unweighted_coverage():
+    """Without traffic there is no entropy: information gain must have no weight."""
+    scene = replace(world(), traffic=no_traffic())
+    layout = place_sensors(
+        (LIDAR, [5.0, 5.0, 6.0, 0.0, 0.0, 0.0]), (CAMERA, [-8, 0, 5, 0, -0.3, 0.0])
+    )
+    with pytest.raises(InspeError, match="information gain needs traffic"):
+        evaluate(scene, layout)
+    scores = evaluate(scene, layout, weights=(0.5, 0.5, 0.0))
+    f = raycast.in_view(scene, layout, "exact").any(0)
+    assert scores.occlusion == pytest.approx(f.mean(), abs=1e-3)
+    assert scores.occlusion == pytest.approx(np.mean(scores.level_coverage), abs=1e-6)
+    assert scores.information_gain == 0
+
+
+def test_a_sensor_that_sees_all_scores_one():
+    """A LiDAR of a hundred dense channels above a small scene with one small box far aside."""
+    dense = LidarSpec(
+        "dense", tuple(np.radians(np.linspace(-90, 10, 400)).tolist()), 1800, 2 * np.pi, 100.0
+    )
+    scene = world(radius=10.0, frames=2, count=1, seed=1)
+    high = place_sensors((dense, [0.1, 0.1, 9.0, 0.0, 0.0, 0.0]))
+    scores = evaluate(scene, high)
+    assert scores.coverage == 1.0
+    assert scores.information_gain == 1.0
+    assert scores.region_coverage == pytest.approx(dict.fromkeys(scores.region_coverage, 1))
+    assert scores.level_coverage == pytest.approx([1] * 8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_adding_a_sensor_never_lowers_a_score(seed):
+    """Sensors are added one by one; contributions are the drop back, so never negative."""
+    scene = world(seed=seed)
+    full = random_layout(scene, [LIDAR, CAMERA, CAMERA, LIDAR], seed=seed)
+    parts = [(s.spec, p) for s, p in zip(full.sensors, full.poses.tolist(), strict=True)]
+    before = dict.fromkeys(FOUR, 0.0)
+    for count in range(1, 5):
+        scores = evaluate(scene, place_sensors(*parts[:count]))
+        for name in FOUR:
+            assert getattr(scores, name) >= before[name] - 1e-6  # rounding of single precision
+            before[name] = getattr(scores, name)
+        for row in scores.contributions:
+            assert min(getattr(row, name) for name in FOUR) >= 0
+
+
+def test_contributions_are_leave_one_out_drops():
+    scene = world(seed=6)
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=6)
+    scores = evaluate(scene, layout)
+    for s, row in enumerate(scores.contributions):
+        rest = [k for k in range(3) if k != s]
+        left = place_sensors(*[(layout.sensors[k].spec, layout.poses[k].tolist()) for k in rest])
+        without = evaluate(scene, left)
+        for name in FOUR:
+            drop = getattr(scores, name) - getattr(without, name)
+            assert getattr(row, name) == pytest.approx(drop, abs=2e-6)
+
+
+def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
+    """One car in full view: every voxel of it that is in view counts as seen."""
+    scene = with_boxes(world(), (5.0, 0.0, 0.0, 4.0, 1.8, 1.5))
+    scene = replace(scene, traffic=_twice(scene.traffic, away=(5.0, 0.25)))
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    scores = evaluate(scene, layout, occlusion_reference="targets")
+    f = raycast.in_view(scene, layout, "exact")[0]
+    shares = [f[solid_voxels(scene, k)].mean() for k in range(2)]
+    assert scores.occlusion == pytest.approx(np.mean(shares), abs=1e-6)
+    # A truck in between hides it.
+    hidden = with_boxes(scene, (5.0, 0.0, 0.0, 4.0, 1.8, 1.5), (2.0, 0.0, 0.0, 1.0, 8.0, 4.9))
+    hidden = replace(hidden, traffic=_twice(hidden.traffic, away=(5.0, 0.25)))
+    low = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    assert evaluate(hidden, low, occlusion_reference="targets").occlusion < scores.occlusion
+
+
+def _twice(traffic, away):
+    """The frame twice, its first box moved in the second, so that there is entropy."""
+    two = {
+        k: np.repeat(getattr(traffic, k), 2, 0) for k in ("center", "yaw", "size", "valid", "kind")
+    }
+    two["center"][1, 0, :2] += away
+    return replace(traffic, **two)
+
+
+@pytest.mark.parametrize("visibility", ["line_of_sight", "past_others"])
+def test_information_gain_in_sight_is_that_of_embree_under_every_reference(visibility):
+    """Past the others: each voxel inside a vehicle once more, with that vehicle taken away."""
+    scene, frames = world(count=10, seed=5, radius=18.0), range(4)
+    layout = random_layout(scene, SPECS, seed=2, heights=(1.0, 5.0))
+    solid = np.stack([solid_voxels(scene, k) for k in frames])
+    p = np.clip(solid.mean(0), 1e-12, 1 - 1e-12)
+    h = -p * np.log(p) - (1 - p) * np.log(1 - p)
+    share = np.zeros((len(SPECS), scene.voxels.count))
+    for k in frames:
+        clear = embree_line_of_sight(scene, layout, k)
+        assert not (clear & solid[k]).any()
+        if visibility == "past_others":
+            clear |= _past_others(scene, layout, k, solid[k])
+        share += clear / len(frames)
+    f = raycast.in_view(scene, layout, "exact")
+    q = 1 - np.prod([1 - s.reliability * x for s, x in zip(SPECS, f * share, strict=True)], axis=0)
+    found = set()
+    for reference in metrics.OCCLUSION_REFERENCES:
+        scores = evaluate(scene, layout, visibility=visibility, occlusion_reference=reference)
+        found.add(scores.information_gain)
+        assert scores.information_gain == pytest.approx((q * h).sum() / h.sum(), abs=1e-3)
+        plain = evaluate(scene, layout, occlusion_reference=reference)
+        assert scores.occlusion == plain.occlusion
+        assert scores.information_gain < plain.information_gain
+    assert len(found) == 1
+
+
+def _past_others(scene, layout, k, solid):
+    """Line of sight to the voxels inside vehicles, without the vehicles that each is in."""
+    traffic, clear = scene.traffic, np.zeros((len(layout), len(solid)), bool)
+
+    def without(gone, alone):
+        valid = traffic.valid.copy()
+        valid[k] &= alone == gone
+        return replace(scene, traffic=replace(traffic, valid=valid))
+
+    number = np.arange(traffic.valid.shape[1])
+    inside = {b: solid_voxels(without(b, number), k) for b in np.flatnonzero(traffic.valid[k])}
+    owners = np.stack(list(inside.values()))
+    for owner in np.unique(owners[:, solid], axis=1).T:
+        own = np.array(list(inside))[owner]
+        left = without(True, ~np.isin(number, own))
+        these = (owners == owner[:, None]).all(0)
+        clear[:, these] = embree_line_of_sight(left, layout, k)[:, these]
+    return clear
+
+
+def moved(scene: Scene, turn: np.ndarray, shift: np.ndarray) -> Scene:
+    """The whole world under x → turn·x + shift (a rotation or a mirror), voxelised anew."""
+    place, t = scene.intersection, scene.traffic
+    matrix = [*turn.ravel(), *shift[:2]]
+    point = lambda p: np.column_stack([p[:, :2] @ turn.T + shift[:2], p[:, 2] + shift[2]])  # noqa: E731
+    heading = np.stack([np.cos(t.yaw), np.sin(t.yaw)], -1) @ turn.T
+    new = replace(
+        place,
+        center=point(place.center[None])[0],
+        regions={k: affinity.affine_transform(g, matrix) for k, g in place.regions.items()},
+        ground_points=point(place.ground_points),
+    )
+    traffic = replace(
+        t,
+        center=point(t.center.reshape(-1, 3)).reshape(t.center.shape),
+        yaw=np.arctan2(heading[..., 1], heading[..., 0]),
+    )
+    grid = build_voxels(new, radius=scene.voxels.radius, voxel=scene.voxels.size)
+    return Scene(grid, traffic, new)
+
+
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+MIRROR = np.array([[1.0, 0.0], [0.0, -1.0]])
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [
+        (np.eye(2), np.array([13.5, -7.0, 2.5])),
+        (QUARTER, np.zeros(3)),
+        (MIRROR, np.zeros(3)),
+        (MIRROR @ QUARTER, np.array([100.0, 250.0, -3.0])),
+    ],
+    ids=["translate", "quarter-turn", "mirror", "all"],
+)
+def test_moving_the_whole_world_changes_nothing(turn, shift):
+    """To 2e-4: the world is rounded anew in single precision (1e-5 m on 50 m), which can flip
+    the few voxels that a ray or a shadow's edge only just touches."""
+    scene = world(seed=8)
+    layout = random_layout(scene, SPECS, seed=8)
+    poses = layout.poses.copy()
+    poses[:, :3] = np.column_stack([poses[:, :2] @ turn.T, poses[:, 2]]) + shift
+    heading = np.stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])], -1) @ turn.T
+    poses[:, 5] = np.arctan2(heading[:, 1], heading[:, 0])
+    if np.linalg.det(turn) < 0:
+        poses[:, 3] *= -1  # a mirror turns roll about
+    before = evaluate(scene, layout)
+    after = evaluate(moved(scene, turn, shift), layout.with_poses(poses))
+    for name in FOUR:
+        assert getattr(after, name) == pytest.approx(getattr(before, name), abs=2e-4)
+
+
+def test_a_scene_without_traffic_says_so():
+    scene = replace(world(), traffic=no_traffic())
+    with pytest.raises(InspeError, match="information gain needs traffic"):
+        evaluate(scene, place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0])))
+
+
+def test_unknown_options():
+    scene, layout = world(), place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InspeError, match="occlusion_reference 'x': one of roi"):
+        evaluate(scene, layout, occlusion_reference="x")
+    with pytest.raises(InspeError, match="visibility 'x': one of in_view"):
+        evaluate(scene, layout, visibility="x")
+    with pytest.raises(InspeError, match="sum to 1"):
+        evaluate(scene, layout, weights=(1, 1, 1))
+
+
+def test_settings_and_seen_share():
+    scene = world()
+    layout = random_layout(scene, [LIDAR], seed=0)
+    scores = evaluate(scene, layout)
+    assert scores.settings["weights"] == [0.3, 0.5, 0.2]
+    assert scores.seen_share.shape == (len(scene.voxels.columns),)
+    assert 0 < scores.seen_share.mean() < scores.coverage + 0.05
+    # As printed: 1 − Σ_visible H / Σ H.
+    seen = viewshed(scene, layout)
+    literal = 1 - (seen.resolved * seen.entropy).sum() / seen.entropy.sum()
+    assert scores.information_gain_literal == pytest.approx(literal, rel=1e-5)
+
+
+def test_many_layouts_score_as_they_do_one_by_one():
+    scene = world(seed=6)
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=1)
+    poses = np.stack([random_layout(scene, [LIDAR, CAMERA], seed=k).poses for k in range(5)])
+    for options in ({}, dict(visibility="line_of_sight", weights=(0.2, 0.2, 0.6))):
+        many = evaluate_many(scene, layout, poses, **options)
+        alone = [evaluate(scene, layout.with_poses(row), **options) for row in poses]
+        for name in FOUR:
+            # The same counts; their sums may be rounded in another order.
+            one_by_one = [getattr(scores, name) for scores in alone]
+            np.testing.assert_allclose(getattr(many, name), one_by_one, 0, 3e-7)
+        assert np.ptp(many.surrogate) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("poses", "message"),
+    [
+        (np.zeros((2, 6)), r"shape \(2, 6\): \(M, 2, 6\)"),
+        (np.zeros((0, 2, 6)), r"shape \(0, 2, 6\)"),
+        (np.full((1, 2, 6), np.nan), "not finite"),
+        (np.full((1, 2, 6), -9.0), r"poses\[0\].*in the ground"),
+        ([[1.0], [2.0, 3.0]], r"numbers \(M, 2, 6\) are needed"),
+        ("abc", "numbers"),
+    ],
+)
+def test_poses_of_many_layouts_are_checked(poses, message):
+    scene = world()
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=1)
+    with pytest.raises(InspeError, match=message):
+        evaluate_many(scene, layout, poses)

@@ -1,0 +1,251 @@
+"""Scores counted in bit masks against the same measures with a number for every voxel."""
+
+from dataclasses import replace
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from worlds import (
+    CAMERA,
+    LIDAR,
+    TALL,
+    no_traffic,
+    random_layout,
+    random_traffic,
+    slow_but,
+    world,
+)
+
+from inspe_jax.placement.candidate_views import see
+from inspe_jax.scoring import exact, metrics
+from inspe_jax.scoring import tiled_scene as made
+from inspe_jax.scoring.reference import Crew, Field, measure
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.visibility import bitmask, view_masks
+from inspe_jax.visibility.centered_scene import Ground, about_center, poses_about_center
+from inspe_jax.visibility.tiles import tiles_of
+
+SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
+
+
+def slow(*case):
+    """A case that shows more of what the others show."""
+    return pytest.param(*case, marks=pytest.mark.slow)
+
+
+UNITS = ((0, 2), (1,), (3,))  # as failures: several sensors in a group, not in order
+SCENES = {
+    "plain": dict(),
+    "sloping, off centre": dict(slope=0.08, center=(812.0, -455.0, 31.0)),
+    "more levels than a word has bits": TALL,
+    "two words of vehicles": dict(count=45),
+    "two parts of frames": dict(frames=131, count=3, voxel=1.0, radius=10.0),
+    "no vehicle": dict(count=0),
+}
+
+
+compiled_measure = jax.jit(
+    measure, static_argnames=("crew", "voxel", "occlusion_reference", "visibility")
+)
+
+
+def both(scene, layout, failures=(), **options):
+    """(dense, by masks)."""
+    crew = Crew.of(layout, failures)
+    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
+    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    dense = compiled_measure(field, poses, crew, voxel, **options)
+    return dense, exact.measure_exactly(made.world_of(scene), poses, crew, voxel, **options)
+
+
+def assert_same(dense, counted):
+    """Counts are the same; sums of floats in another order to a few roundings.
+
+    H(Ω) is a plain sum of thousands: of n additions, roundings grow as √n · 6e-8.
+    """
+    for name in dense._fields:
+        ours, theirs = getattr(counted, name), getattr(dense, name)
+        rtol = 1e-5 if name == "entropy" else 0
+        np.testing.assert_allclose(ours, theirs, rtol, 2e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_masks_count_what_numbers_add_up_to(name):
+    scene = world(seed=3, **SCENES[name])
+    assert (scene.voxels.level_count > bitmask.WORD) == (SCENES[name] is TALL)
+    x, y = scene.voxels.center[:2]
+    layout = random_layout(scene, SPECS, seed=5)
+    if scene.voxels.radius <= 10:  # nearer, so that something is seen
+        poses = np.asarray(layout.poses)
+        poses[:, :2] = [x, y] + (poses[:, :2] - [x, y]) / 2
+        layout = layout.with_poses(poses)
+    dense, counted = both(scene, layout, UNITS)
+    assert 0.05 < float(dense.coverage[0]) < 1
+    assert_same(dense, counted)
+
+
+READINGS = list(product(metrics.OCCLUSION_REFERENCES, ["in_view", "line_of_sight", "past_others"]))
+
+
+def check_reading(reference, visibility, failures):
+    scene = world(seed=7, count=20)
+    layout = random_layout(scene, SPECS, seed=8, heights=(1.0, 4.0))
+    options = dict(occlusion_reference=reference, visibility=visibility)
+    assert_same(*both(scene, layout, failures, **options))
+
+
+@pytest.mark.parametrize(("reference", "visibility"), READINGS)
+def test_every_reading_is_counted_alike(reference, visibility):
+    """With all sensors, and without those of each unit."""
+    check_reading(reference, visibility, UNITS)
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        TALL | dict(count=2),  # the upper levels' columns stand in vehicles, without a solid voxel
+        slow(dict(voxel=1.0, radius=20.0, count=20)),
+        dict(slope=0.3, count=20),
+    ],
+)
+def test_above_a_vehicle_that_spares_its_own_voxels_it_hides(size):
+    """Of sensors lower than its top."""
+    scene = world(seed=7, **size)
+    layout = random_layout(scene, SPECS, seed=8, heights=(0.3, 1.2))
+    options = dict(occlusion_reference="roi", visibility="past_others")
+    assert_same(*both(scene, layout, UNITS, **options))
+
+
+@pytest.mark.parametrize(
+    "reading", slow_but(READINGS, ("covered", "line_of_sight")), ids=map("-".join, READINGS)
+)
+def test_without_failures_every_reading_is_counted_alike(reading):
+    check_reading(*reading, ())
+
+
+def test_a_sensor_in_every_awkward_place():
+    """In a vehicle, in the plane of a side, at a voxel's centre, above the scene's centre."""
+    scene = world(seed=2, count=15)
+    t = scene.traffic
+    inside = t.center[0, 0] - [0, 0, 0.1]
+    beside = t.center[1, 1, :2] + t.size[1, 1, 1] / 2 * np.array(
+        [-np.sin(t.yaw[1, 1]), np.cos(t.yaw[1, 1])]
+    )
+    voxel = scene.voxels.centers[len(scene.voxels.centers) // 2]
+    layout = random_layout(scene, SPECS, seed=1)
+    poses = np.array(layout.poses)
+    poses[0, :3], poses[1, :3] = inside, (*beside, 1.2)
+    poses[2, :3], poses[3, :3] = voxel, (0.0, 0.0, 3.0)
+    poses[3, 3:] = 0.0
+    assert_same(*both(scene, layout.with_poses(poses)))
+
+
+def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
+    scene = world(seed=4)
+    layout = random_layout(scene, SPECS, seed=4)
+    crew = Crew.of(layout, UNITS)
+    found = []
+    for number in (1, 2, 8):
+        monkeypatch.setattr(made, "cores", lambda number=number: number)
+        shared = made._make_world(scene)
+        assert len(shared.shares) == number
+        poses = poses_about_center(scene, layout)
+        found.append(exact.measure_exactly(shared, poses, crew, scene.voxels.size))
+    for other in found[1:]:
+        for name in other._fields:
+            np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))
+
+
+def test_a_sample_is_counted_as_a_scene_of_its_own():
+    """Some columns and frames, traced, against numbers; p̂ is that of all frames."""
+    scene = world(seed=6, count=15)
+    layout = random_layout(scene, SPECS, seed=6)
+    full, levels = about_center(scene), scene.voxels.level_count
+    rng = np.random.default_rng(0)
+    at = np.sort(rng.choice(len(full.columns), 77, replace=False))
+    prisms = jax.tree.map(lambda leaf: leaf[np.array([3, 1])], full.prisms)
+    field = Field(
+        Ground(full.columns[at], full.heights[at], prisms),
+        jnp.asarray(np.repeat(scene.voxels.column_weight[at], levels), float),
+        jnp.asarray(rng.uniform(size=77 * levels), float),
+    )
+    crew = Crew.of(layout, UNITS)
+    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
+    sample = made.world_of_sample(field)
+    traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, crew, voxel))
+    assert_same(compiled_measure(field, poses, crew, voxel), traced(poses, sample))
+
+    grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
+    views, seen = see(grid, voxel / 2, s, sample)
+    assert views.shape == (3, 77 * levels)
+    assert seen.shape == (3, 2, 77 * levels)
+    np.testing.assert_array_equal(views[0], views[2])
+    assert not (seen & ~views[:, None]).any()
+    assert seen[0].any()
+    alone = Crew(((grid, (0,)),), (1.0,))
+    one = compiled_measure(field, poses[:1], alone, voxel)
+    assert views[0].mean() == pytest.approx(float(one.column_coverage.mean()), abs=1e-6)
+
+
+def test_layouts_of_one_shape_compile_once():
+    scene = world(seed=9)
+    first, second = (random_layout(scene, SPECS, seed=k) for k in (1, 2))
+    both(scene, first)
+    parts = view_masks.view_masks, exact._watch, exact._measures
+    before = [part._cache_size() for part in parts]
+    both(scene, second)
+    assert [part._cache_size() for part in parts] == before
+    assert both(scene, Conditions.of("night", "fog:50").layout(second))[1].coverage[0] > 0
+    assert [part._cache_size() for part in parts] == before
+
+
+def test_a_world_is_kept_as_long_as_its_scene():
+    scene = world(seed=1)
+    first = made.world_of(scene)
+    assert made.world_of(scene) is first
+    other = replace(scene, traffic=random_traffic(scene.intersection, 2, 3, 20.0, seed=1))
+    assert made.world_of(other) is not first
+    kept = len(made._worlds)
+    del scene, other
+    assert len(made._worlds) <= kept - 2
+    assert made.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
+
+
+@pytest.mark.parametrize("voxel", slow_but([TALL["voxel"], 0.5], 0.5))
+def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel):
+    """Each centre against each box, by hand; where it always is, 0 does as well as 1."""
+    scene = world(voxel=voxel, radius=10.0, frames=3, count=9, slope=0.05)
+    t, inside = scene.traffic, []
+    for k in range(3):
+        away = scene.voxels.centers[:, None] - t.center[k]  # (V, B, 3)
+        cos, sin = np.cos(t.yaw[k]), np.sin(t.yaw[k])
+        along, aside = (
+            away[..., 0] * cos + away[..., 1] * sin,
+            away[..., 1] * cos - away[..., 0] * sin,
+        )
+        within = np.abs(np.stack([along, aside], -1)) < t.size[k, :, :2] / 2
+        inside.append((within.all(-1) & (away[..., 2] < t.size[k, :, 2] / 2) & t.valid[k]).any(1))
+    share = np.mean(inside, 0)
+    assert 0.01 < ((share > 0) & (share < 1)).mean() < 0.5
+    np.testing.assert_allclose(made.world_of(scene).voxel_occupancy, share % 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5, 2.0])
+def test_tiles_hold_every_voxel_once(voxel):
+    scene = world(voxel=voxel, radius=10.0, slope=0.1)
+    ground, tiles = about_center(scene), tiles_of(about_center(scene))
+    assert tiles.by_voxel(tiles.tile.there).all()
+    assert int(jax.lax.population_count(tiles.tile.there).sum()) == scene.voxels.count
+    numbers = len(tiles.tile.there)
+    assert numbers % 8 == 0
+    # Each within its bounds, and in the place that is said.
+    place = np.asarray(tiles.place)
+    xy = np.asarray(tiles.tile.columns).swapaxes(1, 2)[: numbers // tiles.slabs]
+    np.testing.assert_array_equal(xy.reshape(-1, 2)[place], ground.columns)
+    away = np.hypot(*(xy - np.asarray(tiles.tile.center)[: len(xy), None]).transpose(2, 0, 1))
+    assert (away <= np.asarray(tiles.tile.radius)[: len(xy), None]).all()
+    z = np.asarray(tiles.tile.heights)
+    np.testing.assert_array_equal(z.min((1, 2)), tiles.tile.low)
+    np.testing.assert_array_equal(z.max((1, 2)), tiles.tile.high)

@@ -1,0 +1,116 @@
+"""The metrics on arrays small enough to work out, and entropy against NumPy."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.regions import WEIGHTS
+from inspe_jax.scoring import metrics
+
+
+def test_region_weights_sum_to_one():
+    assert sum(WEIGHTS.values()) == pytest.approx(1)
+
+
+def test_coverage_is_the_weighted_share():
+    f, w = jnp.array([1.0, 0.0, 1.0]), jnp.array([0.22, 0.25, 0.13])
+    assert float(metrics.coverage(f, w)) == pytest.approx(0.35 / 0.60)
+    assert float(metrics.coverage(jnp.ones(3), w)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("reference", "seen", "original"),
+    # Voxels: 0 visible, 1 covered but hidden, 2 not covered, 3 solid and in sight.
+    [("roi", 1, 3), ("covered", 1, 2), ("targets", 1, 1)],
+)
+def test_occlusion_references_by_hand(reference, seen, original):
+    visible, covered = jnp.array([1.0, 0, 0, 1]), jnp.array([1.0, 1, 0, 1])
+    solid = jnp.array([0.0, 0, 0, 1])
+    terms = metrics.occlusion_terms(visible, covered, 1 - solid, solid, reference)
+    assert tuple(map(float, terms)) == (seen, original)
+
+
+def test_occlusion_is_a_mean_over_frames_that_have_a_target():
+    assert float(metrics.occlusion(jnp.array([1.0, 0, 3]), jnp.array([2.0, 0, 4]))) == 0.625
+    assert float(metrics.occlusion(jnp.zeros(2), jnp.zeros(2))) == 0
+
+
+def test_unknown_occlusion_reference():
+    with pytest.raises(InspeError, match="'all': one of roi, covered, targets"):
+        metrics.occlusion_terms(jnp.ones(2), jnp.ones(2), jnp.ones(2), jnp.ones(2), "all")
+
+
+def test_entropy_against_numpy():
+    p = np.random.default_rng(0).uniform(0, 1, 50)
+    expected = -p * np.log(p) - (1 - p) * np.log(1 - p)
+    np.testing.assert_allclose(metrics.entropy(jnp.array(p)), expected, rtol=1e-5)
+    assert metrics.entropy(jnp.array([0.0, 1.0])).tolist() == [0, 0]
+
+
+def gain(q, p):
+    return float(metrics.information_gain(*metrics.entropy_terms(jnp.array(q), jnp.array(p))))
+
+
+def test_information_gain_by_hand():
+    """p̂ = ½, ½, 0: two voxels carry one bit each. Seeing one of them resolves half."""
+    p = jnp.array([0.5, 0.5, 0.0])
+    assert gain([1.0, 0, 1], p) == pytest.approx(0.5)
+    assert gain([0.4, 0.4, 0], p) == pytest.approx(0.4)
+    assert gain([1.0, 1, 1], p) == pytest.approx(1)
+
+
+def test_the_printed_formula_falls_as_sensors_see_more():
+    """1 − Σ_visible H / Σ H, which is what IG leaves."""
+    p = jnp.array([0.5, 0.5, 0.0])
+    for q, printed in (([1.0, 0, 1], 0.5), ([1.0, 1, 1], 0.0)):
+        h = np.asarray(metrics.entropy(p))
+        assert 1 - (np.array(q) * h).sum() / h.sum() == pytest.approx(printed)
+        assert 1 - gain(q, p) == pytest.approx(printed)
+
+
+def test_information_gain_is_the_mutual_information_of_an_erasure_channel():
+    """By enumeration: a voxel's occupancy X is read with chance q, else erased."""
+    p, q = np.array([0.3, 0.8]), np.array([0.6, 0.9])
+    mutual = total = 0.0
+    for pi, qi in zip(p, q, strict=True):
+        joint = np.array([[(1 - pi) * qi, 0, (1 - pi) * (1 - qi)], [0, pi * qi, pi * (1 - qi)]])
+        product = joint.sum(1, keepdims=True) * joint.sum(0, keepdims=True)
+        on = joint > 0
+        mutual += (joint[on] * np.log(joint[on] / product[on])).sum()
+        total += -pi * np.log(pi) - (1 - pi) * np.log(1 - pi)
+    assert gain(q, p) == pytest.approx(mutual / total, rel=1e-5)
+
+
+def test_no_entropy_is_no_gain_and_no_nan():
+    for p in (jnp.zeros(3), jnp.ones(3)):
+        assert gain([1.0, 1, 1], p) == 0
+
+
+def test_surrogate_and_its_weights():
+    assert metrics.surrogate(1.0, 0.5, 0.25) == pytest.approx(0.3 + 0.25 + 0.05)
+    assert metrics.surrogate(1.0, 0.5, 0.25, (1, 0, 0)) == 1.0
+    for weights in ((0.3, 0.5, 0.3), (1.5, -0.5, 0.0), (0.5, 0.5)):
+        with pytest.raises(InspeError, match="sum to 1"):
+            metrics.surrogate(1.0, 0.5, 0.25, weights)
+
+
+@pytest.mark.parametrize(
+    ("placement", "c", "o", "ig", "surrogate"),
+    # InSPE (arXiv 2504.08240), Table 2, means.
+    [
+        ("Cam-c", 0.605, 0.502, 0.253, 0.483),
+        ("Cam-d1", 0.680, 0.549, 0.295, 0.538),
+        ("Cam-d2", 0.691, 0.514, 0.306, 0.526),
+        ("L-c", 0.626, 0.609, 0.442, 0.581),
+        ("L-d1", 0.872, 0.794, 0.679, 0.794),
+        ("L-d2", 0.794, 0.721, 0.555, 0.710),
+        ("Cam-c/L-c", 0.815, 0.703, 0.509, 0.698),
+        ("Cam-d1/L-d1", 0.917, 0.901, 0.724, 0.871),
+        ("Cam-d2/L-d2", 0.899, 0.870, 0.637, 0.832),
+    ],
+)
+def test_the_weights_are_those_of_the_papers_table(placement, c, o, ig, surrogate):
+    """P_sm of the paper's own C, O and IG is the paper's P_sm, to what it rounds off."""
+    ours = metrics.surrogate(*(jnp.asarray(x, float) for x in (c, o, ig)), metrics.WEIGHTS)
+    assert float(ours) == pytest.approx(surrogate, abs=1e-3)

@@ -1,0 +1,434 @@
+"""The soft reading: its limits, its ranks, its gradients; against the exact one and differences."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+from scipy.stats import spearmanr
+from worlds import (
+    CAMERA,
+    LIDAR,
+    TALL,
+    TINY,
+    double_precision,
+    place_sensors,
+    random_layout,
+    with_boxes,
+    world,
+)
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
+from inspe_jax.core.numerics import Softness, step
+from inspe_jax.scoring.reference import Crew, Field, measure
+from inspe_jax.scoring.soft import measure_softly
+from inspe_jax.scoring.tiled_scene import bare_world_of
+from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.in_view import in_view_margins
+from inspe_jax.visibility.shadows import soft_sight
+
+NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2 * np.pi, 18.0)
+METRICS = ("coverage", "occlusion", "information_gain")
+
+compiled_measure = jax.jit(
+    measure, static_argnames=("crew", "voxel", "occlusion_reference", "visibility")
+)
+
+
+def slow(*case):
+    """A case that shows more of what the others show."""
+    return pytest.param(*case, marks=pytest.mark.slow)
+
+
+@pytest.fixture
+def double():
+    """Differences of 1e-6 need double precision; everything follows the type of a float."""
+    with double_precision():
+        yield
+
+
+def surrogate(scene, layout):
+    """P_sm of (poses, softness).
+
+    Not compiled as a whole: what is compiled within takes the scene as an argument, and serves
+    every scene of one shape.
+    """
+    return lambda poses, softness: (
+        inspe_jax.evaluate(scene, layout.with_poses(poses), softness=softness).surrogate
+    )
+
+
+@pytest.mark.parametrize("name", ["Cam-c/L-c", slow("L-d2"), slow("Cam-d1")])
+def test_softness_to_zero_is_the_exact_score(name):
+    """Within 1e-4 at a softness of 0.1 mm, all metrics."""
+    place = inspe_jax.built_in("t_junction")
+    scene = inspe_jax.build_scene(place, radius=25, voxel=0.5, frames=5, density="high")
+    layout = inspe_jax.strategy(scene, name)
+    exact = inspe_jax.evaluate(scene, layout)
+    soft = inspe_jax.evaluate(scene, layout, softness=1e-4)
+    for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
+        assert getattr(soft, metric) == pytest.approx(getattr(exact, metric), abs=1e-4), metric
+    for ours, theirs in zip(soft.contributions, exact.contributions, strict=True):
+        assert ours.surrogate == pytest.approx(theirs.surrogate, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("reference", "visibility"),
+    [
+        slow("targets", "line_of_sight"),
+        ("covered", "in_view"),
+        ("roi", "past_others"),
+        slow("covered", "line_of_sight"),
+        slow("targets", "past_others"),
+        slow("targets", "in_view"),
+    ],
+)
+def test_softness_to_zero_under_every_option(reference, visibility):
+    scene = world(count=14)
+    layout = random_layout(scene, [CAMERA, LIDAR], 3, heights=(3.0, 8.0))
+    options = dict(occlusion_reference=reference, visibility=visibility)
+    exact = inspe_jax.evaluate(scene, layout, **options)
+    soft = inspe_jax.evaluate(scene, layout, softness=1e-4, **options)
+    assert soft.occlusion == pytest.approx(exact.occlusion, abs=1e-4)
+    assert soft.information_gain == pytest.approx(exact.information_gain, abs=1e-4)
+
+
+READINGS = {
+    "one width": 0.5,
+    "all but shadows": Softness(0.5, 0.05, 0.0),
+}
+
+
+@pytest.mark.parametrize("reading", ["one width", slow("all but shadows")])
+def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
+    """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
+    scene = world(radius=25.0, voxel=1.0, frames=23, count=12)
+    layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
+    crew, poses = Crew.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
+    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    options = dict(occlusion_reference="covered", visibility="line_of_sight")
+    softness, voxel = Softness.of(READINGS[reading]), scene.voxels.size
+
+    def total(measures):
+        return sum(getattr(measures, name).sum() for name in METRICS), measures
+
+    def plain(poses):
+        return total(compiled_measure(field, poses, crew, voxel, softness, **options))
+
+    def tiled(poses):
+        return total(measure_softly(bare_world_of(scene), poses, crew, voxel, softness, **options))
+
+    slope, found = jax.grad(tiled, has_aux=True)(poses)
+    expected_slope, expected = jax.grad(plain, has_aux=True)(poses)
+    for name in found._fields:
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        np.testing.assert_allclose(ours, theirs, 1e-5, 2e-6, err_msg=name)
+    assert np.abs(expected_slope).max() > 1e-3
+    np.testing.assert_allclose(slope, expected_slope, 0, 1e-5 * np.abs(expected_slope).max())
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        slow(TALL | dict(count=2)),  # more levels than a word has bits
+        dict(voxel=2.0, radius=20.0, frames=131, count=3),  # two runs of frames
+    ],
+)
+def test_slabs_of_levels_and_runs_of_frames_are_put_together(size):
+    """All vehicles against all columns again; of two vehicles both win in every slab."""
+    scene = world(seed=3, **size)
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=6, heights=(3.0, 6.0))
+    crew, poses = Crew.of(layout, ((0,), (1,))), poses_about_center(scene, layout)
+    poses = poses * jnp.array([0.3, 0.3, 1, 1, 1, 1], poses.dtype)[None]  # near the middle
+    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    softness, voxel = Softness.of(0.5), scene.voxels.size
+    expected = compiled_measure(field, poses, crew, voxel, softness)
+    found = measure_softly(bare_world_of(scene), poses, crew, voxel, softness)
+    assert 0.05 < float(expected.coverage[0]) < 1
+    for name in found._fields:
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        np.testing.assert_allclose(ours, theirs, 1e-5, 2e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("specs", [slow([CAMERA] * 6), slow([LIDAR] * 2), [CAMERA] * 3 + [LIDAR]])
+def test_soft_and_exact_scores_rank_layouts_alike(specs):
+    """Spearman at least 0.95 over 100 random layouts at a working softness of 1 m."""
+    scene = world(radius=20.0, voxel=1.0, frames=4, count=16)
+    layouts = [random_layout(scene, specs, seed, heights=(3.0, 8.0)) for seed in range(100)]
+    poses = np.stack([layout.poses for layout in layouts])
+    exact = inspe_jax.evaluate_many(scene, layouts[0], poses).surrogate
+    score = surrogate(scene, layouts[0])
+    soft = jax.lax.map(lambda row: score(row, 1.0), jnp.asarray(poses, float))
+    assert np.ptp(exact) > 0.005
+    assert spearmanr(exact, soft).statistic >= 0.95
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_gradients_are_those_of_differences(double, seed):
+    """In double precision, every coordinate of cameras and a LiDAR.
+
+    Few voxels and tiny steps: where which ray or vehicle wins changes within the step,
+    the difference has a jump that the gradient has not.
+    """
+    scene = world(seed=seed, **TINY)
+    layout = random_layout(scene, [CAMERA, CAMERA, LIDAR], seed, heights=(4.0, 8.0))
+    score = surrogate(scene, layout)
+    for softness in (0.3, 2.0):
+        check_grads(
+            partial(score, softness=softness),
+            (jnp.asarray(layout.poses),),
+            order=1,
+            modes=["rev"],
+            atol=1e-3,
+            rtol=1e-3,
+            eps=1e-7,
+        )
+
+
+def test_single_rays_have_slopes_where_they_are_asked_for(double):
+    """Coverage by few channels, of which none is at the edge: with soft rays, and without."""
+    scene = world(radius=10.0, voxel=1.0, count=0)
+    layout = place_sensors((NEAR, [1.0, 2.0, 5.0, 0.0, 0.05, 0.4]))
+
+    def coverage(poses, ray):
+        softness, moved = Softness(ray=ray), layout.with_poses(poses)
+        return inspe_jax.evaluate(scene, moved, weights=(1, 0, 0), softness=softness).surrogate
+
+    at = jnp.asarray(layout.poses)
+    soft = partial(coverage, ray=0.05)
+    assert np.abs(jax.grad(soft)(at)).max() > 1e-3
+    check_grads(soft, (at,), order=1, modes=["rev"], atol=1e-3, rtol=1e-3, eps=1e-7)
+    assert not np.abs(jax.grad(partial(coverage, ray=0.0))(at)).any()
+
+
+def test_layouts_are_scored_and_differentiated_many_at_once():
+    scene = world(**TINY)
+    layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
+    poses = jnp.asarray(layout.poses, float)
+    many = poses[None] + jnp.linspace(0.0, 0.5, 3)[:, None, None]
+    score = jax.value_and_grad(surrogate(scene, layout))
+    value, slope = jax.jit(jax.vmap(score, (0, None)))(many, jnp.asarray(0.5))
+    assert slope.shape == many.shape
+    for row in range(3):
+        one = score(many[row], 0.5)
+        np.testing.assert_allclose(value[row], one[0], atol=1e-6)
+        np.testing.assert_allclose(slope[row], one[1], atol=1e-5)
+    exact = jax.jit(
+        jax.vmap(lambda poses: inspe_jax.evaluate(scene, layout.with_poses(poses)).surrogate)
+    )(many)
+    assert exact[0] == pytest.approx(inspe_jax.evaluate(scene, layout).surrogate, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spec", "pose", "coordinate", "sign"),
+    [
+        # At the west end looking east and a little north: turn right (yaw down).
+        (CAMERA, [-14.0, 0.0, 6.0, 0.0, -0.4, 0.9], 5, -1),
+        (CAMERA, [-14.0, 0.0, 6.0, 0.0, -0.4, -0.9], 5, +1),
+        # Looking at the sky, look down; at its own foot, look up.
+        (CAMERA, [-14.0, 0.0, 6.0, 0.0, 0.3, 0.0], 4, -1),
+        (CAMERA, [-14.0, 0.0, 6.0, 0.0, -1.5, 0.0], 4, +1),
+        # With its reach half outside the scene, go back in.
+        (NEAR, [-17.0, 0.0, 5.0, 0.0, 0.0, 0.0], 0, +1),
+        (NEAR, [0.0, 17.0, 5.0, 0.0, 0.0, 0.0], 1, -1),
+    ],
+)
+def test_gradients_point_where_common_sense_does(spec, pose, coordinate, sign):
+    """Field of view and range alone, no traffic."""
+    scene = world(radius=15.0, voxel=1.0, count=0)
+    layout = place_sensors((spec, pose))
+
+    def coverage(poses):
+        weights = (1.0, 0.0, 0.0)
+        moved = layout.with_poses(poses)
+        return inspe_jax.evaluate(scene, moved, weights=weights, softness=1.0).surrogate
+
+    slope = jax.grad(coverage)(jnp.asarray(layout.poses, float))[0, coordinate]
+    assert slope * sign > 1e-3
+
+
+def test_a_field_of_view_far_from_all_voxels_still_calls():
+    """A camera that looks away sees nothing; its gradient must not vanish with its score."""
+    scene = world(radius=15.0, voxel=1.0, count=0)
+    layout = place_sensors((CAMERA, [-14.0, 0.5, 6.0, 0.0, -0.2, np.pi - 0.9]))
+    weights = (1.0, 0.0, 0.0)
+    assert inspe_jax.evaluate(scene, layout, weights=weights).coverage < 0.05
+
+    def coverage(poses):
+        moved = layout.with_poses(poses)
+        return inspe_jax.evaluate(scene, moved, weights=weights, softness=3.0).coverage
+
+    slope = jax.grad(coverage)(jnp.asarray(layout.poses, float))[0]
+    assert slope[5] < -1e-3
+
+
+def test_shadows_alone_have_the_gradient_of_the_exact_score():
+    """A LiDAR that has all in view: what it loses, it loses to traffic.
+
+    The exact score is a fine staircase: its difference over ±0.5 m against the mean soft slope
+    along the way, at a softness of 2 cm. Measured 2 % apart; with one vehicle a column read instead
+    of two 9 %, and 15 % where vehicles far from the line were dropped.
+    """
+    scene = world(radius=20.0, voxel=1.0, frames=12, count=14, seed=5)
+    dense = LidarSpec(
+        "dense", tuple(np.radians(np.arange(-89.0, 30.0, 0.5)).tolist()), 720, 2 * np.pi, 99.0
+    )
+    layout = place_sensors((dense, [-10.0, 9.0, 5.0, 0.0, 0.0, 0.0]))
+
+    def occlusion(poses, softness):
+        moved = layout.with_poses(poses)
+        return inspe_jax.evaluate(scene, moved, softness=Softness(shadow=softness)).occlusion
+
+    slope = jax.grad(partial(occlusion, softness=0.02))
+    start = jnp.asarray(layout.poses, float)
+    for coordinate in range(3):
+        way = [start.at[0, coordinate].add(d) for d in np.linspace(-0.5, 0.5, 21)]
+        exact = occlusion(way[-1], 0.0) - occlusion(way[0], 0.0)  # over 1 m
+        mean = np.mean([float(slope(poses)[0, coordinate]) for poses in way])
+        assert abs(exact) > 2e-3
+        assert mean == pytest.approx(exact, rel=0.06)
+
+
+DEGENERATE = [
+    [0.5, 0.5, 5.0, 0.0, 0.0, 0.0],  # straight above a voxel column
+    [0.5, 0.5, 5.0, 0.0, -np.pi / 2, 0.0],  # and looking down at it
+    [6.0, 0.0, 5.0, 0.0, 0.0, 0.0],  # above a vehicle
+    [6.0, 0.0, 0.7, 0.0, 0.0, 0.0],  # inside it
+    [8.0, -9.0, 1.0, 0.0, 0.0, np.pi / 2],  # in the plane of its front, and below its top
+    [-9.0, 1.0, 1.5, 0.0, 0.0, 0.0],  # in the plane of its side, level with its top
+    [0.5, 0.5, 0.5, 0.0, 0.0, 0.0],  # in the middle of a voxel
+]
+
+
+def test_no_nan_in_degenerate_places():
+    """jax_debug_nans is on; a frame without any vehicle is among the frames."""
+    cars = [(6.0, 0.0, 0.0, 4.0, 2.0, 1.5), (-4.0, 3.0, 0.0, 4.0, 2.0, 1.5)]
+    scene = with_boxes(world(radius=12.0, voxel=1.0), *cars)
+    padded = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf]), scene.traffic)
+    padded.valid[1] = False
+    scene = inspe_jax.Scene(scene.voxels, padded, scene.intersection)
+    layout = place_sensors((CAMERA, DEGENERATE[0]), (LIDAR, DEGENERATE[0]))
+    slope = jax.grad(surrogate(scene, layout))
+    # Each at a place of the camera's and at another of the LiDAR's.
+    for poses in zip(DEGENERATE, np.roll(DEGENERATE, 3, axis=0), strict=True):
+        for softness in (0.05, 1.0):
+            found = slope(jnp.asarray(poses, float), softness)
+            assert np.isfinite(np.asarray(found)).all(), poses
+            # 3 m around: what is certain has no slope.
+            assert softness < 1 or np.abs(found).max(1).all(), poses
+
+
+@pytest.mark.parametrize("width", [0.1, 1.0])
+@pytest.mark.parametrize("spare_own", [False, True])
+def test_soft_sight_lines_are_clear_of_the_two_prisms_that_hide_most(width, spare_own):
+    """Beside the same in the open: every prism's margins, sorted, the first two multiplied.
+
+    Sensors at random, all columns and levels. Prisms are told apart to 1e-3 of what they hide:
+    columns whose second and third are nearer to each other than that are left out.
+    """
+    scene = world(radius=20.0, voxel=1.0, frames=6, count=16, seed=2)
+    ground = about_center(scene)
+    rng = np.random.default_rng(0)
+    columns, heights = np.asarray(ground.columns).T, np.asarray(ground.heights).T
+    marked = bitmask.marks(jnp.asarray(ground.prisms.valid).T)
+    for sensor in rng.uniform([-20, -20, 2], [20, 20, 9], (4, 3)):
+        at = jnp.asarray(sensor, float), ground.prisms, marked, columns, heights, width
+        found = np.asarray(compiled_sight(*at, spare_own=spare_own))
+        expected, close = hidden_by_two(sensor, ground.prisms, columns, heights, width, spare_own)
+        assert (expected < 0.9).mean() > 0.01
+        assert close.mean() < 0.05
+        np.testing.assert_allclose(found[:, ~close], expected[:, ~close], atol=2e-4)
+
+
+compiled_sight = jax.jit(soft_sight, static_argnames="spare_own")
+compiled_cut, compiled_below = jax.jit(plan_cut), jax.jit(below_top)
+compiled_stretch, compiled_step = jax.jit(stretch), jax.jit(step)
+
+
+def hidden_by_two(sensor, prisms, columns, heights, width, spare_own):
+    """(Z, F, C) chances, and (F, C) where the second prism is nearly another."""
+
+    def each(part):  # (F, B, 1)
+        return np.asarray(part, float)[..., None]
+
+    cos, sin = np.cos(each(prisms.yaw)), np.sin(each(prisms.yaw))
+    from_, to = np.asarray(sensor), columns[:, None, None]  # (2, 1, 1, C)
+    dx, dy = (from_[k] - each(prisms.center[..., k]) for k in (0, 1))
+    ox, oy = to[0] - from_[0], to[1] - from_[1]
+    px, py = cos * dx + sin * dy, cos * dy - sin * dx
+    ex, ey = cos * ox + sin * oy, cos * oy - sin * ox
+    half = each(prisms.half[..., 0]), each(prisms.half[..., 1])
+    line = Line(*map(jnp.asarray, np.broadcast_arrays(px, py, ex, ey)))
+    half = tuple(map(jnp.asarray, half))
+    cut = compiled_cut(line, half)
+    rise = each(prisms.top) - sensor[2]
+
+    def depth(z, cut):
+        return np.asarray(
+            compiled_below(cut, jnp.asarray(rise), jnp.asarray(sensor[2] - z)[None, None])
+        )
+
+    beside = np.asarray(compiled_step(cut.beside, width))
+    lowest = depth(heights[0], Cut(cut.beside, *compiled_stretch(line, half)))
+    most = beside * np.maximum(lowest + 3 * width, 0) * each(prisms.valid)
+    if spare_own:
+        most = np.where((abs(px + ex) < half[0]) & (abs(py + ey) < half[1]), 0, most)
+    order = np.argsort(-most, axis=1)  # (F, B, C)
+    ordered = np.take_along_axis(most, order, 1)
+    clear = []
+    for z in heights:
+        hides = beside * np.asarray(compiled_step(jnp.asarray(depth(z, cut)), width)) * (most > 0)
+        two = np.take_along_axis(hides, order[:, :2], 1)
+        clear.append((1 - two).prod(1))
+    return np.array(clear), (ordered[:, 1] > 0) & (ordered[:, 2] > 0.999 * ordered[:, 1])
+
+
+def test_cuts_by_hand():
+    """From 5 m up at the origin, a car at 8..12 m, 1.8 m wide and 1.5 m high; targets beyond."""
+    ex, ey = jnp.array([14.25, 14.25, 6.0]), jnp.array([0.0, 14.25, 0.0])
+    line = Line(jnp.full(3, -10.0), jnp.zeros(3), ex, ey)
+    cut = plan_cut(line, (jnp.array(2.0), jnp.array(0.9)))
+    # Ahead: half the width deep. Aside: the corner (8, 0.9) is 7.1/√2 from the line. Short: 2 m.
+    np.testing.assert_allclose(cut.beside, [0.9, -7.1 / 2**0.5, -2.0], atol=1e-5)
+    # Falling to 0.5 m: at 12 m it is 5 − 4.5·12/14.25 high. Rising to 6 m: lowest where it enters.
+    for target, lowest in ((0.5, 5 - 4.5 * 12 / 14.25), (6.0, 5 + 8 / 14.25)):
+        below = below_top(cut, jnp.array(1.5 - 5), jnp.array(5 - target))
+        assert float(below[0]) == pytest.approx(1.5 - lowest, abs=1e-5)
+
+
+def test_the_field_of_view_has_a_depth_in_metres():
+    """By hand: 10 m before the end of its reach; on its left edge; 3 m to the left of it."""
+    grid = CAMERA.grid
+    left = grid.column_limits[1]
+    points = jnp.array([[20.0, 0.0, 0.0], [10.0, 10.0 * left, 0.0], [10.0, 10.0 * left + 3.0, 0.0]])
+    pose = jnp.zeros((1, 6))
+    field, ray = in_view_margins(grid, pose, points, 0.5)
+    outside = 0.5 - 3.0 / np.hypot(1, left)  # square on to the edge
+    np.testing.assert_allclose(field[0], [10.5, 0.5, outside], atol=1e-3)
+    assert ray[0, 0] > 0
+
+
+@pytest.mark.parametrize("softness", [-1.0, np.float32(-1), jnp.asarray(-1.0)])
+def test_softness_below_zero_is_refused(softness):
+    scene = world(radius=12.0, voxel=1.0, frames=2, count=6)
+    layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
+    with pytest.raises(InspeError, match="softness -1: 0"):
+        inspe_jax.evaluate(scene, layout, softness=softness)
+
+
+@pytest.mark.parametrize("softness", ["0.5", [0.5], np.ones(2)])
+def test_softness_that_is_no_number_is_refused(softness):
+    with pytest.raises(InspeError, match="a number of metres"):
+        Softness.of(softness)
+
+
+@pytest.mark.parametrize("nothing", [0, 0.0, np.int64(0), np.zeros(()), jnp.zeros(())])
+def test_softness_of_nothing_is_exact(nothing):
+    assert Softness.of(nothing).exact
+    assert Softness.of(Softness(nothing, None, nothing)).exact

@@ -1,0 +1,486 @@
+"""A data set recorded by the wire-level CARLA server, judged by its files alone."""
+
+import json
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from opv2v_validator import check_set, to_world
+
+pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]")
+
+import carla_look
+import carla_recording as client
+import carla_wire
+from carla_blueprints import BLUEPRINTS
+from processes import inspe_process
+from worlds import crossing, place_sensors, world
+
+from inspe_jax import dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.sensing.catalogue import device
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.simulation.backends import recorder_of
+from inspe_jax.simulation.carla.instances import instances_of
+from inspe_jax.simulation.carla.sensors import (
+    intrinsic_of,
+    lidar_attributes,
+    notes_of,
+    weather_of,
+)
+from inspe_jax.simulation.carla.server import town_of
+from inspe_jax.simulation.carla.traffic import body_of
+from inspe_jax.simulation.frame import Thing
+from inspe_jax.simulation.recorder import Server
+
+PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
+"""A car that is a part of the map, in the middle of the junction."""
+NEAR = 2e-3
+"""Metres. Points come as float32 in the sensor's frame, poses as float32 in the world."""
+TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
+
+
+def run_client(task: str, port: int, *arguments: object) -> None:
+    run(command(task, port, *arguments))
+
+
+def run(words: list[str]) -> None:
+    ran = subprocess.run(words, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def command(task: str, port: int, *arguments: object) -> list[str]:
+    return [sys.executable, client.__file__, task, str(port), *map(str, arguments)]
+
+
+def look(port: int, folder) -> dict:
+    run([sys.executable, carla_look.__file__, str(port), str(folder / "look.json")])
+    return json.loads((folder / "look.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def recorded(maps, tmp_path_factory):
+    """A folder with a set, what its traffic was, and what the server told before and after.
+
+    Another map is loaded at first.
+    """
+    folder = tmp_path_factory.mktemp("carla")
+    scenery = folder / "scenery.json"
+    scenery.write_text(json.dumps([PARKED]))
+    towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
+    with carla_wire.serving(*towns, "--scenery", scenery) as port:
+        run_client("record", port, folder / "told.npz")
+        after = look(port, folder)
+    scenery.unlink()
+    with np.load(folder / "told.npz") as saved:
+        told = dict(saved)
+    return folder, told, after
+
+
+@pytest.fixture(scope="module")
+def frames(recorded):
+    folder, _, _ = recorded
+    (scenario,) = dataset.open(folder / "train").scenarios
+    return [scenario.frame(t) for t in scenario.frames]
+
+
+def box_of(thing: Thing) -> np.ndarray:
+    """From a thing's box to the world, (4, 4)."""
+    cos, sin, turn = np.cos(thing.yaw), np.sin(thing.yaw), np.eye(4)
+    turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], thing.center
+    return turn
+
+
+def body(pose: np.ndarray) -> np.ndarray:
+    """From a sensor's frame to the world, both right-handed (4, 4); by the validator's reckoning,
+    which is left-handed."""
+    x, y, z, roll, pitch, yaw = pose
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    angles = np.degrees([roll, -yaw, pitch])
+    return mirror @ to_world([x, -y, z, *angles]) @ mirror
+
+
+def gaps(points: np.ndarray, things) -> np.ndarray:
+    """Signed distance of points (P, 3) to boxes and the ground, (T + 1, P) [m]."""
+    rows = []
+    for thing in things:
+        local = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(box_of(thing)).T
+        over = np.abs(local[:, :3]) - thing.size / 2
+        rows.append(np.linalg.norm(np.maximum(over, 0), axis=1) + np.minimum(over.max(1), 0))
+    return np.array([*rows, points[:, 2]])
+
+
+def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    turn = body(pose)
+    return points @ turn[:3, :3].T + turn[:3, 3]
+
+
+def test_readers_accept_the_set(recorded):
+    folder, _, _ = recorded
+    report = check_set(folder, attenuation=0.004)[f"train/{client.TOWN}"]
+    assert (report.agents, report.frames) == (1, client.FRAMES)
+    assert report.boxes_hit > 5 * client.FRAMES
+    assert report.points > 5000 * client.FRAMES
+
+
+def test_the_server_is_in_step_meanwhile_and_put_back_afterwards(recorded):
+    _, told, after = recorded
+    meanwhile = json.loads(str(told["meanwhile"]))
+    assert meanwhile["settings"] == [True, 1 / client.RATE]
+    assert meanwhile["weather"] == pytest.approx([63.2, 7.0], abs=0.1)
+    assert meanwhile["below"] != "Car"
+    sensors = [name for name in meanwhile["actors"] if name.startswith("sensor.")]
+    assert sensors == sorted(
+        [
+            *2 * [f"sensor.camera.{kind}_segmentation" for kind in ("instance", "semantic")],
+            *2 * ["sensor.camera.depth", "sensor.camera.rgb"],
+            "sensor.lidar.ray_cast",
+        ]
+    )
+    assert after == {
+        "map": client.TOWN,
+        "settings": [False, None],
+        "weather": [0.0, 45.0],
+        "actors": ["spectator"],
+        "below": "Car",
+    }
+
+
+def test_things_stand_where_the_traffic_has_them_with_boxes_of_the_server(recorded, frames):
+    _, told, _ = recorded
+    names = {}
+    for t, frame in enumerate(frames):
+        entry = {int(told["track"][t, b]): b for b in np.flatnonzero(told["valid"][t])}
+        assert {thing.track for thing in frame.things} == entry.keys()
+        for thing in frame.things:
+            b = entry[thing.track]
+            center, size = told["center"][t, b], told["size"][t, b]
+            np.testing.assert_allclose(thing.center[:2], center[:2], atol=NEAR)
+            foot = thing.center[2] - thing.size[2] / 2
+            assert foot == pytest.approx(center[2] - size[2] / 2, abs=NEAR)
+            assert np.cos(thing.yaw - told["yaw"][t, b]) == pytest.approx(1)
+            assert thing.kind == CLASSES[told["kind"][t, b]]
+            kind = BLUEPRINTS[thing.name]
+            assert kind.tag in TAGS[thing.kind]
+            np.testing.assert_allclose(thing.size, 2 * np.array(kind.extent), atol=1e-5)
+            assert np.abs(np.log(thing.size / size)).max() < 0.9
+            assert names.setdefault(thing.track, thing.name) == thing.name
+    assert set(told["kind"][told["valid"]].tolist()) == {0, 1, 2, 3}
+    assert len(set(names.values())) > 5
+
+
+def test_lidar_points_lie_on_things_and_the_ground(frames):
+    """And not on what is parked there, which is hidden."""
+    hit = 0
+    for frame in frames:
+        (scan,) = frame.stations[0].scans
+        points = carried(scan.pose, scan.points[:, :3].astype(float))
+        gap = gaps(points, frame.things)
+        np.testing.assert_allclose(gap.min(0), 0, atol=NEAR)
+        hit += (np.abs(gap[:-1]) < NEAR).any(0).sum()
+    assert hit > 200 * len(frames)
+
+
+def test_depth_is_of_surfaces(frames):
+    """To half a centimetre's step of depth, which is as much off the ground and more off sides."""
+    for frame in frames[::4]:
+        for image in frame.stations[0].images:
+            height, width = image.depth.shape
+            u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+            (f, _, cx), (_, g, cy), _ = image.intrinsic
+            rays = np.stack([np.ones_like(u), (cx - u) / f, (cy - v) / g], -1)
+            near = image.depth < 100
+            assert near.mean() > 0.5
+            points = carried(image.pose, image.depth[near][:, None].astype(float) * rays[near])
+            gap = gaps(points, frame.things)
+            np.testing.assert_allclose(gap.min(0), 0, atol=0.005 * np.linalg.norm(rays[0, 0]))
+
+
+def outline(image, thing: Thing) -> shapely.Geometry | None:
+    """The box in the picture by its corners above ground; None where one is behind the camera."""
+    corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    corners[:, :3] *= thing.size / 2
+    ahead, left, up, _ = np.linalg.inv(body(image.pose)) @ box_of(thing) @ corners.T
+    if ahead.min() < 0.1:
+        return None
+    (f, _, cx), (_, g, cy), _ = image.intrinsic
+    return shapely.MultiPoint(
+        np.stack([cx - f * left / ahead, cy - g * up / ahead], -1)
+    ).convex_hull
+
+
+def test_boxes_by_the_written_calibration_cover_their_instances(frames):
+    """Pixels of one instance have one colour of the picture and lie within its box's outline;
+    what has the colour of an actor is an instance."""
+    seen = 0
+    for frame in frames:
+        kinds = {thing.track: thing.kind for thing in frame.things}
+        for image in frame.stations[0].images:
+            np.testing.assert_array_equal(image.rgb[..., 2] < 40, image.instance > 0)
+            colours = []
+            for thing in frame.things:
+                own = image.instance == thing.track + 1
+                if not own.any():
+                    continue
+                colours.append(np.unique(image.rgb[own], axis=0))
+                assert set(image.semantic[own].tolist()) <= TAGS[kinds[thing.track]]
+                rows, columns = np.nonzero(own)
+                if (around := outline(image, thing)) is None:
+                    continue
+                inside = shapely.contains_xy(around.buffer(0.1), columns + 0.5, rows + 0.5)
+                assert inside.all()
+                seen += len(rows)
+            assert all(len(colour) == 1 for colour in colours)
+            assert len(np.unique(np.concatenate(colours), axis=0)) == len(colours)
+            assert set(image.instance.flat) <= {0, *(track + 1 for track in kinds)}
+            assert set(image.semantic[image.instance == 0].tolist()) <= {1, 11}
+    assert seen > 100 * len(frames)
+
+
+def test_every_measurement_is_of_its_own_tick(frames):
+    """The ground's blue tells the tick."""
+    blue = [
+        [image.rgb[(image.semantic == 1)][:, 2] for image in frame.stations[0].images]
+        for frame in frames
+    ]
+    ticks = np.array([[np.unique(each).item() for each in row] for row in blue])  # (T, 2)
+    np.testing.assert_array_equal(np.diff(ticks, axis=0) % 128, 1)
+    np.testing.assert_array_equal(ticks[:, 0], ticks[:, 1])
+
+
+def test_servers_that_will_not_do_are_told_plainly(maps, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        nobody = free.getsockname()[1]
+    town = maps / f"{client.TOWN}.xodr"
+    servers = {
+        "elsewhere": (maps / "Town07.xodr",),
+        "older": (town, "--version", "0.9.15"),
+        "mute": (town, "--mute", "sensor.lidar.ray_cast"),
+        "failing": (town, "--mute", "sensor.camera.depth", "--after", "29"),
+        "taken": (town,),
+    }
+    with ExitStack() as stack:
+        with ThreadPoolExecutor() as pool:
+            begun = pool.map(
+                lambda given: stack.enter_context(carla_wire.serving(*given)), servers.values()
+            )
+            ports = dict(zip(servers, begun, strict=True))
+        given = [f"{name}:{port}" for name, port in {"nobody": nobody, **ports}.items()]
+        run_client("errors", 0, tmp_path / "told.json", *given)
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert f"no CARLA server at 127.0.0.1:{nobody}" in told["nobody"]
+    assert "has no map 'Town10HD'; it has Town07" in told["elsewhere"]
+    assert "is 0.9.15 and the client here 0.9.16: pip install carla==0.9.15" in told["older"]
+    assert "sensor.lidar.ray_cast of 'top', unit 'mast', did not bring anything" in told["mute"]
+    assert "sensor.camera.depth of 'east', unit 'mast', did not bring frame" in told["failing"]
+    assert "1 vehicles or walkers are there already (vehicle.tesla.model3)" in told["taken"]
+    for name in ("mute", "failing"):
+        left = told[f"{name}, left"]
+        assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
+        assert left["weather"] == [0.0, 45.0]
+    left = told["taken, left"]
+    assert (left["settings"], left["actors"]) == (
+        [True, None],
+        ["spectator", "vehicle.tesla.model3"],
+    )
+
+
+STUDY = {
+    "scenes": [{"map": f"{client.TOWN}.xodr", "junction": client.JUNCTION, "radius": 20}],
+    "layouts": ["one.yaml"],
+    "settings": {"voxel": 2, "density": 5, "seconds": 0.2},
+    "image_scale": 0.05,
+}
+ONE = """
+name: one mast
+units:
+  - base: [-38, -11]
+    sensors:
+      - {device: velodyne-vlp-32c, height: 6, yaw_deg: 0}
+      - {device: paper-camera, height: 6, yaw_deg: -135, pitch_deg: -20}
+"""
+
+
+@pytest.fixture(scope="module")
+def generated(maps, tmp_path_factory):
+    """A study, the folder of its set, and what `inspe generate` told of it."""
+    folder = tmp_path_factory.mktemp("generated")
+    (folder / "one.yaml").write_text(ONE)
+    shutil.copy(maps / f"{client.TOWN}.xodr", folder)
+    (folder / "towns.yaml").write_text(yaml.safe_dump(STUDY))
+    with carla_wire.serving(folder / f"{client.TOWN}.xodr") as port:
+        where = ("--out", "set", "--backend", "carla", "--server", f"localhost:{port}")
+        process = inspe_process("generate", "towns.yaml", *where, cwd=folder)
+        words, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return folder / "towns.yaml", folder / "set", port, words + err
+
+
+def test_a_set_is_generated_at_a_server_that_it_does_not_tell(generated):
+    _, folder, port, words = generated
+    assert "1 scenario, 2 frames" in words
+    ((name, report),) = check_set(folder).items()
+    assert (report.agents, report.frames) == (1, 2)
+    for file in (folder / "generation.yaml", folder / name / "data_protocol.yaml"):
+        assert not re.search(rf"(?<![\w.]){port}(?![\w.])|localhost", file.read_text())
+
+
+def test_what_carla_cannot_record_as_asked_is_told_and_kept(generated):
+    study, folder, _, words = generated
+    (scenario,) = dataset.open(folder).scenarios
+    (kept,) = scenario.protocol["notes"]
+    assert kept.startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced")
+    assert f"Note: {kept} (1 scenario)" in words
+    again = dataset.load_generation(scenario.path / "data_protocol.yaml", study.parent)
+    assert (again.backend, again.notes) == ("carla", ())
+
+
+def test_what_is_left_of_a_set_needs_a_server_at_any_address(generated, tmp_path):
+    """Where it was is no part of the set: only that nobody is there now is wrong."""
+    study, made, port, _ = generated
+    generation, out = dataset.load_generation(study), tmp_path / "set"
+    shutil.copytree(made, out)
+    given = dict(backend="carla", server=dataset.Server("127.0.0.1", port))
+    assert dataset.generate(generation, out, **given).recorded == 0
+    next(out.glob("*/*/-1/000001.yaml")).unlink()
+    with pytest.raises(InspeError) as told:
+        dataset.generate(generation, out, **given)
+    assert str(told.value).startswith(f"no CARLA server at 127.0.0.1:{port} (Connection refused)")
+    assert str(told.value).endswith("or say where it is: --server HOST:PORT")
+
+
+def test_all_is_put_back_on_ctrl_c(maps, tmp_path):
+    with carla_wire.serving(maps / f"{client.TOWN}.xodr") as port:
+        begun = tmp_path / "begun"
+        with subprocess.Popen(command("wait", port, begun), stderr=subprocess.PIPE) as process:
+            until = time.monotonic() + 30
+            while not begun.exists() and process.poll() is None and time.monotonic() < until:
+                time.sleep(0.05)
+            process.send_signal(signal.SIGINT)
+            assert b"KeyboardInterrupt" in process.communicate(timeout=20)[1]
+        left = look(port, tmp_path)
+    assert begun.exists()
+    assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
+
+
+# ── What needs no server ────────────────────────────────────────────────────────────────────────
+
+
+def test_scenes_that_no_server_has_are_told_so():
+    scene = world(radius=12.0, voxel=1.0)
+    layout = place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
+    with (
+        pytest.raises(InspeError, match=r"test crossing: its source is tests.*\.xodr"),
+        recorder_of("carla", scene, layout),
+    ):
+        pass
+
+
+def test_a_missing_client_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "carla", None)
+    place = replace(crossing(), source="Town03.xodr (OpenDRIVE)")
+    assert town_of(place) == "Town03"
+    scene = replace(world(radius=12.0, voxel=1.0), intersection=place)
+    layout = place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
+    with (
+        pytest.raises(InspeError, match=r"pip install 'inspe_jax\[opendrive\]'"),
+        recorder_of("carla", scene, layout),
+    ):
+        pass
+
+
+def test_uneven_channels_and_shifted_axes_are_noted():
+    shifted = replace(client.CAMERA, name="shifted", principal=(300.0, 240.0))
+    uneven, even = (device(f"velodyne-{name}").spec for name in ("vlp-32c", "vlp-16"))
+    layout = place_sensors(*((spec, [0, 0, 6, 0, 0, 0]) for spec in (uneven, even, shifted)))
+    notes = notes_of(layout)
+    assert len(notes) == 2
+    assert notes[0].startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced: 32 from -25°")
+    assert notes[1].startswith("shifted: CARLA's principal point")
+
+
+def test_a_lidar_turns_once_a_frame_with_all_its_rays():
+    given = lidar_attributes(client.LIDAR, 20.0)
+    assert int(given["points_per_second"]) == 32 * 360 * 20
+    assert float(given["rotation_frequency"]) == 20
+    assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
+    assert float(given["horizontal_fov"]) == 360
+
+
+def test_boxes_without_a_size_have_the_usual_one():
+    """CARLA is left-handed: what is to the right there has a negative y here."""
+    box = SimpleNamespace(
+        location=SimpleNamespace(x=0.1, y=0.2, z=np.inf),
+        extent=SimpleNamespace(x=0.8, y=0.0, z=np.inf),
+    )
+    body = body_of("bicycle", box, np.array([1.8, 0.6, 1.7]))
+    np.testing.assert_allclose(body.middle, [0.1, -0.2, 0.85])
+    np.testing.assert_allclose(body.size, [1.6, 0.6, 1.7])
+
+
+def weather_in(light: str, weather: str) -> dict[str, float]:
+    return weather_of(SimpleNamespace(WeatherParameters=dict), Conditions.of(light, weather))
+
+
+def test_weather_and_light_are_in_the_order_of_their_strength():
+    """Within CARLA's limits, 0 to 100 % and -90 to 90 degrees."""
+    for key, falling in (("precipitation", "rain:{}"), ("fog_density", "fog:{}")):
+        strength = [weather_in("midday", falling.format(n))[key] for n in (10, 20, 50, 200)]
+        steps = np.diff(strength) * (1 if "rain" in falling else -1)
+        assert (steps > 0).all()
+        assert 0 < min(strength) < max(strength) < 100
+    assert not weather_in("midday", "clear").keys() & {"precipitation", "fog_density"}
+    suns = [weather_in(light, "clear")["sun_altitude_angle"] for light in ("midday", "dusk")]
+    assert 90 > suns[0] > 30 > suns[1] > 0 > weather_in("night", "clear")["sun_altitude_angle"]
+    assert 0 <= weather_in("dusk", "clear")["sun_azimuth_angle"] < 360
+
+
+def test_two_numbers_of_one_road_user_are_both_its_own_and_strangers_are_nobodys():
+    """A rider has a number of its own; a statue with a road user's label stands beside."""
+    thing = Thing(
+        track=4,
+        kind="cyclist",
+        name="bicycle",
+        center=np.array([10.0, 0.0, 0.0]),
+        yaw=np.pi / 2,
+        size=np.array([2.0, 0.6, 2.0]),
+        velocity=np.zeros(3),
+    )
+    tags = np.array([[13, 19, 12], [1, 19, 11]])
+    numbers = np.array([[700, 8, 9], [8, 8, 0]])
+    depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
+    intrinsic = intrinsic_of(replace(client.CAMERA, width=3, height=2, focal=30.0), 1.0)
+    found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (thing,))
+    np.testing.assert_array_equal(found, [[5, 5, 0], [0, 5, 0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "server"),
+    [
+        ("sim", Server("sim", 2000)),
+        ("sim:3000", Server("sim", 3000)),
+        ("3000", Server("127.0.0.1", 3000)),
+    ],
+)
+def test_servers_by_text(text, server):
+    assert Server.of(text) == server
+
+
+@pytest.mark.parametrize("text", ["", ":", "sim:", ":2000", "sim:two", "sim:70000", "0"])
+def test_servers_that_are_none(text):
+    with pytest.raises(InspeError, match=r"server|port"):
+        Server.of(text)

@@ -1,0 +1,91 @@
+"""Boxes on pictures: corners worked out on paper, and what is left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frames import car
+
+from inspe_jax.dataset import Image
+from inspe_jax.simulation.projection import NEAR, box_lines, corners, pixels
+
+WIDE, HIGH = 800, 600
+CAMERA = Image(
+    pose=np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0]),
+    intrinsic=np.array([[100.0, 0, 400], [0, 100.0, 300], [0, 0, 1]]),
+    rgb=np.zeros((HIGH, WIDE, 3), np.uint8),
+)
+"""6 m up, level, looking east; 100 pixels a unit of the slope."""
+
+BOX = car(center=np.array([10.0, 0.0, 1.0]), yaw=0.0, size=np.array([4.0, 2.0, 2.0]))
+"""From 8 m to 12 m away; a metre to each side; 2 m high."""
+
+
+def test_corners_in_the_world():
+    turned = replace(BOX, yaw=np.pi / 2)
+    found = corners([BOX, turned])
+    np.testing.assert_allclose(found[0, 0], [12, 1, 0])  # front left, at the bottom
+    np.testing.assert_allclose(found[0, 6], [8, -1, 2])  # rear right, at the top
+    np.testing.assert_allclose(found[1, 0], [9, 2, 0], atol=1e-12)
+    assert corners([]).shape == (0, 8, 3)
+
+
+def test_a_known_corner_falls_on_a_known_pixel():
+    """The near left top corner (8, 1, 2): 1/8 to the left, 4/8 below the middle."""
+    np.testing.assert_allclose(pixels(CAMERA, np.array([8.0, 1.0, 2.0])), [400 - 12.5, 300 + 50, 8])
+    lines, owner = box_lines(CAMERA, [BOX], WIDE, HIGH)
+    assert len(lines) == 12
+    assert not owner.any()
+    ends = lines.reshape(-1, 2)
+    assert ends.min(0) == pytest.approx([387.5, 300 + 100 * 4 / 12])
+    assert ends.max(0) == pytest.approx([412.5, 300 + 100 * 6 / 8])
+    assert (np.abs(ends - [387.5, 350]).max(1) < 1e-9).sum() == 3  # three edges meet there
+
+
+def test_a_camera_that_is_turned_and_tilted():
+    """Looking north and 45° down, 6 m up: the spot 6 m ahead on the ground is in the middle."""
+    camera = replace_pose([5.0, -2.0, 6.0, 0.0, -np.pi / 4, np.pi / 2])
+    np.testing.assert_allclose(
+        pixels(camera, np.array([[5.0, 4.0, 0.0], [6.0, 4.0, 0.0]])),
+        [[400, 300, 72**0.5], [400 + 100 / 72**0.5, 300, 72**0.5]],
+    )
+
+
+def replace_pose(pose) -> Image:
+    return Image(np.array(pose), CAMERA.intrinsic, CAMERA.rgb)
+
+
+def test_what_is_behind_or_beside_is_left_out():
+    behind = replace(BOX, track=1, center=np.array([-10.0, 0.0, 1.0]))
+    beside = replace(BOX, track=2, center=np.array([10.0, 60.0, 1.0]))
+    below = replace(BOX, track=3, center=np.array([10.0, 0.0, -60.0]))
+    _, owner = box_lines(CAMERA, [behind, beside, BOX, below], WIDE, HIGH)
+    assert set(owner.tolist()) == {2}
+    assert len(box_lines(CAMERA, [], WIDE, HIGH)[0]) == 0
+
+
+def test_a_box_that_reaches_behind_the_camera_is_cut():
+    """20 m long, from 9 m behind to 11 m ahead, its top 3 m below: nothing runs through infinity.
+
+    Its far end is at 300 + 300/11, and its long edges leave the picture at the bottom, where
+    depth is 3·100/300 = 1 m for the top, 5/3 m for the bottom.
+    """
+    long = replace(BOX, center=np.array([1.0, 0.0, 2.0]), size=np.array([20.0, 2.0, 2.0]))
+    lines, _ = box_lines(CAMERA, [long], WIDE, HIGH)
+    ends = lines.reshape(-1, 2)
+    assert np.isfinite(ends).all()
+    assert ends.min() >= -1e-9
+    assert (ends <= [WIDE + 1e-9, HIGH + 1e-9]).all()
+    assert ends[:, 1].min() == pytest.approx(300 + 300 / 11)
+    at_bottom = np.sort(ends[np.abs(ends[:, 1] - HIGH) < 1e-6, 0])
+    np.testing.assert_allclose(at_bottom, [300, 340, 460, 500])
+    assert len(lines) == 8  # four long edges and those of the far end
+
+
+def test_edges_are_cut_at_the_near_plane():
+    """A beam overhead, cut as it comes close; what is left is on the picture."""
+    camera = replace_pose([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    beam = replace(BOX, center=np.array([0.0, 0.0, 1.0]), size=np.array([8.0, 1e-4, 1e-4]))
+    lines, _ = box_lines(camera, [beam], WIDE, HIGH)
+    spread = np.abs(lines.reshape(-1, 2) - [400, 300]).max()
+    assert spread == pytest.approx(100 * 0.5e-4 / NEAR, rel=1e-6)

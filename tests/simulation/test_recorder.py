@@ -1,0 +1,591 @@
+"""The recorder: against rays and triangles worked out another way, and against the scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import opv2v_validator
+import pytest
+import shapely
+from shapely.geometry import MultiPoint
+from worlds import CAMERA, crossing, place_sensors, slow_but, with_boxes, world
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset import open as open_dataset
+from inspe_jax.dataset import write_frame, write_protocol
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.simulation.backends import recorder_of
+from inspe_jax.simulation.embedded.camera import SHADOWED, Cells
+from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.lidar import LidarNoise
+from inspe_jax.simulation.embedded.light import LIGHTS
+from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+from inspe_jax.simulation.embedded.road_users import Company, paints, pose_things, things_of
+from inspe_jax.simulation.embedded.static_world import BUILDING, CROWN, POLE, ROOF, TRUNK
+from inspe_jax.simulation.recorder import LAYERS, Recording
+from inspe_jax.visibility import raycast
+
+pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+
+COARSE = LidarSpec(
+    "coarse", tuple(np.radians(np.linspace(-25, 2, 24)).tolist()), 600, 2 * np.pi, 60.0
+)
+SMALL = replace(CAMERA, width=320, height=240, focal=140.0, principal=(160.0, 120.0))
+
+
+def four_way(**options):
+    settings = dict(radius=30, voxel=0.5, frames=3, step=0.1, density="medium") | options
+    return build_scene(inspe_jax.built_in("four_way"), **settings)
+
+
+def lidars(*at):
+    return place_sensors(*((COARSE, [*p, 0.0, 0.0, 0.0]) for p in at))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return four_way()
+
+
+@pytest.fixture(scope="module")
+def corners(scene):
+    """A LiDAR at each of four corners, 6 m up."""
+    return lidars((9, 9, 6), (-9, 9, 6), (-9, -9, 6), (9, -9, 6))
+
+
+# ---- LiDAR ----------------------------------------------------------------------------------
+
+
+def nearest_triangle(origin, directions, triangles):
+    """Möller–Trumbore in double precision, every ray with every triangle: distance and index."""
+    a, b, c = (triangles[:, k].astype(float) for k in range(3))
+    one, two = b - a, c - a
+    best, index = np.full(len(directions), np.inf), np.full(len(directions), -1)
+    for r, d in enumerate(directions.astype(float)):
+        p = np.cross(d, two)
+        det = (one * p).sum(1)
+        inv = 1 / np.where(np.abs(det) > 1e-12, det, 1.0)
+        s = origin - a
+        u = (s * p).sum(1) * inv
+        q = np.cross(s, one)
+        v = (q @ d) * inv
+        t = (two * q).sum(1) * inv
+        hit = (np.abs(det) > 1e-12) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+        if hit.any():
+            t = np.where(hit, t, np.inf)
+            index[r] = t.argmin()
+            best[r] = t.min()
+    return best, index
+
+
+def test_returns_are_what_rays_and_triangles_say(scene, corners):
+    """300 rays of one LiDAR: distances to a millimetre, and the very road user."""
+    recorder = EmbeddedRecorder(scene, corners)
+    things = things_of(scene.traffic, 0, 0)
+    company = Company(things, recorder.statics.center)
+    lidar = recorder.sensors[0]
+    returns = lidar.cast(company, 0.0)
+    rng = np.random.default_rng(0)
+    some = np.concatenate(
+        [rng.choice(len(lidar.body), 200, replace=False), np.flatnonzero(returns.thing >= 0)[::20]]
+    )
+    movers = pose_things(things, recorder.statics.center)
+    everything = np.concatenate([recorder.statics.triangles, movers.triangles])
+    distance, index = nearest_triangle(lidar.origin, lidar.directions[some], everything)
+    distance = np.where(distance <= COARSE.reach, distance, np.inf)
+    met = np.isfinite(distance)
+    assert met.sum() > 100
+    assert np.array_equal(met, np.isfinite(returns.distance[some]))
+    assert np.abs(returns.distance[some][met] - distance[met]).max() < 1e-3
+    own = index[met] - len(recorder.statics.triangles)
+    thing = np.where(own >= 0, movers.thing[np.maximum(own, 0)], -1)
+    assert (thing == returns.thing[some][met]).mean() > 0.99  # edges may go either way
+    assert (thing >= 0).sum() > 20
+
+
+def test_no_ray_slips_through_between_two_faces():
+    """Rays at the very edges that faces of a thin tube share end at its near side."""
+    rng = np.random.default_rng(0)
+    turn = np.arange(8) * np.pi / 4
+    ring = np.array([-10.3, -10.3]) + 0.08 * np.column_stack([np.cos(turn), np.sin(turn)])
+    low, high = (np.column_stack([ring, np.full(8, z)]) for z in (0.0, 6.0))
+    sides = zip(low, np.roll(low, -1, 0), np.roll(high, -1, 0), high, strict=True)
+    caster = Caster(
+        np.array([[x, *y] for a, b, c, d in sides for x, y in ((a, (b, c)), (a, (c, d)))])
+    )
+    corner, share = rng.integers(8, size=20_000), rng.uniform(0.01, 0.99, (20_000, 1))
+    other = (corner + rng.integers(2, size=20_000)) % 8  # an upright edge or a face's diagonal
+    at = (1 - share) * low[corner] + share * high[other]
+    origins = rng.uniform([5, 5, 4], [30, 30, 9], (20_000, 3))
+    far = np.linalg.norm(at - origins, axis=1)
+    facing = ((at - origins)[:, :2] * (at[:, :2] + 10.3)).sum(1) < -0.05 * far
+    hits = caster.cast(origins, (at - origins) / far[:, None], 1e3)
+    assert facing.sum() > 3000
+    assert np.abs(hits.distance - far)[facing].max() < 0.02  # the far side is 0.1 m further
+
+
+def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
+    recorder = EmbeddedRecorder(scene, corners)
+    lidar = recorder.sensors[0]
+    returns = lidar.cast(Company((), recorder.statics.center), 0.1)
+    noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
+    scan = lidar.scan(returns, noise, np.random.default_rng(1))
+    back = np.isfinite(returns.distance)
+    off = np.linalg.norm(scan.points[:, :3], axis=1) - returns.distance[back]
+    assert off.std() == pytest.approx(0.03, rel=0.05)
+    assert abs(off.mean()) < 0.002
+    # On level ground what meets the ground lies on it: nose-up is up.
+    down = returns.direction[back][:, 2] < -0.2
+    assert np.abs(scan.points[down][:, 2] + 6.0).mean() < 0.3
+    assert scan.points[:, 3] == pytest.approx(
+        np.exp(-0.004 * np.linalg.norm(scan.points[:, :3], axis=1)), abs=1e-6
+    )
+
+
+def test_as_many_are_lost_as_said(scene, corners):
+    recorder = EmbeddedRecorder(scene, corners)
+    lidar = recorder.sensors[0]
+    returns = lidar.cast(Company((), recorder.statics.center), 0.1)
+    total = np.isfinite(returns.distance).sum()
+
+    def left(**noise):
+        return len(lidar.scan(returns, LidarNoise(**noise), np.random.default_rng(0)).points)
+
+    assert left(lost=0.0, weakest_lost=0.0) == total
+    assert left(lost=0.3, weakest_lost=0.0) == pytest.approx(0.7 * total, rel=0.02)
+    # At 60 m intensity is 0.79: with a limit of 1 up to a fifth of 0.4 is lost beside.
+    both = left(lost=0.3, weak=1.0, weakest_lost=0.4)
+    assert 0.9 * 0.7 * total < both < 0.995 * 0.7 * total
+
+
+def test_points_on_a_car_fall_with_range_as_the_beams_spread():
+    """A car broadside at 10, 20 and 40 m from a LiDAR at its own height: rows and columns both
+    thin out, so points go with the inverse square, within the grain of 32 rows."""
+    spec = replace(COARSE, elevations=tuple(np.radians(np.linspace(-12, 4, 64)).tolist()))
+    counts = []
+    for x in (10.0, 20.0, 40.0):
+        scene = with_boxes(
+            world(count=0, radius=60.0, voxel=2.0), (x, 0, np.pi / 2, 4.6, 1.85, 1.5)
+        )
+        recorder = EmbeddedRecorder(scene, place_sensors((spec, [0, 0, 1.2, 0, 0, 0])))
+        company = Company(things_of(scene.traffic, 0, 0), recorder.statics.center)
+        counts.append(int((recorder.sensors[0].cast(company, 0.0).thing == 0).sum()))
+    assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
+    assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
+    # A car is 4.6 m by some 1.3 m of body: so many steps of azimuth by so many of elevation.
+    width, height = 2 * np.arctan(2.3 / 19.1), 1.3 / 19.1
+    expected = width / (2 * np.pi / 600) * height / np.radians(16 / 63)
+    assert counts[1] == pytest.approx(expected, rel=0.2)
+
+
+def test_the_turn_takes_time(scene):
+    """What moves is met where it is when it is fired at: half a turn before and after the frame."""
+    moving = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, -12, 0, 4.6, 1.85, 1.5))
+    traffic = replace(moving.traffic, velocity=np.array([[[10.0, 0, 0]]]))
+    moving = replace(moving, traffic=traffic)
+    recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
+    company = Company(things_of(moving.traffic, 0, 0), recorder.statics.center)
+    lidar = recorder.sensors[0]
+    still, turned = lidar.cast(company, 0.0), lidar.cast(company, 0.1)
+    # The car is to the right, at −90°: a quarter of a turn before the middle, 25 ms early.
+    hit = turned.thing == 0
+    assert turned.after[hit] == pytest.approx(-0.025, abs=0.008)
+
+    def middle(returns):
+        on = returns.thing == 0
+        return (returns.direction[on, 0] * returns.distance[on]).mean()
+
+    assert middle(turned) - middle(still) == pytest.approx(-0.25, abs=0.1)
+
+
+# ---- one world with the scores ---------------------------------------------------------------
+
+
+SHORT = replace(COARSE, reach=25.0)
+PARTIAL = {
+    # Sensors low enough that much is hidden, and of short enough a reach that much is out of view.
+    "a LiDAR and a camera": (
+        (SHORT, [9, 9, 3.0, 0, 0, 0]),
+        (SMALL, [-9, -9, 5.0, 0, -0.25, -2.3]),
+    ),
+    "two LiDARs": ((SHORT, [9, 9, 2.6, 0, 0, 0]), (SHORT, [-9, -9, 4.0, 0, 0, 0])),
+}
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    return four_way(density="high")
+
+
+@pytest.mark.parametrize("name", PARTIAL)
+def test_as_much_is_met_by_rays_as_coverage_says(crowded, name):
+    """Rays end on the ground, on kerbs and poles; the scores know none of these."""
+    layout = place_sensors(*PARTIAL[name])
+    recorder = EmbeddedRecorder(crowded, layout)
+    seen = np.zeros(crowded.voxels.count, bool)
+    for s in range(len(layout)):
+        origin, directions, reach = layout.rays(s)
+        met = recorder.still.cast(origin - recorder.statics.center, directions, reach).distance
+        raycast.exact(crowded.voxels, origin, directions, np.minimum(met, reach), seen)
+    share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
+    coverage = inspe_jax.evaluate(crowded, layout).coverage
+    assert 0.6 < coverage < 0.95
+    assert share == pytest.approx(coverage, abs=0.001)  # asked for is 0.02
+
+
+@pytest.mark.parametrize("name", PARTIAL)
+def test_as_much_is_seen_as_occlusion_says(crowded, name):
+    """Lines of sight to the voxels' centres past meshes, where the scores have boxes: they hide a
+    little more."""
+    layout = place_sensors(*PARTIAL[name])
+    recorder = EmbeddedRecorder(crowded, layout)
+    in_view = inspe_jax.in_view(crowded, layout)
+    centers, shares = crowded.voxels.centers, []
+    for t in range(crowded.traffic.frame_count):
+        things = things_of(crowded.traffic, t, 0)
+        movers = pose_things(things, recorder.statics.center)
+        caster = Caster(np.concatenate([recorder.statics.triangles, movers.triangles]))
+        solid = np.zeros(len(centers), bool)
+        for thing in things:
+            turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
+            solid |= (np.abs((centers - thing.center) @ turn) <= thing.size / 2).all(1)
+        seen = np.zeros(len(centers), bool)
+        for s, pose in enumerate(layout.poses):
+            to = centers - pose[:3]
+            far = np.linalg.norm(to, axis=1)
+            origin = pose[:3] - recorder.statics.center
+            seen |= in_view[s] & ~caster.meets(origin, to / far[:, None], far - 0.01)
+        shares.append(seen[~solid].mean())
+    scores = inspe_jax.evaluate(crowded, layout)
+    assert scores.occlusion < scores.coverage - 0.02
+    assert np.mean(shares) == pytest.approx(scores.occlusion, abs=0.02)
+    assert np.mean(shares) > scores.occlusion
+
+
+def test_only_kerbs_and_poles_stand_within_the_radius():
+    for name in ("four_way", "roundabout", "t_junction"):
+        place = inspe_jax.built_in(name)
+        scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
+        statics = EmbeddedRecorder(scene, lidars((9, 9, 6))).statics
+        open_ = shapely.union_all(list(place.regions.values()))
+        tall = np.isin(statics.material, [BUILDING, ROOF, TRUNK, CROWN])
+        at = (statics.triangles[tall] + statics.center).reshape(-1, 3)
+        assert len(at) > 300
+        assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
+        # Nor does any stand between two places in it.
+        assert np.hypot(*(at - statics.center)[:, :2].T).min() > 40
+        assert set(np.unique(statics.material)) == set(range(7))
+
+
+def test_units_over_the_road_have_no_mast(scene):
+    over, beside = (
+        EmbeddedRecorder(scene, lidars((x, x, 6))).statics.material == POLE for x in (0, 14)
+    )
+    # A tube of eight sides, each of three triangles.
+    assert beside.sum() == over.sum() + 24
+
+
+# ---- cameras --------------------------------------------------------------------------------
+
+
+def camera_scene():
+    """A car alone, broadside, and a camera above looking at it."""
+    return with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, np.pi / 2, 4.6, 1.85, 1.5))
+
+
+@pytest.fixture(scope="module")
+def looked_at():
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
+    recording = Recording(layers=("depth", "instance", "semantic"))
+    return EmbeddedRecorder(camera_scene(), layout, recording=recording).frame(0)
+
+
+def test_a_pixel_shows_what_the_pinhole_says(looked_at):
+    """The car's box through the intrinsic by hand covers the car's pixels, and its depth is the
+    way along the axis to its near side."""
+    (image,) = looked_at.stations[0].images
+    seen = image.instance > 0
+    assert set(np.unique(image.instance)) == {0, looked_at.things[0].track + 1}
+    v, u = np.nonzero(seen)
+    thing = looked_at.things[0]
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+    turn = rotation(np.array([0, 0, thing.yaw]), np)
+    body = (corners * thing.size @ turn.T + thing.center - image.pose[:3]) @ rotation(
+        image.pose[3:], np
+    )
+    at = 160 - 140 * body[:, 1] / body[:, 0], 120 - 140 * body[:, 2] / body[:, 0]
+    assert u.min() + 0.5 >= at[0].min() - 1
+    assert u.max() + 0.5 <= at[0].max() + 1
+    hull = MultiPoint(np.column_stack(at)).convex_hull
+    inside = shapely.contains_xy(hull.buffer(0.8), u + 0.5, v + 0.5)
+    assert inside.all()
+    assert seen.sum() / hull.area > 0.7
+    assert body[:, 0].min() - 0.1 < image.depth[seen].min() < body[:, 0].max()
+    assert (image.semantic[seen] == 14).all()
+    assert (image.semantic[~seen] != 14).all()
+
+
+def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
+    """IoU of the box's hull with the instance's pixels, cars that nothing stands before, from
+    files: at least 0.7 each, cut off at the picture's edge or not."""
+    scene = four_way(frames=2, density="low")
+    layout = place_sensors(
+        (replace(SMALL, width=640, height=480, focal=280.0, principal=(320.0, 240.0)),
+         [9.0, 9.0, 6.0, 0.0, np.radians(-15), np.radians(-135)]),
+        (COARSE, [9.0, 9.0, 6.0, 0.0, 0.0, 0.0]),
+    )  # fmt: skip
+    recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance", "depth")))
+    folder = tmp_path / "train" / "one"
+    write_protocol(
+        folder,
+        {
+            "world": dict(
+                fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a"
+            )
+        },
+    )
+    for t in range(2):
+        write_frame(folder, recorder.frame(t))
+    reports = opv2v_validator.check_set(tmp_path, attenuation=0.004)
+    assert reports["train/one"].points > 10_000
+    overlaps = []
+    for frame in (open_dataset(folder).scenarios[0].frame(t) for t in range(2)):
+        image = frame.stations[0].images[0]
+        for thing in frame.things:
+            if thing.kind != "car":
+                continue
+            corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+            turn = rotation(np.array([0, 0, thing.yaw]), np)
+            body = (corner * thing.size @ turn.T + thing.center - image.pose[:3]) @ rotation(
+                image.pose[3:], np
+            )
+            if (body[:, 0] < 1).any() or body[:, 0].min() > 45:
+                continue
+            f, (cx, cy) = image.intrinsic[0, 0], image.intrinsic[:2, 2]
+            at = np.column_stack(
+                [cx - f * body[:, 1] / body[:, 0], cy - f * body[:, 2] / body[:, 0]]
+            )
+            frame_box = shapely.box(0, 0, 640, 480)
+            hull = MultiPoint(at).convex_hull.intersection(frame_box)
+            if hull.area < 400:
+                continue
+            # Unoccluded: alone in the world it has as many pixels.
+            company = Company((thing,), recorder.statics.center)
+            free = recorder.sensors[0].image(company, 0, np.random.default_rng(0), ("instance",))
+            own = free.instance > 0
+            seen = image.instance == thing.track + 1
+            if not own.any() or seen.sum() < 0.98 * own.sum():
+                continue
+            v, u = np.nonzero(seen)
+            pixels = shapely.union_all(shapely.box(u, v, u + 1, v + 1))
+            overlaps.append(pixels.intersection(hull).area / pixels.union(hull).area)
+    assert len(overlaps) >= 5
+    assert min(overlaps) >= 0.7
+
+
+@pytest.mark.parametrize(("pose", "slope"), [
+    ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0),
+    ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0),  # beside a truck that is partly behind it
+    ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0),  # a car at its left, one behind
+    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08),  # at dusk the ground falls as shadows do
+    ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08),
+])  # fmt: skip
+def test_nobody_is_overlooked(pose, slope):
+    """Every pixel's ray, and every sunlit point's: as where only some are cast."""
+    truck, car = (8, 2.5, 3.4), (4.6, 1.9, 1.5)
+    boxes = [
+        (2.5, -14, 1.57, *truck), (-14.5, 2.0, 0.1, *car), (-20, 0, 1.0, *car),
+        (3, -2, 2.0, *truck), (-3, 6, 0.4, *car), (8, 4, 1.2, *car), (-30, -25, 0, *car),
+        (-2, -6, 0.0, 0.6, 0.6, 1.8), (20, 2, 0.5, *car),
+    ]  # fmt: skip
+    crowd = with_boxes(world(count=0, radius=40.0, voxel=2.0, slope=slope), *boxes)
+    for light in ("midday", "dusk"):
+        recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
+        (camera,) = recorder.sensors
+        company = Company(things_of(crowd.traffic, 0, 0), recorder.statics.center)
+        seen = camera._moment(company, paints(company.things, 0), 0.0)
+        movers, caster = company.at(0.0)
+        ground = camera.ground
+        hits = caster.cast(camera.origin, camera.directions, np.minimum(ground.distance, 1000.0))
+        thing = np.where(hits.face >= 0, movers.thing[hits.face], -1)
+        sunny = np.flatnonzero(ground.in_sun & (thing < 0))
+        sunny = sunny[np.abs(ground.point[sunny, :2]).max(1) < 150]
+        dark = sunny[camera._dark(caster, ground.point[sunny], np.array([0.0, 0.0, 1.0]))]
+        found = np.full(len(thing), -1)
+        found[seen.pixels] = seen.thing
+        assert np.array_equal(found, thing)
+        assert len(np.unique(thing)) > 2  # near ones hide those further off
+        assert np.array_equal(np.sort(seen.pixels[seen.thing < 0]), dark)
+        assert len(dark) > 100
+
+
+def test_light_falls_and_noise_rises_from_midday_to_night():
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
+    pictures = {
+        light: EmbeddedRecorder(camera_scene(), layout, Conditions.of(light)).frame(0)
+        .stations[0].images[0].rgb.astype(float)
+        for light in ("midday", "dusk", "night")
+    }  # fmt: skip
+    bright = [pictures[k][150:].mean() for k in ("midday", "dusk", "night")]
+    assert bright[0] > bright[1] > bright[2] > 5
+    grain = [np.abs(np.diff(pictures[k][:10], axis=1)).mean() for k in ("midday", "dusk", "night")]
+    assert grain[0] < grain[1] < grain[2]
+
+
+def test_the_sun_throws_shadows_away_from_itself():
+    """At midday the sun stands in the south-south-east: beside the car its north is darker."""
+    scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, 0, 6.0, 2.5, 3.4))
+    layout = place_sensors((SMALL, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0]))
+    (image,) = (
+        EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
+        .frame(0)
+        .stations[0]
+        .images
+    )
+    # Straight down, nose to the east: columns run from north (left) to south (right).
+    v, u = np.nonzero(image.instance > 0)
+    brightness = image.rgb.astype(float).mean(2)
+    row = int(v.mean())
+    north = brightness[row - 5 : row + 5, u.min() - 12 : u.min() - 2].mean()
+    south = brightness[row - 5 : row + 5, u.max() + 3 : u.max() + 13].mean()
+    assert north < 0.7 * south
+
+
+def test_points_at_the_rim_are_in_the_last_squares():
+    """Their sums with half the width, in single precision, are the width."""
+    rim = np.nextafter(np.float32(SHADOWED), np.float32(0))
+    assert rim + np.float32(SHADOWED) == 2 * SHADOWED
+    point = np.array([[rim, 0.5, 0], [0.5, rim, 0], [-rim, 0.5, 0]], np.float32)
+    cells = Cells(point, np.ones(3, bool), SHADOWED)
+    for k, (x, y) in enumerate(point[:, :2]):
+        assert cells.within(np.array([x, y]), np.array([x, y])).tolist() == [k]
+
+
+def test_fog_hides_what_is_far():
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-10), 0.0]))
+    scene = world(count=0, radius=40.0, voxel=2.0)
+
+    def contrast(weather):
+        image = EmbeddedRecorder(scene, layout, Conditions.of("midday", weather)).frame(0)
+        return image.stations[0].images[0].rgb[60:120].astype(float).std()
+
+    assert contrast("fog:40") < 0.6 * contrast("clear")
+
+
+# ---- all of it ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("light", slow_but(LIGHTS, "night"))
+def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
+    layout = place_sensors(
+        (SMALL, [9.0, 9.0, 6.0, 0.0, -0.3, -2.3]), (COARSE, [9.0, 9.0, 6.0, 0.0, 0.0, 0.0])
+    )
+    given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
+    one, two = EmbeddedRecorder(*given), EmbeddedRecorder(*given)
+    first = [one.frame(t) for t in (0, 1)]
+    again = [two.frame(t) for t in (1, 0)][::-1]
+    other = EmbeddedRecorder(*given, seed=1).frame(0)
+    for a, b in zip(first, again, strict=True):
+        for s, t in zip(a.stations, b.stations, strict=True):
+            for i, j in zip(s.images, t.images, strict=True):
+                assert np.array_equal(i.rgb, j.rgb)
+                for name in LAYERS:
+                    assert getattr(i, name).shape == i.rgb.shape[:2]
+                    assert np.array_equal(getattr(i, name), getattr(j, name))
+            for i, j in zip(s.scans, t.scans, strict=True):
+                assert np.array_equal(i.points, j.points)
+    assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
+
+
+def test_things_are_where_the_traffic_has_them(scene):
+    t = scene.traffic
+    on = np.flatnonzero(t.valid[1])
+    for b, thing in zip(on, things_of(t, 1, 0), strict=True):
+        assert (thing.track, thing.yaw) == (t.track[1, b], t.yaw[1, b])
+        for part, whole in ((thing.center, t.center), (thing.size, t.size)):
+            np.testing.assert_array_equal(part, whole[1, b])
+        np.testing.assert_array_equal(thing.velocity, t.velocity[1, b])
+    fast = [thing for thing in things_of(t, 1, 0) if np.hypot(*thing.velocity[:2]) > 3]
+    assert len(fast) > 2
+    for thing in fast:  # the nose is in front
+        ahead = np.array([np.cos(thing.yaw), np.sin(thing.yaw)]) @ thing.velocity[:2]
+        assert ahead > 0.9 * np.hypot(*thing.velocity[:2])
+
+
+def test_another_seed_is_other_noise():
+    """With nobody there, noise is all that the seed is for."""
+    empty, at = world(count=0, radius=20.0, voxel=1.0), [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]
+    layout = place_sensors((SMALL, at), (COARSE, at))
+    frames = [EmbeddedRecorder(empty, layout, seed=seed).frame(0) for seed in (0, 0, 1)]
+    images = [frame.stations[0].images[0] for frame in frames]
+    scans = [frame.stations[1].scans[0] for frame in frames]
+    assert np.array_equal(images[0].rgb, images[1].rgb)
+    off = images[0].rgb.astype(int) - images[2].rgb
+    assert (off != 0).mean() > 0.2
+    assert np.abs(off).mean() < 10
+    assert np.array_equal(scans[0].points, scans[1].points)
+    assert not np.array_equal(scans[0].points, scans[2].points)
+
+
+def test_things_keep_their_looks(scene):
+    names = {}
+    for t in range(scene.traffic.frame_count):
+        for thing in things_of(scene.traffic, t, 0):
+            assert names.setdefault(thing.track, thing.name) == thing.name
+            assert thing.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
+    assert len(set(names.values())) > 4
+    assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_with_nobody_there_the_layers_are_of_what_stands_still(light):
+    """The road where rays meet its plane; without a lamp by night, lit by the sky alone."""
+    scene = world(count=0, radius=20.0, voxel=1.0)
+    pose = np.array([0.0, 0.0, 6.0, 0.0, -0.3, -2.3])  # over the road: no mast
+    layout = place_sensors((SMALL, pose.tolist()))
+    given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
+    recorder = EmbeddedRecorder(*given)
+    assert not len(recorder.statics.poles)
+    (image,) = recorder.frame(0).stations[0].images
+    assert not image.instance.any()
+    u, v = np.meshgrid(np.arange(SMALL.width) + 0.5, np.arange(SMALL.height) + 0.5)
+    (cx, cy), f = SMALL.principal, SMALL.focal
+    rays = np.stack([np.ones_like(u), (cx - u) / f, (cy - v) / f], -1) @ rotation(pose[3:], np).T
+    depth = pose[2] / np.maximum(-rays[..., 2], 1e-9)  # of the plane z = 0
+    at = pose[:2] + depth[..., None] * rays[..., :2]
+    road = scene.intersection.regions[Region.DRIVEWAY].buffer(-0.5)
+    on_road = shapely.contains_xy(road, *np.moveaxis(at, -1, 0)) & (depth < 15)
+    assert on_road.mean() > 0.1
+    np.testing.assert_allclose(image.depth[on_road], depth[on_road], atol=1e-3)
+    assert set(np.unique(image.semantic[on_road])) <= {1, 24}  # CARLA's road, and its markings
+    assert recorder.sensors[0].ground.other[on_road.ravel()].min() > 0
+
+
+def test_slopes_and_empty_roads_are_recorded():
+    scene = world(count=0, slope=0.08, radius=20.0, voxel=1.0, center=(1000.0, -400.0, 30.0))
+    sensors = [
+        (COARSE, [1000.0, -400.0, 36.0, 0, 0, 0]),
+        (SMALL, [1000.0, -400.0, 36.0, 0, -0.3, 0]),
+    ]
+    frame = EmbeddedRecorder(scene, place_sensors(*sensors)).frame(0)
+    points = frame.stations[0].scans[0].points
+    at = points[:, :3] + [1000.0, -400.0, 36.0]
+    near = np.hypot(points[:, 0], points[:, 1]) < 18
+    height = crossing(0.08, (1000.0, -400.0, 30.0)).ground(at[near, :2])
+    assert np.abs(at[near, 2] - height).mean() < 0.1
+
+
+def test_bad_input(scene, corners):
+    with pytest.raises(InspeError, match=r"backend 'embeded': one of .*did you mean embedded"):
+        recorder_of("embeded", scene, corners)
+    with pytest.raises(InspeError, match=r"rate 0 Hz"):
+        EmbeddedRecorder(scene, corners, recording=Recording(rate=0))
+    with pytest.raises(InspeError, match="image_scale 9"):
+        EmbeddedRecorder(scene, corners, recording=Recording(image_scale=9))
+    with pytest.raises(InspeError, match=r"layer 'dept': one of .*did you mean depth"):
+        EmbeddedRecorder(scene, corners, recording=Recording(layers=("dept",)))

@@ -1,0 +1,233 @@
+"""In view against walked rays, line of sight against Embree."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from worlds import (
+    CAMERA,
+    LIDAR,
+    embree_line_of_sight,
+    place_sensors,
+    random_layout,
+    slow_but,
+    with_boxes,
+    world,
+)
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.visibility import raycast
+from inspe_jax.visibility.in_view import in_view_margins
+from inspe_jax.visibility.queries import in_view, line_of_sight
+from inspe_jax.visibility.view_masks import view_masks
+
+DEVICES = devices()
+
+
+@pytest.mark.parametrize("name", slow_but(DEVICES, "paper-camera", "velodyne-vlp-16"))
+def test_in_view_agrees_with_every_ray_walked(name):
+    """At least 99.9 % of voxels for every device, and C within 0.001.
+
+    The disagreements are cubes that a ray clips within centimetres of a corner or
+    at the edge of the reach; those seen without a ray it passes within 0.02 mm.
+    """
+    scene = world(count=0, slope=0.04)
+    seed = sorted(DEVICES).index(name)
+    layout = random_layout(scene, [DEVICES[name].spec] * 2, seed=seed, heights=(2.0, 8.0))
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean(axis=1).min() >= 0.999
+    w = scene.voxels.weight
+    for a, b in zip(ours, walked, strict=True):
+        assert w @ a / w.sum() == pytest.approx(w @ b / w.sum(), abs=1e-3)
+    assert not (ours & ~walked).sum() > 1e-4 * ours.size  # nothing is seen without a ray
+
+
+def test_voxels_that_stand_apart_are_those_among_all():
+    """Of every third in each direction the same is in view and in sight as in the midst of all."""
+    size = dict(voxel=0.2, radius=12.0, slope=0.03, count=9)
+    scene, apart = (world(spacing=spacing, **size) for spacing in (None, 0.6))
+    assert (scene.voxels.level_count, apart.voxels.level_count) == (20, 7)
+    layout = random_layout(scene, [LIDAR, CAMERA], seed=3, heights=(2.0, 6.0))
+    gap, among = cKDTree(scene.voxels.centers).query(apart.voxels.centers)
+    same = gap < 1e-9  # on a region's border rounding decides which column there is
+    assert same.mean() > 0.95
+    for seen in (in_view, lambda *given: line_of_sight(*given, frame=1)):
+        few, all_ = seen(apart, layout)[:, same], seen(scene, layout)[:, among[same]]
+        assert 0.05 < few.mean() < 0.98
+        assert (few == all_).mean() > 0.999
+    walked = raycast.in_view(apart, layout, "exact")
+    assert (in_view(apart, layout) == walked).mean() > 0.999
+    assert in_view(apart, layout).mean() == pytest.approx(in_view(scene, layout).mean(), abs=0.01)
+    c = apart.voxels.center
+    beside = np.zeros(apart.voxels.count, bool)
+    along = np.array([[1.0, 0, 0], [0, 1.0, 0], [1.0, 0, -0.1], [-1.0, 0, 0]])
+    raycast.exact(apart.voxels, c + [0.05, 0.02, 1.2], along, 30.0, beside)
+    assert not beside.any()  # between the voxels, along their rows
+    raycast.exact(apart.voxels, c + [0.05, 0.3, 1.5], along[:1], 30.0, beside)
+    row = apart.voxels.centers[beside] - c
+    assert len(row) > 4
+    np.testing.assert_allclose(row[:, 1], 0.3)
+    with pytest.raises(InspeError, match="voxels that touch"):
+        raycast.in_view(apart, layout, "bresenham")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["velodyne-vlp-16", "hesai-pandar64", "livox-mid-360"])
+def test_in_view_of_large_voxels(name):
+    """Of 1 m, beside the sensor: there the corner nearest to a row changes across the cube."""
+    scene = world(radius=30.0, voxel=1.0, count=0, slope=0.05)
+    layout = random_layout(scene, [DEVICES[name].spec] * 4, seed=7)
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean(axis=1).min() >= 0.999
+
+
+@pytest.mark.parametrize("turn", [(0.8, 0.0), (-0.5, -1.2), (0.2, 0.4)])
+@pytest.mark.parametrize("fov", slow_but([80.0, 200.0, 340.0], 200.0))
+def test_in_view_of_a_tilted_lidar_with_part_of_a_turn(fov, turn):
+    """Also where the field of view reaches behind the planes of its edge columns."""
+    spec = LidarSpec("part", LIDAR.elevations, int(4 * fov), np.radians(fov), 40.0)
+    scene = world(count=0)
+    layout = place_sensors((spec, [1.3, 2.1, 5.2, *turn, 0.7]))
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean() >= 0.999
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        [9.3, 9.3, 3.0, 0, 0, 0.1],  # a level channel along a face of the voxels
+        [2.0, 1.5, 4.3, 0, 0, 0],  # azimuths along faces
+        [0.0, 0.0, 5.0, 0, 0, np.pi / 2],
+    ],
+)
+def test_a_ray_along_a_face_touches_the_voxels_on_both_sides(pose):
+    """Ties are many where poses are round numbers; both sides read them as touching."""
+    level = LidarSpec(
+        "level", tuple(np.radians(np.arange(-16.0, 16.0)).tolist()), 1800, 2 * np.pi, 40.0
+    )
+    scene = world(count=0)
+    layout = place_sensors((level, pose))
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours == walked).mean() >= 0.999
+    w = scene.voxels.weight / scene.voxels.weight.sum()
+    assert w @ ours[0] == pytest.approx(w @ walked[0], abs=1e-3)
+
+
+def test_one_ray_lights_the_voxels_it_passes_through():
+    """A camera of one pixel 1.25 m up looks along +x at y = 0.25: level 2, one row, to 10 m."""
+    pencil = CameraSpec("pencil", 1, 1, 1.0, (0.5, 0.5), 1.0, 10.0)
+    scene = world(count=0)
+    layout = place_sensors((pencil, [-3.1, 0.25, 1.25, 0.0, 0.0, 0.0]))
+    seen = scene.voxels.centers[in_view(scene, layout)[0]]
+    assert sorted(seen[:, 0]) == pytest.approx(np.arange(-3.25, 7.0, 0.5))
+    assert set(seen[:, 1]) == {0.25}
+    assert set(seen[:, 2]) == {1.25}
+
+
+def test_field_of_view_and_reach_of_a_camera():
+    """A camera at 3 m sees nothing behind it, beside its field of view or beyond its depth."""
+    scene = world(radius=40.0, count=0)
+    layout = place_sensors((CAMERA, [0.1, 0.1, 3.0, 0.0, -0.2, 0.0]))
+    seen = scene.voxels.centers[in_view(scene, layout)[0]]
+    assert seen[:, 0].min() > 0
+    away = seen[:, 0] > 5  # nearer, a voxel's edge subtends more than the tolerance
+    assert np.abs(np.arctan2(seen[away, 1], seen[away, 0])).max() < np.radians(50) + 0.1
+    distance = np.linalg.norm(seen - [0.1, 0.1, 3.0], axis=1)
+    assert 29.0 < distance.max() < 30.0 + 0.5 * 3**0.5
+
+
+def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
+    """The voxel column under the sensor has no azimuth; a level ray is parallel to two faces."""
+    scene = world(count=0)
+    layout = place_sensors(
+        (LIDAR, [0.25, 0.25, 5.0, 0.0, 0.0, 0.0]),
+        (CAMERA, [0.25, 0.25, 3.75, 0.0, -np.pi / 2, 0.0]),
+    )
+    assert in_view(scene, layout)[1].any()
+    for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
+        centers = scene.voxels.centers.astype(np.float32)
+        margins = in_view_margins(
+            sensor.spec.grid, pose[None].astype(np.float32), centers, scene.voxels.size / 2
+        )
+        assert np.isfinite(np.asarray(margins)).all()
+
+
+@pytest.mark.parametrize(
+    ("seed", "slope", "heights", "center"),
+    [
+        (0, 0.0, (1.0, 3.0), (0, 0, 0)),  # below and among the tops
+        (1, 0.0, (4.0, 9.0), (0, 0, 0)),  # above them
+        (2, 0.08, (1.0, 9.0), (0, 0, 0)),
+        (3, -0.12, (1.0, 9.0), (1873.2, -951.7, 41.0)),  # far from the origin, sloping
+    ],
+)
+def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
+    """At least 99.99 % of (sensor, voxel, frame); both round in single precision at an edge."""
+    scene = world(count=16, seed=seed, slope=slope, center=center)
+    layout = random_layout(scene, [LIDAR] * 3 + [CAMERA] * 3, seed=seed, heights=heights)
+    differ = total = 0
+    for frame in range(4):
+        ours, embree = (
+            line_of_sight(scene, layout, frame),
+            embree_line_of_sight(scene, layout, frame),
+        )
+        assert 0.05 < embree.mean() < 0.999
+        differ, total = differ + (ours != embree).sum(), total + ours.size
+    assert differ / total <= 1e-4
+
+
+def test_line_of_sight_behind_a_car_by_hand():
+    """From 5 m, a 1.5 m car 8..12 m away hides what lies below 5 − 3.5·x/12 behind it."""
+    scene = with_boxes(world(), (10.0, 0.0, 0.0, 4.0, 1.8, 1.5))
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    clear = line_of_sight(scene, layout, 0)[0]
+    at = {tuple(c): v for v, c in enumerate(scene.voxels.centers.round(3).tolist())}
+    assert clear[at[(7.75, 0.25, 0.25)]]  # before it
+    assert not clear[at[(10.25, 0.25, 1.25)]]  # in it
+    assert clear[at[(10.25, 0.25, 1.75)]]  # over it
+    assert not clear[at[(14.25, 0.25, 0.75)]]  # 5 − 3.5·14.25/12 = 0.84
+    assert clear[at[(15.25, 0.25, 0.75)]]  # 0.55
+    assert clear[at[(14.25, 2.25, 0.25)]]  # beside the shadow
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ([5.0, 0, 5, 0, 0, np.nan], "not finite"),
+        ([np.inf, 0, 5, 0, 0, 0], "not finite"),
+        (
+            [8000.0, 0, 5, 0, 0, 0],
+            "7980 m from the region of interest of test crossing",
+        ),
+    ],
+)
+def test_poses_that_cannot_be_meant(pose, message):
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InspeError, match=message):
+        in_view(world(count=0), layout.with_poses(np.array([pose])))
+
+
+def test_unknown_frame_and_sensor_in_the_ground():
+    scene = world(slope=0.1)
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InspeError, match=r"frame 9 is out of range: .* has frames 0 to 3"):
+        line_of_sight(scene, layout, 9)
+    buried = layout.with_poses(np.array([[10.0, 0.0, 0.9, 0.0, 0.0, 0.0]]))
+    with pytest.raises(InspeError, match=r"'s0' at \(10.00, 0.00\) is in the ground"):
+        in_view(scene, buried)
+
+
+def test_devices_of_one_kind_compile_once(capfd):
+    """Sensors with the same rays share a kernel, wherever they stand."""
+    scene = world(count=0)
+    layout = place_sensors(*[(LIDAR, [float(x), 0.0, 5.0, 0.0, 0.0, 0.3 * x]) for x in range(3)])
+    assert len(layout.groups()) == 1
+    in_view(scene, layout)
+    before = view_masks._cache_size()
+    in_view(scene, layout.with_poses(layout.poses + 0.1))
+    in_view(scene, Conditions.of("midday", "fog").layout(layout))
+    assert view_masks._cache_size() == before
+    assert jax.config.jax_debug_nans

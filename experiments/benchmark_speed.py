@@ -37,11 +37,11 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
-from inspe_jax.scoring.reference import Crew, Field, measure
-from inspe_jax.scoring.tiled_scene import world_of
+from inspe_jax.scoring.reference import SceneArrays, SensorSet, measure
+from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
-from inspe_jax.visibility.shadows import casts, may_shade
+from inspe_jax.visibility.shadows import may_shade, shadow_bounds
 from inspe_jax.visibility.view_masks import in_view_masks
 
 console = Console()
@@ -79,8 +79,8 @@ def sensors(scene: Scene, times: int = 1) -> Layout:
 
 def first_version(scene: Scene, layout: Layout) -> Callable[[], Any]:
     """Every prism against every column, a number for every voxel."""
-    crew = Crew.of(layout, tuple((s,) for s in range(len(layout))))
-    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    crew = SensorSet.of(layout, tuple((s,) for s in range(len(layout))))
+    field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     measured = jax.jit(lambda poses: measure(field, poses, crew, voxel))
     return lambda: jax.block_until_ready(measured(poses))
@@ -271,7 +271,7 @@ def least(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
     to the columns in view, and of the prisms those whose shadow may touch the column's tile.
     Bytes: the masks of solid voxels once, and the tiles once for each sensor that sees some.
     """
-    world, poses = world_of(scene), poses_about_center(scene, layout)
+    world, poses = tiled_scene_of(scene), poses_about_center(scene, layout)
     tile, half = world.tiles.tile, scene.voxels.size / 2
     prisms = about_center(scene).prisms
     voxels = columns = crossed = 0.0
@@ -280,7 +280,7 @@ def least(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
         for s in index:
             views = np.asarray(in_view_masks(grid, poses[s], tile, half)) != 0  # (N, C)
             touched = views.any(1)
-            cast = casts(poses[s, :3], prisms)
+            cast = shadow_bounds(poses[s, :3], prisms)
             shading = jax.lax.map(lambda part: may_shade(poses[s, :3], cast, part).sum(), tile)  # noqa: B023
             voxels += touched.sum() * tile.heights[0].size
             columns += views.sum() * len(prisms.top)

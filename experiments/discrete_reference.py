@@ -22,12 +22,12 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Constraints, Layout, Scene, Sensor
-from inspe_jax.placement.candidate_table import Kind
+from inspe_jax.placement.candidate_table import CandidateKind
 from inspe_jax.placement.candidate_table import Table as Candidates
 from inspe_jax.placement.candidates import lattice
 from inspe_jax.placement.methods.greedy import lazy_greedy
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import Tally
+from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.studies.discrete import best_subset
 
 console = Console()
@@ -62,7 +62,7 @@ def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
 def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     """Candidate poses, the same for every camera, and all that they see."""
     layout, space = problem.layout, problem.space
-    tally = Tally(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
+    tally = SampleScore(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
     feet = lattice(space, 6 if quick else 16)
     stand = space.can_stand(feet)
     common = np.flatnonzero(stand.all(0))
@@ -70,7 +70,7 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     foot, height, yaw, pitch = (
         part.ravel() for part in np.meshgrid(common, [HEIGHT], yaws, PITCHES, indexing="ij")
     )
-    kind = Kind(tuple(range(len(layout))), foot, height, yaw, pitch)
+    kind = CandidateKind(tuple(range(len(layout))), foot, height, yaw, pitch)
     table = Candidates(problem, tally, feet, stand, [kind])
     for part in range(len(table.parts)):
         table.look(part)

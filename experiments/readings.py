@@ -448,7 +448,7 @@ def _sights(scene: Scene, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     def look(prisms: Prism) -> tuple[jax.Array, jax.Array]:
         solid = step(solid_top(ground.columns, prisms)[:, None] - ground.heights) > 0
         line, others = (
-            sight(sensors, prisms, ground.columns, ground.heights, spare_own=own) > 0
+            sight(sensors, prisms, ground.columns, ground.heights, ignore_self_occlusion=own) > 0
             for own in (False, True)
         )
         return jnp.where(solid[None], others, line).reshape(len(sensors), -1), solid.ravel()

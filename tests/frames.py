@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from inspe_jax.dataset import Frame, Image, Scan, Station, Thing
+from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.frame import KINDS, MOST_TRACK
 
 WORLD = {
@@ -19,7 +19,7 @@ UNIT = np.array([12.0, 8.0, 6.0, 0.0, 0.0, np.radians(-150)])
 """A pose of a unit: 6 m up, looking south-west."""
 
 
-def car(track: int = 3, **changes) -> Thing:
+def car(track: int = 3, **changes) -> RoadUserBox:
     """A car on the ground at (10, 20), facing north at 10 m/s."""
     values = {
         "track": track,
@@ -30,7 +30,7 @@ def car(track: int = 3, **changes) -> Thing:
         "size": np.array([4.2, 1.8, 1.5]),
         "velocity": np.array([0.0, 10.0, 0.0]),
     }
-    return Thing(**{**values, **changes})
+    return RoadUserBox(**{**values, **changes})
 
 
 def image(width: int = 8, height: int = 6, pose=UNIT, layers: bool = True, seed: int = 0) -> Image:
@@ -137,7 +137,7 @@ POSES = vectors([-2000, -2000, -50, -4, -1.5, -7], [2000, 2000, 50, 4, 1.5, 7])
 """Anywhere on a map, turned any way, and more than once round."""
 
 THINGS = st.builds(
-    Thing,
+    RoadUserBox,
     track=st.integers(0, MOST_TRACK),
     kind=st.sampled_from(KINDS),
     name=st.text(max_size=12),

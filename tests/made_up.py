@@ -15,7 +15,7 @@ import numpy as np
 
 from inspe_jax.core import files
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset import Frame, Image, Scan, Station, Thing, chunk
+from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station, chunk
 from inspe_jax.scene.traffic.frames import CLASSES
 
 SLOW, DEADLY, ROOM, PIDS = "MADE_UP_SLOW", "MADE_UP_DEADLY", "MADE_UP_ROOM", "MADE_UP_PIDS"
@@ -44,7 +44,7 @@ class Recorder:
             kind = CLASSES[traffic.kind[t, b]]
             place = traffic.center[t, b], float(traffic.yaw[t, b]), traffic.size[t, b]
             track, velocity = int(traffic.track[t, b]), traffic.velocity[t, b]
-            things.append(Thing(track, kind, f"a {kind}", *place, velocity))
+            things.append(RoadUserBox(track, kind, f"a {kind}", *place, velocity))
         stations = [self.station(u, rng) for u in range(len(self.layout.units))]
         return Frame(t, t / self.recording.rate, tuple(things), tuple(stations))
 

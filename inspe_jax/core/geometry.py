@@ -77,8 +77,8 @@ def ray_cube_margin(
     return margin
 
 
-class Shade(NamedTuple):
-    """A prism as one sensor sees it: what its shadow needs, made by :func:`shade`."""
+class ShadowTerms(NamedTuple):
+    """A prism as one sensor sees it: what its shadow needs, made by :func:`shadow_terms`."""
 
     cos: Float[Array, "*b"]
     sin: Float[Array, "*b"]
@@ -91,7 +91,7 @@ class Shade(NamedTuple):
     rise: Float[Array, "*b"]
 
 
-def shade(sensor: Float[Array, "3"], prism: Prism) -> Shade:
+def shadow_terms(sensor: Float[Array, "3"], prism: Prism) -> ShadowTerms:
     """Turn a sensor into each prism's frame and divide once, so that no sight line has to.
 
     Along the sight line s + t·(c − s) the slab −a ≤ x ≤ a of the prism's own
@@ -107,7 +107,7 @@ def shade(sensor: Float[Array, "3"], prism: Prism) -> Shade:
     on = prism.valid.astype(x.dtype)
     front, back = nonzero(a - x), nonzero(-a - x)
     left, right = nonzero(b - y), nonzero(-b - y)
-    return Shade(
+    return ShadowTerms(
         cos,
         sin,
         on / front,
@@ -122,12 +122,12 @@ def shade(sensor: Float[Array, "3"], prism: Prism) -> Shade:
 
 
 def shadow_ceiling(
-    shade: Shade,
+    terms: ShadowTerms,
     dx: Float[Array, " L"],
     dy: Float[Array, " L"],
     sensor_z: Float[Array, ""],
     *,
-    spare_own: bool | Bool[Array, "*b"] = False,
+    ignore_self_occlusion: bool | Bool[Array, "*b"] = False,
 ) -> Float[Array, " L"]:
     """Height [m] below which one prism hides each column; :data:`NEVER` where it does not.
 
@@ -135,25 +135,25 @@ def shadow_ceiling(
     (t₁ clipped to 1) and h the top: z* = z_s − (z_s − h)/t₁ for a sensor above
     the top, whose sight line is lowest where it leaves the prism, and
     z* = z_s + (h − z_s)/t₀ for one below, lowest where it enters. Nothing is
-    seen beneath a prism. ``spare_own``: a prism does not hide the columns it
+    seen beneath a prism. ``ignore_self_occlusion``: a prism does not hide the columns it
     stands on.
     """
-    leaves, entry = _plan_crossings(shade, dx, dy)
+    leaves, entry = _plan_crossings(terms, dx, dy)
     exit_ = jnp.maximum(leaves, 1.0)
     meets = exit_ < entry
-    if spare_own is not False:
-        meets &= (leaves >= 1.0) | ~jnp.asarray(spare_own)
-    ceiling = sensor_z + shade.rise * jnp.where(shade.rise < 0, exit_, entry)
+    if ignore_self_occlusion is not False:
+        meets &= (leaves >= 1.0) | ~jnp.asarray(ignore_self_occlusion)
+    ceiling = sensor_z + terms.rise * jnp.where(terms.rise < 0, exit_, entry)
     return jnp.where(meets, ceiling, NEVER)
 
 
 def _plan_crossings(
-    shade: Shade, dx: Float[Array, " L"], dy: Float[Array, " L"]
+    terms: ShadowTerms, dx: Float[Array, " L"], dy: Float[Array, " L"]
 ) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
     """(1/t₁, 1/t₀) of each sight line; 1/t₁ is less than 1 where the line ends inside."""
-    ex, ey = shade.cos * dx + shade.sin * dy, shade.cos * dy - shade.sin * dx
-    x_exit, x_entry = _crossings(ex * shade.x_near, ex * shade.x_far, shade.x_inside)
-    y_exit, y_entry = _crossings(ey * shade.y_near, ey * shade.y_far, shade.y_inside)
+    ex, ey = terms.cos * dx + terms.sin * dy, terms.cos * dy - terms.sin * dx
+    x_exit, x_entry = _crossings(ex * terms.x_near, ex * terms.x_far, terms.x_inside)
+    y_exit, y_entry = _crossings(ey * terms.y_near, ey * terms.y_far, terms.y_inside)
     return jnp.maximum(x_exit, y_exit), jnp.minimum(x_entry, y_entry)
 
 

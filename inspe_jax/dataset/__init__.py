@@ -1,29 +1,31 @@
 """Data sets of frames: made, written and read, as OPV2V and its Infra-Set variant have them."""
 
+import warnings
+
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
 from inspe_jax.dataset.formats.opv2v.reader import read_frame
 from inspe_jax.dataset.formats.opv2v.writer import write_frame, write_protocol
-from inspe_jax.dataset.generate import Made, generate
+from inspe_jax.dataset.generate import GenerationResult, generate
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
 from inspe_jax.dataset.statistics import Statistics, statistics
-from inspe_jax.simulation.frame import Frame, Image, Scan, Station, Thing
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import Server
 
 __all__ = [
     "Dataset",
     "Frame",
     "Generation",
+    "GenerationResult",
     "Image",
-    "Made",
+    "RoadUserBox",
     "Scan",
     "Scenario",
     "ScenarioPlan",
     "Server",
     "Station",
     "Statistics",
-    "Thing",
     "generate",
     "load_generation",
     "open",
@@ -32,3 +34,14 @@ __all__ = [
     "write_frame",
     "write_protocol",
 ]
+
+_RENAMED = {"Thing": RoadUserBox, "Made": GenerationResult}
+
+
+def __getattr__(name: str) -> type:
+    """Names of before, with a warning that says the new one."""
+    if name not in _RENAMED:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    new = _RENAMED[name]
+    warnings.warn(f"{__name__}.{name} is now {new.__name__}", DeprecationWarning, stacklevel=2)
+    return new

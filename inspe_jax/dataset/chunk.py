@@ -21,7 +21,7 @@ from inspe_jax.sensing.layout import layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recorder, Server
 from inspe_jax.study.sources import SceneSource
-from inspe_jax.study.work import make_room, placed, scene_of, told
+from inspe_jax.study.work import make_room, message_of, placed, scene_of
 
 SIZE = 10
 """Frames of a chunk."""
@@ -104,7 +104,7 @@ class _Desk:
             self.notes = self.recorder.notes
             self.protocol = protocol_of(plan, content, chunk.backend, self.notes)
         except Exception as e:
-            self.error = told(e)
+            self.error = message_of(e)
 
     def clear(self) -> None:
         """Close the recorder."""
@@ -124,7 +124,7 @@ def build(chunk: Chunk) -> Scene | str:
     try:
         return scene_of(chunk.source, chunk.plan.build)
     except Exception as e:
-        return told(e)
+        return message_of(e)
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
@@ -148,15 +148,15 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                     try:
                         frame = replace(_desk.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
-                        return Outcome(error=f"frame {t}: {told(e)}")
+                        return Outcome(error=f"frame {t}: {message_of(e)}")
                     if not (chunk.folder / PROTOCOL).exists():
                         write_protocol(chunk.folder, _desk.protocol or {}, frame.stations)
                     write_frame(chunk.folder, frame)
     except Exception as e:
         fault = os_error(e)
         if fault is None:
-            return Outcome(error=told(e))
-        return Outcome(fault=told(e), full=fault.errno in FULL)
+            return Outcome(error=message_of(e))
+        return Outcome(fault=message_of(e), full=fault.errno in FULL)
     return Outcome(notes=notes)
 
 

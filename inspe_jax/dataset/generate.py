@@ -11,11 +11,11 @@ from pathlib import Path
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
-from inspe_jax.dataset.writer import Making
+from inspe_jax.dataset.writer import DatasetWriter
 from inspe_jax.simulation.backends import check_backend, server_of
 from inspe_jax.simulation.recorder import Server
 from inspe_jax.study.engine import dask, done
-from inspe_jax.study.work import told
+from inspe_jax.study.work import message_of
 
 MB = 1e6
 MOST_WORKERS = {"carla": 1}
@@ -24,7 +24,7 @@ GO_ON = "make room, and the same command goes on from here"
 
 
 @dataclass(frozen=True)
-class Made:
+class GenerationResult:
     """What a run came to.
 
     ``scenarios`` and ``frames`` that are there now, and the ``size`` of all files [bytes];
@@ -51,7 +51,7 @@ def generate(
     workers: int | None = None,
     server: Server | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Made:
+) -> GenerationResult:
     """Make every scenario of a data set that ``folder`` does not have yet.
 
     As ``folder/SPLIT/SCENARIO``, each of which appears when it is whole. ``backend`` records:
@@ -71,13 +71,13 @@ def generate(
     workers = _checked(backend, workers)
     server = server_of(backend, server)
     try:
-        with Making(generation, folder, backend) as making:
+        with DatasetWriter(generation, folder, backend) as making:
             had = making.frames
             failures, notes = _record(making, generation, backend, workers, server, progress)
             if not failures:
                 making.clear()
             placed = [plan.frames for plan in generation.scenarios if making.place(plan).exists()]
-            return Made(
+            return GenerationResult(
                 folder=making.folder,
                 scenarios=len(placed),
                 frames=sum(placed),
@@ -104,7 +104,7 @@ def _checked(backend: str, workers: int | None) -> int | None:
 
 
 def _record(
-    making: Making,
+    making: DatasetWriter,
     generation: Generation,
     backend: str,
     workers: int | None,
@@ -138,7 +138,7 @@ def _record(
         try:
             for chunk, found in done(client, todo, build, work, ahead=1):
                 plan = chunk.plan
-                outcome = Outcome(told(found)) if isinstance(found, Exception) else found
+                outcome = Outcome(message_of(found)) if isinstance(found, Exception) else found
                 if outcome.fault:
                     raise InspeError(_room(making, generation) if outcome.full else outcome.fault)
                 left[plan.name] -= 1
@@ -157,7 +157,9 @@ def _record(
     return failures, {name: notes[name] for name in made if name in notes}
 
 
-def _chunks(making: Making, plan: ScenarioPlan, backend: str, server: Server | None) -> list[Chunk]:
+def _chunks(
+    making: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
+) -> list[Chunk]:
     """Chunks of a scenario with a frame that is not there."""
     found = []
     for first in range(0, plan.frames, SIZE):
@@ -169,7 +171,7 @@ def _chunks(making: Making, plan: ScenarioPlan, backend: str, server: Server | N
     return found
 
 
-def _room(making: Making, generation: Generation) -> str:
+def _room(making: DatasetWriter, generation: Generation) -> str:
     """That the disk is full, and how much more the set will need."""
     there = making.take_stock(generation)
     told = f"{making.folder}: the disk is full: {there} of {generation.frames} frames are there"

@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.simulation.frame import Scan, Thing
+from inspe_jax.simulation.frame import RoadUserBox, Scan
 
 SLACK = 1e-3
 """A box is wider and higher by this on every side but below [m]: points on its faces are in it,
 whatever rounding did to them, and those of the road that it stands on are not."""
 
 
-def count_inside(scans: Sequence[Scan], things: Sequence[Thing]) -> Int[np.ndarray, "S B"]:
+def count_inside(scans: Sequence[Scan], things: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
     """How many points of each scan lie in the box of each thing, both in the world.
 
     The points of all scans are sorted by x once, so that each box is held against those of its

@@ -48,7 +48,7 @@ class Users:
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class PointCounts:
     """Points within boxes: index into KINDS, metres from LiDAR to the box's middle, points."""
 
     kind: Int[np.ndarray, " N"]
@@ -81,8 +81,8 @@ class Statistics:
     splits: tuple[Split, ...]
     users: Users
     crowd: Int[np.ndarray, " F"]
-    merged: Hits = field(repr=False)
-    single: Hits = field(repr=False)
+    merged: PointCounts = field(repr=False)
+    single: PointCounts = field(repr=False)
     cameras: tuple[int, int]
     lidars: tuple[int, int]
     agents: tuple[tuple[int, ...], ...] = field(repr=False)
@@ -152,7 +152,7 @@ def statistics(
     return tally.statistics(data, tuple(splits))
 
 
-def bands(hits: Hits, kind: int) -> tuple[Band, ...]:
+def bands(hits: PointCounts, kind: int) -> tuple[Band, ...]:
     """The points of a class's boxes by range, those bands that have any; KINDS[kind].
 
     What is nearer or further than all of :data:`RANGE_EDGES` is in the first or the last.
@@ -281,9 +281,9 @@ class _Tally:
         )
 
 
-def _hits(parts: list[np.ndarray]) -> Hits:
+def _hits(parts: list[np.ndarray]) -> PointCounts:
     kind, away, points = np.concatenate(parts, 1) if parts else np.zeros((3, 0), np.float32)
-    return Hits(kind.astype(np.int8), away, points.astype(np.int32))
+    return PointCounts(kind.astype(np.int8), away, points.astype(np.int32))
 
 
 def _disk_size(folder: Path) -> int:

@@ -26,7 +26,7 @@ FORMAT = "inspe_jax data set 1"
 _ADVICE = "name another folder, or delete it to begin anew"
 
 
-class Making:
+class DatasetWriter:
     """A data set in a folder; only one run at a time may hold it."""
 
     def __init__(
@@ -47,7 +47,7 @@ class Making:
             self._lock.release()
             raise
 
-    def __enter__(self) -> "Making":
+    def __enter__(self) -> "DatasetWriter":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -9,13 +9,13 @@ from inspe_jax.placement.candidates import (
     COLUMNS,
     FRAMES,
     coordinates,
-    hang,
     lattice,
     limits,
     poses,
+    set_heights,
 )
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import Tally, times
+from inspe_jax.placement.sample_score import SampleScore, times
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
@@ -29,7 +29,7 @@ Picks = dict[int, int]
 
 
 @dataclass(eq=False)
-class Kind:
+class CandidateKind:
     """Sensors that have the same candidates: K poses at ``foot`` (an index), and what they see."""
 
     sensors: tuple[int, ...]
@@ -54,16 +54,16 @@ class Table:
     """The candidates of every kind of sensor of a problem, on one sample."""
 
     problem: Problem
-    tally: Tally
+    tally: SampleScore
     feet: Float[np.ndarray, "F 2"]
     stand: Bool[np.ndarray, "U F"]
-    kinds: list[Kind]
+    kinds: list[CandidateKind]
 
     @classmethod
     def of(cls, problem: Problem, rng: np.random.Generator, first: bool = True) -> "Table":
         """Feet × heights × yaws × pitches; shifted at random by up to a step if not ``first``."""
         space, layout = problem.space, problem.layout
-        tally = Tally(problem, problem.sample(rng, COLUMNS, FRAMES))
+        tally = SampleScore(problem, problem.sample(rng, COLUMNS, FRAMES))
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
@@ -83,11 +83,11 @@ class Table:
             # In random order, so that the first chunk is a sample of all.
             order = rng.permutation(product[0].size)
             foot, height, yaw, pitch = (part.ravel()[order] for part in product)
-            kinds.append(Kind(tuple(sensors), foot, height, yaw, pitch))
+            kinds.append(CandidateKind(tuple(sensors), foot, height, yaw, pitch))
         return cls(problem, tally, feet, stand, kinds)
 
     @property
-    def parts(self) -> list[Kind]:
+    def parts(self) -> list[CandidateKind]:
         """The kind of each chunk of candidates, in the order in which they are looked at.
 
         The first chunk of every kind comes first.
@@ -111,7 +111,7 @@ class Table:
         kind.bits.append(self.tally.view(self.problem, s, poses(space, x)[:, s]))
         return len(np.unique(at))
 
-    def kind_of(self, s: int) -> Kind:
+    def kind_of(self, s: int) -> CandidateKind:
         """The candidates of sensor ``s``."""
         return next(kind for kind in self.kinds if s in kind.sensors)
 
@@ -155,7 +155,7 @@ class Table:
             x[:, index.offset[list(members)]] = 0.0
             x[:, index.yaw[list(members)]] = [kind.yaw[k] for kind, k in kinds]
             x[:, index.pitch[list(members)]] = [kind.pitch[k] for kind, k in kinds]
-            x = hang(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
+            x = set_heights(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
         return x[0]
 
 

@@ -72,7 +72,7 @@ def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
     return np.concatenate([found, np.unique(lost, axis=0)])
 
 
-def hang(
+def set_heights(
     space: Space,
     x: Float[np.ndarray, "M N"],
     u: int,

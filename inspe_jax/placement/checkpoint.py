@@ -142,7 +142,7 @@ def check_same(kept: Checkpoint, of: Mapping[str, str], path: str | os.PathLike[
         )
 
 
-class Keeper:
+class CheckpointWriter:
     """Writes where a search stands to its checkpoint now and then, and takes it up again.
 
     What is written is how things were before a step. A step that was cut short is done again when

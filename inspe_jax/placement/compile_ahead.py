@@ -12,7 +12,7 @@ import jax
 from inspe_jax.core.compiling import counts_as_compiling
 from inspe_jax.core.parallel import at_precision
 
-Job = Callable[[], bool]
+CompileJob = Callable[[], bool]
 """Calls what is to be compiled on the shapes that the search will use. Gives False where it left
 that undone, as there is no time for it."""
 
@@ -26,7 +26,7 @@ class Ahead:
     XLA cannot be interrupted: Ctrl-C ends the search, and what is being compiled goes on.
     """
 
-    def __init__(self, jobs: Mapping[str, Job]) -> None:
+    def __init__(self, jobs: Mapping[str, CompileJob]) -> None:
         self._done: dict[str, Future[bool]] = {name: Future() for name in jobs}
         double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
         work = [(self._done[name], job) for name, job in jobs.items()]
@@ -51,7 +51,7 @@ class Ahead:
             done.cancel()
 
 
-def _work(work: list[tuple["Future[bool]", Job]], double: bool) -> None:
+def _work(work: list[tuple["Future[bool]", CompileJob]], double: bool) -> None:
     # Threads do not inherit JAX's settings of the one that starts them.
     with counts_as_compiling(), at_precision(double), _one_by_one:
         for done, job in work:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 LEAST_AREA = 0.05
-"""Pieces smaller than this are left out [m²]."""
+"""Regions smaller than this are left out [m²]."""
 
 _STEEP = 0.05  # an edge this nearly across a piece, as a share of its length, ends the piece
 _FURTHEST = 1e4  # chart coordinates beyond this many radii go round and round anyway [–]
@@ -21,7 +21,7 @@ _INSIDE = 0.99  # what the inverses of the charts take for the edge: there the s
 # ── Bounded coordinates from unbounded ones ─────────────────────────────────
 
 
-def swing(v: Any, radius: Any, xp: Any) -> Any:
+def to_bounded(v: Any, radius: Any, xp: Any) -> Any:
     """r·sin(v/r): any v to −r … r, where v counts metres (or radians) in the middle.
 
     A sine and not the usual v/√(1 + v²): that one's slope is 0.0075 where 98 % of the way is
@@ -37,21 +37,21 @@ def _turn(v: Any, radius: Any, xp: Any) -> Any:
     return xp.clip(v / safe, -_FURTHEST, _FURTHEST)
 
 
-def unswing(x: Any, radius: Any, xp: Any) -> Any:
-    """The inverse of :func:`swing`; an end is taken to lie slightly inside."""
+def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
+    """The inverse of :func:`to_bounded`; an end is taken to lie slightly inside."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
     return radius * xp.arcsin(xp.clip(x / safe, -_INSIDE, _INSIDE))
 
 
-def swing_disc(v: Any, radius: Any, xp: Any) -> Any:
-    """Any v (…, 2) to the disc of ``radius`` (…), as :func:`swing` does along each ray."""
+def to_disc(v: Any, radius: Any, xp: Any) -> Any:
+    """Any v (…, 2) to the disc of ``radius`` (…), as :func:`to_bounded` does along each ray."""
     w = _turn(v, radius[..., None], xp)
     length = _length(w, xp)
     return radius[..., None] * w * xp.sin(length) / length
 
 
-def unswing_disc(x: Any, radius: Any, xp: Any) -> Any:
-    """The inverse of :func:`swing_disc`; the rim is taken to lie slightly inside."""
+def from_disc(x: Any, radius: Any, xp: Any) -> Any:
+    """The inverse of :func:`to_disc`; the rim is taken to lie slightly inside."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))[..., None]
     w = x / safe
     length = _length(w, xp)
@@ -68,12 +68,12 @@ def _length(x: Any, xp: Any) -> Any:
     return xp.sqrt(xp.maximum((x * x).sum(-1, keepdims=True), 1e-12))
 
 
-# ── Pieces ──────────────────────────────────────────────────────────────────
+# ── Regions ─────────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Pieces:
-    """K convex pieces, made by :func:`make_pieces`.
+class ConvexRegions:
+    """K convex pieces, made by :func:`make_regions`.
 
     ``corners`` counter-clockwise, the last one repeated as padding; ``area`` [m²], 0 for a single
     point. The chart of a piece has its long side along ``axis``, through ``middle``, and is
@@ -123,7 +123,7 @@ class Pieces:
     def at(self, v: Float[Any, "U 2"], which: Int[Any, " U"], xp: Any) -> Float[Any, "U 2"]:
         """The points with chart coordinates ``v`` [m] on pieces ``which``; any v is inside."""
         axis, middle, half, across = self._frame(which, v.dtype, xp)
-        along = swing(v[:, 0], half, xp)
+        along = to_bounded(v[:, 0], half, xp)
         low, high = self._chord(along, which, v.dtype, xp)
         aside = (low + high) / 2 + (high - low) / 2 * xp.sin(_turn(v[:, 1], across, xp))
         normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
@@ -133,8 +133,8 @@ class Pieces:
         """The inverse of :meth:`at`; the edge of a piece is taken to lie slightly inside."""
         axis, middle, half, across = self._frame(which, p.dtype, xp)
         normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
-        v = unswing(((p - middle) * axis).sum(-1), half, xp)
-        low, high = self._chord(swing(v, half, xp), which, p.dtype, xp)
+        v = from_bounded(((p - middle) * axis).sum(-1), half, xp)
+        low, high = self._chord(to_bounded(v, half, xp), which, p.dtype, xp)
         aside = ((p - middle) * normal).sum(-1) - (low + high) / 2
         share = aside / xp.maximum((high - low) / 2, 1e-6)
         return xp.stack([v, across * xp.arcsin(xp.clip(share, -_INSIDE, _INSIDE))], -1)
@@ -169,15 +169,15 @@ def _share(way: Any, edge: Any, xp: Any) -> Any:
     return xp.clip((way * edge).sum(-1) / squared, 0.0, 1.0)
 
 
-def make_pieces(outlines: list[Float[np.ndarray, "N 2"]]) -> Pieces:
-    """Pieces from their corners, counter-clockwise; an outline of one corner is a point."""
+def make_regions(outlines: list[Float[np.ndarray, "N 2"]]) -> ConvexRegions:
+    """Regions from their corners, counter-clockwise; an outline of one corner is a point."""
     room = max(3, *(len(outline) for outline in outlines))
     rows = []
     for outline in outlines:
         outline = np.asarray(outline, float)
         corners = np.concatenate([outline, np.repeat(outline[-1:], room - len(outline), 0)])
         rows.append((corners, *_chart_of(outline, room)))
-    return Pieces(*(np.stack(column) for column in zip(*rows, strict=True)))
+    return ConvexRegions(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
 def _chart_of(outline: np.ndarray, room: int) -> tuple[Any, ...]:

@@ -10,7 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from inspe_jax.placement.convex_regions import into_disc, swing, swing_disc, unswing, unswing_disc
+from inspe_jax.placement.convex_regions import (
+    from_bounded,
+    from_disc,
+    into_disc,
+    to_bounded,
+    to_disc,
+)
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN
 
 STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
@@ -73,13 +79,13 @@ class Range(NamedTuple):
         """The nearest values within."""
         return xp.clip(x, xp.asarray(self.low, x.dtype), xp.asarray(self.high, x.dtype))
 
-    def swing(self, v: Any, xp: Any) -> Any:
-        """Values within from any; see :func:`inspe_jax.placement.convex_regions.swing`."""
-        return xp.asarray(self.middle, v.dtype) + swing(v, xp.asarray(self.half, v.dtype), xp)
+    def to_bounded(self, v: Any, xp: Any) -> Any:
+        """Values within from any; see :func:`inspe_jax.placement.convex_regions.to_bounded`."""
+        return xp.asarray(self.middle, v.dtype) + to_bounded(v, xp.asarray(self.half, v.dtype), xp)
 
-    def unswing(self, x: Any) -> Any:
-        """The inverse of :meth:`swing`."""
-        return unswing(x - self.middle, self.half, np)
+    def from_bounded(self, x: Any) -> Any:
+        """The inverse of :meth:`to_bounded`."""
+        return from_bounded(x - self.middle, self.half, np)
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -136,29 +142,30 @@ class Limits:
             self.pitch.clip(c.pitch, xp),
         )
 
-    def swing(self, v: Coordinates, xp: Any) -> Coordinates:
+    def to_bounded(self, v: Coordinates, xp: Any) -> Coordinates:
         """Coordinates within from any; in the middle they move as ``v`` does."""
         return Coordinates(
             v.base,
-            swing_disc(v.arm, xp.asarray(self.arm, v.arm.dtype), xp),
-            self.height.swing(v.height, xp),
-            swing_disc(v.offset, xp.asarray(self.offset, v.offset.dtype), xp),
-            self.rise.swing(v.rise, xp),
-            xp.where(xp.asarray(self.sector), self.yaw.swing(v.yaw, xp), v.yaw),
-            self.pitch.swing(v.pitch, xp),
+            to_disc(v.arm, xp.asarray(self.arm, v.arm.dtype), xp),
+            self.height.to_bounded(v.height, xp),
+            to_disc(v.offset, xp.asarray(self.offset, v.offset.dtype), xp),
+            self.rise.to_bounded(v.rise, xp),
+            xp.where(xp.asarray(self.sector), self.yaw.to_bounded(v.yaw, xp), v.yaw),
+            self.pitch.to_bounded(v.pitch, xp),
         )
 
-    def unswing(self, c: Coordinates) -> Coordinates:
-        """The inverse of :meth:`swing`; what lies on a limit is taken to lie slightly inside."""
+    def from_bounded(self, c: Coordinates) -> Coordinates:
+        """The inverse of :meth:`to_bounded`; what lies on a limit is taken to lie slightly
+        inside."""
         turned = nearest_turn(c.yaw, self.yaw.middle, np)
         return Coordinates(
             c.base,
-            unswing_disc(c.arm, self.arm, np),
-            self.height.unswing(c.height),
-            unswing_disc(c.offset, self.offset, np),
-            self.rise.unswing(c.rise),
-            np.where(self.sector, self.yaw.unswing(turned), c.yaw),
-            self.pitch.unswing(c.pitch),
+            from_disc(c.arm, self.arm, np),
+            self.height.from_bounded(c.height),
+            from_disc(c.offset, self.offset, np),
+            self.rise.from_bounded(c.rise),
+            np.where(self.sector, self.yaw.from_bounded(turned), c.yaw),
+            self.pitch.from_bounded(c.pitch),
         )
 
     def draw(

@@ -14,7 +14,7 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_output
 from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.checkpoint import SUFFIXES, Keeper
+from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.gradient import GRADIENTS
 from inspe_jax.placement.methods.search import SEARCHES
@@ -111,7 +111,7 @@ def optimise(
     run.notes += notes
     keeper = None
     if checkpoint is not None:
-        keeper = Keeper(checkpoint, _search(problem, row, seed, start), run)
+        keeper = CheckpointWriter(checkpoint, _search(problem, row, seed, start), run)
     status = _drive(run, row, keeper)
     try:
         return _result(run, row, status, start)
@@ -194,7 +194,7 @@ def warming(problem: Problem) -> float:
 # ── One search ──────────────────────────────────────────────────────────────
 
 
-def _drive(run: Run, row: Method, keeper: Keeper | None = None) -> str:
+def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str:
     """Step by step to the end; gives the status."""
     state = keeper.take_up(run) if keeper else {}
     if keeper and keeper.ended:

@@ -20,21 +20,27 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Prism, solid_top
 from inspe_jax.core.numerics import step
 from inspe_jax.core.parallel import Job, run
-from inspe_jax.placement.candidate_views import see
+from inspe_jax.placement.candidate_views import view_from_poses
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.sampled_scores import COMBINATIONS, Terms, hard_scores, scores, soft_slope
+from inspe_jax.placement.sampled_scores import (
+    COMBINATIONS,
+    ScoreTerms,
+    hard_scores,
+    scores,
+    soft_slope,
+)
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import check_entropy, check_options, options_of
 from inspe_jax.scoring.exact import measure_exactly
-from inspe_jax.scoring.reference import Crew, Field, sensor_array, spares_own
-from inspe_jax.scoring.tiled_scene import World, world_of, world_of_sample
+from inspe_jax.scoring.reference import SceneArrays, SensorSet, ignores_self_occlusion, sensor_array
+from inspe_jax.scoring.tiled_scene import TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import Ground, about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.queries import check_layout
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
@@ -136,16 +142,16 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 class Sample:
     """Some columns and frames of every case; ``share`` is its cost beside an exact score's."""
 
-    fields: tuple[Field, ...]
+    fields: tuple[SceneArrays, ...]
     share: float
 
     @cached_property
-    def worlds(self) -> tuple[World, ...]:
+    def worlds(self) -> tuple[TiledScene, ...]:
         """The same as masks."""
-        return tuple(world_of_sample(part) for part in self.fields)
+        return tuple(tiled_sample(part) for part in self.fields)
 
 
-class Shares(NamedTuple):
+class VoxelWeights(NamedTuple):
     """What each voxel of a sample counts for.
 
     ``weight`` (V,), ``free`` (T, V) and ``entropy`` (V,) are the shares of C, O and IG that each
@@ -199,10 +205,10 @@ class Problem:
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
         self.crews = tuple(
-            Crew.of(perceiving(case.scene, layout, case.conditions), failures)
+            SensorSet.of(perceiving(case.scene, layout, case.conditions), failures)
             for case in self.cases
         )
-        self.terms = Terms(
+        self.terms = ScoreTerms(
             tuple(sensor_array(crew) for crew in self.crews),
             tuple(case.scene.voxels.size for case in self.cases),
             np.array(self.objective.weights),
@@ -219,15 +225,17 @@ class Problem:
         return Space(self.cases[0].scene, self.layout, self._constraints)
 
     @cached_property
-    def fields(self) -> tuple[Field, ...]:
+    def fields(self) -> tuple[SceneArrays, ...]:
         """Every case's arrays in full."""
         found = []
         for case in self.cases:
-            world = world_of(case.scene)
+            world = tiled_scene_of(case.scene)
             if self.objective.weights[2] > 0:
                 check_entropy(case.scene, metrics.entropy(world.occupancy).sum())
             arrays = case.scene.voxels.weight, world.voxel_occupancy
-            found.append(Field(about_center(case.scene), *(on_device(x, float) for x in arrays)))
+            found.append(
+                SceneArrays(about_center(case.scene), *(on_device(x, float) for x in arrays))
+            )
         return tuple(found)
 
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
@@ -240,7 +248,7 @@ class Problem:
         measures = []
         for case, crew in zip(self.cases, self.crews, strict=True):
             found = measure_exactly(
-                world_of(case.scene),
+                tiled_scene_of(case.scene),
                 poses,
                 crew,
                 case.scene.voxels.size,
@@ -285,12 +293,12 @@ class Problem:
         drawn = self.draw(rng, columns, frames)
         return Sample(jax.device_put(self.take(drawn)), self.share(drawn))
 
-    def take(self, drawn: Drawn) -> tuple[Field, ...]:
+    def take(self, drawn: Drawn) -> tuple[SceneArrays, ...]:
         """Some columns and frames of every case's arrays, in NumPy."""
         return take(self._on_host, drawn)
 
     @cached_property
-    def _on_host(self) -> tuple[Field, ...]:
+    def _on_host(self) -> tuple[SceneArrays, ...]:
         return jax.tree.map(np.asarray, self.fields)
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
@@ -308,7 +316,7 @@ class Problem:
     def slope(
         self,
         poses: Float[Any, "S 6"],
-        on: tuple[Field, ...] | tuple[World, ...],
+        on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
         softness: Float[Array, ""],
     ) -> tuple[float, Float[np.ndarray, "S 6"]]:
         """The objective of poses about the centre, read softly [m], and its slope in them."""
@@ -324,7 +332,7 @@ class Problem:
 
     # ── Candidates one by one, for greedy and integer programs ──
 
-    def shares(self, sample: Sample) -> Shares:
+    def shares(self, sample: Sample) -> VoxelWeights:
         """What each voxel of a sample counts for."""
         parts = []
         for part in sample.fields:
@@ -336,7 +344,7 @@ class Problem:
             parts.append((weight / weight.sum(), free, entropy / max(entropy.sum(), 1e-9)))
         n = len(parts)
         weight, free, entropy = (np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True))
-        return Shares(weight, free, entropy)
+        return VoxelWeights(weight, free, entropy)
 
     def views(
         self, s: int, poses: Float[np.ndarray, "K 6"], sample: Sample
@@ -350,9 +358,11 @@ class Problem:
         views, seen = [], []
         for case, world, crew in zip(self.cases, sample.worlds, self.crews, strict=True):
             grid = next(grid for grid, index in crew.groups if s in index)
-            own = spares_own(*self.options.values())
+            own = ignores_self_occlusion(*self.options.values())
             half = case.scene.voxels.size / 2
-            f, v = see(grid, half, jnp.asarray(poses, float), world, spare_own=own)
+            f, v = view_from_poses(
+                grid, half, jnp.asarray(poses, float), world, ignore_self_occlusion=own
+            )
             views.append(f)
             seen.append(v)
         return np.concatenate(views, -1), np.concatenate(seen, -1)
@@ -370,7 +380,7 @@ def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]"
     return kept
 
 
-def take(fields: tuple[Field, ...], drawn: Drawn) -> tuple[Field, ...]:
+def take(fields: tuple[SceneArrays, ...], drawn: Drawn) -> tuple[SceneArrays, ...]:
     """Some columns and frames of every case's arrays."""
     parts = []
     for part, (at, when) in zip(fields, drawn, strict=True):
@@ -380,7 +390,9 @@ def take(fields: tuple[Field, ...], drawn: Drawn) -> tuple[Field, ...]:
         weight, occupancy = (x.reshape(-1, levels)[at].reshape(-1) for x in leaves)  # type: ignore[union-attr]
         prisms = jax.tree.map(lambda leaf: leaf[when], ground.prisms)  # noqa: B023
         parts.append(
-            Field(Ground(ground.columns[at], ground.heights[at], prisms), weight, occupancy)
+            SceneArrays(
+                CenteredScene(ground.columns[at], ground.heights[at], prisms), weight, occupancy
+            )
         )
     return tuple(parts)
 
@@ -392,7 +404,7 @@ def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames="reference")
-def _free(part: Field, reference: str) -> Float[Array, "T V"]:
+def _free(part: SceneArrays, reference: str) -> Float[Array, "T V"]:
     """The voxels that occlusion counts in each frame: those outside vehicles, or inside."""
 
     def one(prisms: Prism) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.compile_ahead import Ahead, Job
+from inspe_jax.placement.compile_ahead import Ahead, CompileJob
 from inspe_jax.placement.problem import Problem, Sample
 
 State = dict[str, Any]
@@ -45,7 +45,7 @@ class Method:
     summary: str
     begin: "Callable[[Run], State]"
     step: "Callable[[Run, State], State | None]"
-    ahead: "Callable[[Run], Mapping[str, Job]]" = lambda run: {}
+    ahead: "Callable[[Run], Mapping[str, CompileJob]]" = lambda run: {}
 
 
 @dataclass(frozen=True)

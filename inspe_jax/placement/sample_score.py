@@ -16,7 +16,7 @@ from inspe_jax.placement.problem import Problem, Sample
 _PART = 256  # rows that are turned into numbers at a time
 
 
-class Tally:
+class SampleScore:
     """What sets of sensors score on one sample of a problem.
 
     With ``failures`` in the objective it is the mean over the units of the score without that

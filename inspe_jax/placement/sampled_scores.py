@@ -14,15 +14,15 @@ from jaxtyping import Array, Float, Int
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import count_exactly
-from inspe_jax.scoring.reference import Field, Measures, SensorArray
+from inspe_jax.scoring.reference import Metrics, SceneArrays, SensorArray
 from inspe_jax.scoring.soft import read_softly
-from inspe_jax.scoring.tiled_scene import World, world_in_one_tile
+from inspe_jax.scoring.tiled_scene import TiledScene, sample_in_one_tile
 
 COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, np.min)}
 """How the scores of several scenes become one, in JAX and in NumPy."""
 
 
-class Terms(NamedTuple):
+class ScoreTerms(NamedTuple):
     """What a score is made of, but for the poses and the sample.
 
     ``sensors`` and ``voxel`` [m] of every case; ``weights`` (3,) of C, O, IG; ``failures``, the
@@ -37,7 +37,7 @@ class Terms(NamedTuple):
 
 @jax.jit
 def scores(
-    measures: list[Measures], weights: Float[Any, "3"], failures: Int[Any, ""]
+    measures: list[Metrics], weights: Float[Any, "3"], failures: Int[Any, ""]
 ) -> Float[Array, " N"]:
     """P_sm of every case; with failures the mean of those without each unit."""
     found = []
@@ -54,8 +54,8 @@ def scores(
 @partial(jax.jit, static_argnames=("occlusion_reference", "visibility"))
 def hard_scores(
     poses: Float[Array, "S 6"],
-    worlds: tuple[World, ...],
-    terms: Terms,
+    worlds: tuple[TiledScene, ...],
+    terms: ScoreTerms,
     *,
     occlusion_reference: str,
     visibility: str,
@@ -72,8 +72,8 @@ def hard_scores(
 @partial(jax.jit, static_argnames=("occlusion_reference", "visibility", "over"))
 def soft_slope(
     poses: Float[Array, "S 6"],
-    on: tuple[Field, ...] | tuple[World, ...],
-    terms: Terms,
+    on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
+    terms: ScoreTerms,
     softness: Float[Array, ""],
     *,
     occlusion_reference: str,
@@ -83,7 +83,7 @@ def soft_slope(
     """The score of all cases, read softly [m], and its slope in the poses; on samples or worlds."""
     width = Softness.of(softness)
     options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    worlds = [world_in_one_tile(part) if isinstance(part, Field) else part for part in on]
+    worlds = [sample_in_one_tile(part) if isinstance(part, SceneArrays) else part for part in on]
 
     def score(poses: Array) -> Array:
         measures = [

@@ -18,7 +18,7 @@ from shapely.geometry import MultiPoint
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.placement.constraints import PLACES, Constraints
-from inspe_jax.placement.convex_regions import into_disc, make_pieces
+from inspe_jax.placement.convex_regions import into_disc, make_regions
 from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
 from inspe_jax.placement.feasibility import TOLERANCE, Fault, differences, faults, on_span
 from inspe_jax.placement.site import Site
@@ -113,7 +113,7 @@ class Space:
             if not row:
                 raise InspeError(self._nowhere(u))
             rows.append(row)
-        self._pieces = make_pieces(pool)
+        self._pieces = make_regions(pool)
         self._allowed = np.array([np.isin(np.arange(len(pool)), row) for row in rows])
         self._pole = np.isin(np.arange(len(pool)), len(shared) + np.arange(len(feet)))
 
@@ -240,7 +240,7 @@ class Space:
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
         wide = np.where(self._pieces.area > 0, far, np.inf)
         place = np.where(wide.min(1) <= _NEAR**2, wide.argmin(1), far.argmin(1))
-        v = self._limits.unswing(c)._replace(base=self._pieces.chart(c.base, place, np))
+        v = self._limits.from_bounded(c)._replace(base=self._pieces.chart(c.base, place, np))
         return v.flat(), place
 
     def from_chart(
@@ -249,7 +249,7 @@ class Space:
         """The inverse of :meth:`chart`: feasible for any v, and by JAX differentiable in it."""
         c = self.split(v)
         base = self._pieces.at(c.base, place, xp)
-        return self._limits.swing(c, xp)._replace(base=base).flat(xp)
+        return self._limits.to_bounded(c, xp)._replace(base=base).flat(xp)
 
     # ── Starts, random layouts, candidates ──
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.studies.pareto import Mix, Point
+from inspe_jax.placement.studies.pareto import DeviceMix, Point
 from inspe_jax.report.sheet import WIDTH, fit, house_style
 
 FRONT, BEATEN = "#0072b2", "#808080"
@@ -15,14 +15,14 @@ NAMED = 12
 """Mixes on the front that are named at most: those that add most."""
 
 
-def pareto_view(mixes: Sequence[Mix | Point]) -> Figure:
+def pareto_view(mixes: Sequence[DeviceMix | Point]) -> Figure:
     """Score against cost of every mix of devices; the front as a staircase with its mixes named.
 
     Raises InspeError where there is no mix.
     """
     if not mixes:
         raise InspeError("no mix to draw")
-    found = [mix.point if isinstance(mix, Mix) else mix for mix in mixes]
+    found = [mix.point if isinstance(mix, DeviceMix) else mix for mix in mixes]
     front = sorted((mix for mix in found if mix.front), key=lambda mix: mix.cost)
     beaten = [mix for mix in found if not mix.front]
     names = _named(front)

@@ -10,7 +10,7 @@ from rich.text import Text
 from inspe_jax.core.version import __version__
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import count_inside
-from inspe_jax.dataset.statistics import Hits, Statistics, bands, table_row
+from inspe_jax.dataset.statistics import PointCounts, Statistics, bands, table_row
 from inspe_jax.report.tables import table_of
 from inspe_jax.simulation.frame import KINDS
 
@@ -113,5 +113,5 @@ def _sizes(found: Statistics, kind: int) -> dict[str, list[float] | None]:
     return dict(zip(_AXES, quartiles, strict=True))
 
 
-def _bands(hits: Hits) -> dict[str, list[dict[str, Any]]]:
+def _bands(hits: PointCounts) -> dict[str, list[dict[str, Any]]]:
     return {kind: [asdict(band) for band in bands(hits, k)] for k, kind in enumerate(KINDS)}

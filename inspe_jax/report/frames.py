@@ -18,7 +18,7 @@ from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.report.dataset_figure import counted
 from inspe_jax.report.figures import CLASS_COLORS, KEYS
 from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, WIDTH, fit, house_style
-from inspe_jax.simulation.frame import KINDS, Frame, Image, Station, Thing
+from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
 from inspe_jax.simulation.projection import box_lines, corners
 
 MARGIN = 6.0
@@ -152,7 +152,7 @@ def _heights(frame: Frame, z: Float[np.ndarray, " N"]) -> tuple[float, float]:
     return low, max(high, low + 1.0)
 
 
-def _color(thing: Thing) -> str:
+def _color(thing: RoadUserBox) -> str:
     return CLASS_COLORS[KINDS.index(thing.kind)]
 
 
@@ -208,7 +208,7 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
     return keys
 
 
-def _draw_image(ax: Axes, image: Image, things: Sequence[Thing], words: str) -> None:
+def _draw_image(ax: Axes, image: Image, things: Sequence[RoadUserBox], words: str) -> None:
     """An image and the boxes that fall on it."""
     height, width = image.rgb.shape[:2]
     ax.imshow(image.rgb, extent=(0, width, height, 0))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.viewshed import Sight, Viewshed
+from inspe_jax.scoring.viewshed import Viewshed, Visibility
 
 HIDDEN = 0.5
 """A column that traffic hides for more than this share of the time that it is free is a blind
@@ -18,10 +18,10 @@ BLIND = (
     ("never in view", "#202020"),
 )
 """Kinds of columns: what is out of view in greys, what traffic hides in Okabe and Ito's orange."""
-SIGHT_COLORS: dict[Sight, str] = {
-    Sight.OUT_OF_VIEW: "#202020",
-    Sight.HIDDEN: "#e69f00",
-    Sight.SEEN: "#56b4e9",
+SIGHT_COLORS: dict[Visibility, str] = {
+    Visibility.OUT_OF_VIEW: "#202020",
+    Visibility.HIDDEN: "#e69f00",
+    Visibility.SEEN: "#56b4e9",
 }
 """Of voxels in one frame, in the same colours; those that are seen in sky blue."""
 

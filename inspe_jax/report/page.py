@@ -33,7 +33,7 @@ from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
-from inspe_jax.scoring.viewshed import Sight, Viewshed, viewshed
+from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -135,8 +135,8 @@ def report_page(
         scene=scene,
         around=entries[0].scores.conditions.words,
         keys={
-            f"hidden by traffic in frame {frame}": SIGHT_COLORS[Sight.HIDDEN],
-            "never in view": SIGHT_COLORS[Sight.OUT_OF_VIEW],
+            f"hidden by traffic in frame {frame}": SIGHT_COLORS[Visibility.HIDDEN],
+            "never in view": SIGHT_COLORS[Visibility.OUT_OF_VIEW],
             "road user": USER_COLOR,
             "camera": SENSOR_COLORS["camera"],
             "LiDAR": SENSOR_COLORS["lidar"],

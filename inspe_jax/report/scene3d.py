@@ -21,7 +21,7 @@ from inspe_jax.report.server import Door, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.viewshed import Sight, sight_in
+from inspe_jax.scoring.viewshed import Visibility, sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
@@ -33,7 +33,7 @@ GROUND_COLORS: dict[Region, str] = dict(
 USER_COLOR = "#fafafa"
 BROKEN_COLOR = "#ff1744"
 """Of sensors that break a rule of mounting, which have a ! beside their number, too."""
-OPACITY = {Sight.OUT_OF_VIEW: 0.45, Sight.HIDDEN: 0.6, Sight.SEEN: 0.12}
+OPACITY = {Visibility.OUT_OF_VIEW: 0.45, Visibility.HIDDEN: 0.6, Visibility.SEEN: 0.12}
 """Of the voxels that are drawn."""
 FAINT = 0.3
 """Share of that for voxels that are out of date."""
@@ -104,9 +104,9 @@ class Stage:
             self._boxes(f"road users/{name}", center, traffic.size[frame, who], USER_COLOR, turn)
 
     def draw_voxels(
-        self, sight: Int[np.ndarray, " V"], shown: Iterable[Sight], *, faint: bool = False
+        self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility], *, faint: bool = False
     ) -> None:
-        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Sight`.
+        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Visibility`.
 
         ``faint`` where that was so before a change.
         """
@@ -313,7 +313,7 @@ def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int)
         stage = Stage(server.scene, scene)
         stage.draw_users(frame)
         sight = sight_in(scene, layout, frame, conditions=conditions)
-        stage.draw_voxels(sight, (Sight.HIDDEN, Sight.OUT_OF_VIEW))
+        stage.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
         stage.draw_layout(conditions.layout(layout))
         look_from(server.initial_camera, scene)
         return server.scene.as_html()

@@ -14,7 +14,7 @@ from rich.text import Text
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.version import __version__
 from inspe_jax.placement.result import Result
-from inspe_jax.placement.studies.pareto import Mix
+from inspe_jax.placement.studies.pareto import DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
@@ -145,7 +145,7 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
     return table
 
 
-def pareto_table(found: Sequence[Mix]) -> RenderableType:
+def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
     """What mixes of devices cost and score, cheapest first; those that no other beats in bold."""
     table = table_of("Cost against score", "mix", "cost\n[US$]", *METRICS.values(), "objective", "")
     for mix in found:

@@ -15,9 +15,14 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
-from inspe_jax.scoring.reference import Crew, sensor_array
+from inspe_jax.scoring.reference import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
-from inspe_jax.scoring.tiled_scene import World, bare_world_of, whole_world_of, world_of
+from inspe_jax.scoring.tiled_scene import (
+    TiledScene,
+    bare_tiled_scene_of,
+    tiled_scene_of,
+    whole_tiled_scene_of,
+)
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import from_center, poses_about_center
@@ -112,16 +117,16 @@ def evaluate(
     traced, voxel = isinstance(layout.poses, jax.core.Tracer), scene.voxels.size
     each = () if traced else tuple((s,) for s in range(len(layout)))
     width = Softness.of(softness)
-    sensors = sensor_array(Crew.of(layout, each), ONE_MORE if width.exact else 0)
+    sensors = sensor_array(SensorSet.of(layout, each), ONE_MORE if width.exact else 0)
     given = layout.poses
     if width.exact and traced:  # a step function of the poses
         given = jax.lax.stop_gradient(given)
     filled = from_center(scene, sensors.filled(given))
     if width.exact:
-        world = (whole_world_of if traced else world_of)(scene)
+        world = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
         found = count_exactly(world, filled, sensors, voxel, **options)
     else:
-        world = bare_world_of(scene)
+        world = bare_tiled_scene_of(scene)
         found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)
     if weights[2] > 0:
         check_entropy(scene, found.entropy)
@@ -201,13 +206,13 @@ def evaluate_many(
     for one in layouts:
         check_layout(scene, one)
     layout = perceiving(scene, layout, conditions)
-    world = whole_world_of(scene)
+    world = whole_tiled_scene_of(scene)
     if weights[2] > 0:
         check_entropy(scene, metrics.entropy(world.occupancy).sum())
     c, o, ig = measure_many(
         world,
         np.stack([poses_about_center(scene, one) for one in layouts]),
-        Crew.of(layout),
+        SensorSet.of(layout),
         scene.voxels.size,
         **options,
     )
@@ -215,7 +220,7 @@ def evaluate_many(
 
 
 def _by_region(
-    scene: Scene, world: World, columns: Float[Array, " MC"]
+    scene: Scene, world: TiledScene, columns: Float[Array, " MC"]
 ) -> dict[str, Float[Array | np.ndarray, ""]]:
     """The mean over the columns of each region that there is."""
     place, label = np.asarray(world.tiles.place), scene.voxels.region

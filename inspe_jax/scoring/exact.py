@@ -20,24 +20,30 @@ from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups, leave_one_out
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.reference import Crew, Measures, SensorArray, sensor_array, spares_own
-from inspe_jax.scoring.tiled_scene import UNSURE, World, dealt
+from inspe_jax.scoring.reference import (
+    Metrics,
+    SensorArray,
+    SensorSet,
+    ignores_self_occlusion,
+    sensor_array,
+)
+from inspe_jax.scoring.tiled_scene import UNSURE, TiledScene, dealt
 from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.shadows import casts, clear_masks
+from inspe_jax.visibility.shadows import clear_masks, shadow_bounds
 from inspe_jax.visibility.tiles import Tile, nothing_of
 from inspe_jax.visibility.view_masks import view_masks
 
 
 def measure_exactly(
-    world: World,
+    world: TiledScene,
     poses: Float[Array, "S 6"],
-    crew: Crew,
+    crew: SensorSet,
     voxel: float,
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Measures:
+) -> Metrics:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
     As :func:`~inspe_jax.scoring.reference.measure`. Works on all cores; traced, on one, and on a
@@ -50,14 +56,14 @@ def measure_exactly(
 
 
 def count_exactly(
-    world: World,
+    world: TiledScene,
     poses: Float[Array | np.ndarray, "S 6"],
     sensors: SensorArray,
     voxel: float | Array,
     *,
     occlusion_reference: str,
     visibility: str,
-) -> Measures:
+) -> Metrics:
     """:func:`measure_exactly` of arrays that are filled up: of the tiles' columns, and with a row
     for each group of failures that there is room for."""
     views = in_view_of(world, poses, sensors, voxel / 2)
@@ -68,7 +74,10 @@ def count_exactly(
 
 
 def in_view_of(
-    world: World, poses: Float[Array | np.ndarray, "S 6"], sensors: SensorArray, half: float | Array
+    world: TiledScene,
+    poses: Float[Array | np.ndarray, "S 6"],
+    sensors: SensorArray,
+    half: float | Array,
 ) -> UInt[Array | np.ndarray, "S N C"]:
     """Masks of what each sensor has in view."""
     tile = world.tiles.tile
@@ -119,7 +128,7 @@ ONE_MORE = 1
 """Sensors more that there is always room for: here they cost next to nothing."""
 
 
-class Watched(NamedTuple):
+class VisibilityCounts(NamedTuple):
     """Voxels counted over the frames; or, softly, readings summed.
 
     |V_orig| − |V_occ| in row 0 of ``seen``, less what is lost without group g in row 1 + g, and
@@ -135,13 +144,13 @@ class Watched(NamedTuple):
 
 
 def watch_all(
-    world: World,
+    world: TiledScene,
     views: UInt[Array | np.ndarray, "S N C"],
     sensors: Float[Array | np.ndarray, "S 3"],
     failures: Groups | None,
     reference: str,
     visibility: str,
-) -> Watched:
+) -> VisibilityCounts:
     """Go through the frames, tile by tile."""
     options: dict[str, Any] = dict(reference=reference, visibility=visibility)
     sighted = visibility != "in_view"
@@ -156,7 +165,7 @@ def watch_all(
     groups = 0 if failures is None else len(failures.first)
     for share in world.shares:
         few = views[:, share.tiles]
-        watch: Callable[..., Watched] = partial(_watch, **options)
+        watch: Callable[..., VisibilityCounts] = partial(_watch, **options)
         if share.split:
             watch = _split_watch(reference, visibility)
         work = partial(watch, share.tile, few, share.solid, share.prisms, sensors, failures)
@@ -172,13 +181,13 @@ def watch_all(
         _add(columns[share.tiles], part.columns)
         if sighted:
             _add(sights[:, share.tiles], part.sights)
-    return Watched(seen[0], seen[1], columns, sights if sighted else None)
+    return VisibilityCounts(seen[0], seen[1], columns, sights if sighted else None)
 
 
-def joined(parts: list[Watched]) -> Watched:
+def joined(parts: list[VisibilityCounts]) -> VisibilityCounts:
     """What was counted in one run of frames after the other."""
     seen, original, columns, sights = zip(*parts, strict=True)
-    return Watched(
+    return VisibilityCounts(
         jnp.concatenate(seen, 1),
         jnp.concatenate(original, 1),
         sum(columns[1:], columns[0]),
@@ -197,12 +206,12 @@ def _add(total: np.ndarray, counts: Any) -> None:
 
 
 @cache
-def _split_watch(reference: str, visibility: str) -> Callable[..., Watched]:
+def _split_watch(reference: str, visibility: str) -> Callable[..., VisibilityCounts]:
     """:func:`_watch`, every device for its frames."""
     watch = partial(_watch, reference=reference, visibility=visibility)
     sighted = visibility != "in_view"
     whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
-    gives: Any = Watched(second, second, first, first if sighted else None)  # type: ignore[arg-type]
+    gives: Any = VisibilityCounts(second, second, first, first if sighted else None)  # type: ignore[arg-type]
     return sharding.split(watch, (whole, whole, second, first, whole, whole), gives)
 
 
@@ -217,7 +226,7 @@ def _watch(
     *,
     reference: str,
     visibility: str,
-) -> Watched:
+) -> VisibilityCounts:
     """Go through some of the tiles and of the frames; tiles that are empty are skipped.
 
     In a tile only the sensors that have some of it in view are gone through, one group after the
@@ -227,9 +236,9 @@ def _watch(
     without it, unless ``visibility`` is ``past_others``.
     """
     count, frames = len(sensors), len(prisms.top)
-    spare, sighted = spares_own(reference, visibility), visibility != "in_view"
+    spare, sighted = ignores_self_occlusion(reference, visibility), visibility != "in_view"
     kind = jnp.uint8 if frames <= bitmask.BYTE else jnp.int32
-    cast = jax.vmap(casts, (0, None))(sensors, prisms)
+    cast = jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
     # Sensors group by group; without failures all are one.
     groups = 0 if failures is None else len(failures.first)
     order = jnp.arange(count) if failures is None else jnp.asarray(failures.order)
@@ -257,7 +266,7 @@ def _watch(
                 kept = kept.at[i].set(visible)
             if sighted:
                 in_sight = visible if visibility == "past_others" else visible & ~solid
-                sights = sights.at[s].set(bitmask.tally(in_sight, len(tile.heights)))
+                sights = sights.at[s].set(bitmask.count_levels(in_sight, len(tile.heights)))
             return once | visible, twice | (before & visible), before, kept, sights
 
         none = jnp.zeros((frames, views.shape[1]), views.dtype)
@@ -294,32 +303,34 @@ def _watch(
         return jax.lax.cond((part[0].there != 0).any(), step, skip, kept, part)
 
     seen, original, columns, sights = jax.lax.scan(unless_empty, kept, by_tile)[1]
-    return Watched(
+    return VisibilityCounts(
         seen.sum(0), original.sum(0), columns, sights.swapaxes(0, 1) if sighted else None
     )
 
 
 @jax.jit
 def _measures(
-    world: World,
+    world: TiledScene,
     views: UInt[Array, "S N C"],
-    watched: Watched,
+    watched: VisibilityCounts,
     reliability: Float[Array, " S"],
     failures: Groups | None,
-) -> Measures:
+) -> Metrics:
     """From masks and counts to the metrics."""
     slabs, levels = world.tiles.slabs, world.tiles.level_count
     covered = bitmask.without_one(views, failures)
     counts = bitmask.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
     shares = counts.astype(float) / levels
-    by_level = bitmask.tally(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(-1)
+    by_level = bitmask.count_levels(covered[0].reshape(slabs, -1).T, -(-levels // slabs)).reshape(
+        -1
+    )
 
     terms = _entropy_terms(world, views, watched.sights, reliability, failures)
     return summed_up(world, shares, by_level, terms, watched)
 
 
 def _entropy_terms(
-    world: World,
+    world: TiledScene,
     views: UInt[Array, "S N C"],
     sights: Num[Array | np.ndarray, "S *N C Z"] | None,
     reliability: Float[Array, " S"],
@@ -353,12 +364,12 @@ def _entropy_terms(
 
 
 def summed_up(
-    world: World,
+    world: TiledScene,
     shares: Float[Array, "1+G MC"],
     by_level: Num[Array, " Z"],
     terms: tuple[Float[Array, " 1+G"], Float[Array, ""]],
-    watched: Watched,
-) -> Measures:
+    watched: VisibilityCounts,
+) -> Metrics:
     """The metrics, of what is in view of each column and level, and of what is seen.
 
     ``shares`` of each tile column's levels, ``by_level`` in columns, ``terms`` of all voxels as
@@ -367,7 +378,7 @@ def summed_up(
     slabs, levels = world.tiles.slabs, world.tiles.level_count
     seen = watched.columns.reshape(slabs, -1).sum(0)
     there = world.tiles.tile.there.reshape(slabs, -1)[0] != 0
-    return Measures(
+    return Metrics(
         metrics.coverage(shares, world.weight),
         metrics.occlusion(*(jnp.asarray(x, float).T for x in (watched.seen, watched.original))),
         metrics.information_gain(*terms),
@@ -379,9 +390,9 @@ def summed_up(
 
 
 def measure_many(
-    world: World,
+    world: TiledScene,
     poses: Float[np.ndarray, "M S 6"],
-    crew: Crew,
+    crew: SensorSet,
     voxel: float,
     *,
     occlusion_reference: str = "roi",
@@ -413,7 +424,7 @@ def measure_many(
 @partial(jax.jit, static_argnames=("reference", "visibility"))
 def _one(
     poses: Float[Array, "S 6"],
-    world: World,
+    world: TiledScene,
     sensors: SensorArray,
     voxel: Float[Array, ""],
     *,

@@ -20,24 +20,24 @@ from inspe_jax.scoring import metrics
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.sensing.sensors import RayGrid, longer
-from inspe_jax.visibility.centered_scene import Ground
+from inspe_jax.visibility.centered_scene import CenteredScene
 from inspe_jax.visibility.in_view import TOGETHER, view_margins
 from inspe_jax.visibility.shadows import sight
 
 
-class Field(NamedTuple):
+class SceneArrays(NamedTuple):
     """What is scored: the scene's arrays, or a sample of them.
 
     ``weight`` (V,) of the voxels' regions; ``occupancy`` (V,) is p̂, or None to take it from the
     frames of ``ground``.
     """
 
-    ground: Ground
+    ground: CenteredScene
     weight: Float[Array, " V"]
     occupancy: Float[Array, " V"] | None = None
 
 
-class Crew(NamedTuple):
+class SensorSet(NamedTuple):
     """The sensors' fixed side: ``groups`` of one ray grid, ``reliability`` (S,), and the
     ``failures``, groups of sensors that are left out in turn."""
 
@@ -46,7 +46,7 @@ class Crew(NamedTuple):
     failures: tuple[tuple[int, ...], ...] = ()
 
     @classmethod
-    def of(cls, layout: Layout, failures: tuple[tuple[int, ...], ...] = ()) -> "Crew":
+    def of(cls, layout: Layout, failures: tuple[tuple[int, ...], ...] = ()) -> "SensorSet":
         """The sensors of a layout."""
         return cls(layout.groups(), tuple(layout.reliability.tolist()), failures)
 
@@ -60,8 +60,8 @@ SENSORS = 4
 class SensorArray:
     """The sensors' fixed side as arrays: what is compiled serves other sensors of these kinds.
 
-    There is room for S sensors, the first ones being those of a :class:`Crew`. ``kind`` (S,) is
-    the number of each one's kind among ``kinds``; where it is none of them, there is no sensor.
+    There is room for S sensors, the first ones being those of a :class:`SensorSet`. ``kind`` (S,)
+    is the number of each one's kind among ``kinds``; where it is none of them, there is no sensor.
     ``table`` are the numbers of each one's grid of rays.
     """
 
@@ -106,7 +106,7 @@ filled_up.defvjp(_filled_up_forward, _filled_up_backward)
 
 
 @lru_cache(maxsize=64)
-def sensor_array(crew: Crew, spare: int = 0) -> SensorArray:
+def sensor_array(crew: SensorSet, spare: int = 0) -> SensorArray:
     """The arrays of a crew, with room for ``spare`` sensors more at least."""
     kinds = tuple(sorted({grid.kind for grid, _ in crew.groups}, key=lambda kind: kind.name))
     grids = {s: grid for grid, index in crew.groups for s in index}
@@ -132,7 +132,7 @@ def sensor_array(crew: Crew, spare: int = 0) -> SensorArray:
     )
 
 
-class Measures(NamedTuple):
+class Metrics(NamedTuple):
     """C, O and IG: of all sensors in row 0, of all but failure g in row 1 + g.
 
     ``column_coverage`` and ``level_coverage`` are the shares in view of each column's and of each
@@ -148,7 +148,7 @@ class Measures(NamedTuple):
     entropy: Float[Array, ""]
     seen_share: Float[Array, " L"]
 
-    def of_scene(self, place: Any, failures: int) -> "Measures":
+    def of_scene(self, place: Any, failures: int) -> "Metrics":
         """These of arrays that are filled up, as they are of a scene: its columns, so many rows."""
         if not isinstance(self.coverage, jax.core.Tracer):
             place, self = jax.tree.map(np.asarray, (place, self))
@@ -163,15 +163,15 @@ class Measures(NamedTuple):
 
 
 def measure(
-    field: Field,
+    field: SceneArrays,
     poses: Float[Array, "S 6"],
-    crew: Crew,
+    crew: SensorSet,
     voxel: float,
     softness: Softness = EXACT,
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Measures:
+) -> Metrics:
     """The three metrics as functions of pose (about the scene's centre), in the paper's order.
 
     ``voxel`` is the edge of a voxel [m]. Differentiable in the poses where ``softness`` is not 0.
@@ -180,7 +180,7 @@ def measure(
     in_field, on_ray = view_margins(poses, ground.centers, crew.groups, voxel / 2)
     f = step(in_field, softness.field) * step(on_ray, softness.ray)  # (S, V)
     failures = Groups.of_rows(crew.failures, len(poses))
-    seen = watch(
+    seen = accumulate_frames(
         ground,
         poses[:, :3],
         f,
@@ -194,7 +194,7 @@ def measure(
     covered, resolved = leave_one_out(f, failures), leave_one_out(q, failures)
     remaining, total = metrics.entropy_terms(resolved, occupancy)
     by_column = covered[0].reshape(ground.heights.shape)
-    return Measures(
+    return Metrics(
         metrics.coverage(covered, field.weight),
         seen.occlusion,
         metrics.information_gain(remaining, total),
@@ -205,8 +205,9 @@ def measure(
     )
 
 
-class Seen(NamedTuple):
-    """What :func:`watch` gathers over the frames; row 0 is all sensors, 1 + g all but a failure."""
+class FrameSums(NamedTuple):
+    """What :func:`accumulate_frames` gathers over the frames; row 0 is all sensors, 1 + g all but a
+    failure."""
 
     occlusion: Float[Array, " 1+G"]
     occupancy: Float[Array, " V"]
@@ -218,14 +219,14 @@ BLOCK = 1024
 """Columns watched at a time: what they need stays in a core's cache through all frames."""
 
 
-def spares_own(reference: str, visibility: str) -> bool:
+def ignores_self_occlusion(reference: str, visibility: str) -> bool:
     """Whether what is asked for is hidden by other vehicles alone, where it is inside one."""
     return reference == "targets" or visibility == "past_others"
 
 
 @partial(jax.jit, static_argnames=("reference", "visibility"))
-def watch(
-    ground: Ground,
+def accumulate_frames(
+    ground: CenteredScene,
     sensors: Float[Array, "S 3"],
     f: Float[Array, "S V"],
     width: Width = None,
@@ -233,7 +234,7 @@ def watch(
     failures: Groups | None,
     reference: str,
     visibility: str,
-) -> Seen:
+) -> FrameSums:
     """Go through the frames once for each block of columns.
 
     Gives O, the occupancy p̂, and the share of frames in which each voxel is
@@ -253,8 +254,8 @@ def watch(
         def look(prisms: Prism) -> tuple[tuple, tuple]:
             solid = there * step(solid_top(columns, prisms)[:, None] - heights)
             clear = line = sight(sensors, prisms, columns, heights, width)
-            if spares_own(reference, visibility):
-                others = sight(sensors, prisms, columns, heights, width, spare_own=True)
+            if ignores_self_occlusion(reference, visibility):
+                others = sight(sensors, prisms, columns, heights, width, ignore_self_occlusion=True)
                 clear = jnp.where(solid[None] > 0, others, line)
             visible = leave_one_out((f * clear).reshape(flat), failures)
             free, inside = (there - solid).ravel(), solid.ravel()
@@ -294,4 +295,4 @@ def watch(
     if share_sight:
         total = sums[2].swapaxes(0, 1).reshape(len(sensors), -1)  # (S, N·C·Z)
         sight_share = total[:, : length * levels] / frames
-    return Seen(metrics.occlusion(seen, original), occupancy, seen_share, sight_share)
+    return FrameSums(metrics.occlusion(seen, original), occupancy, seen_share, sight_share)

@@ -17,13 +17,19 @@ from jaxtyping import Array, Float, UInt
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import REACH, Groups, Softness, Width, leave_one_out
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.exact import Watched, joined, summed_up
-from inspe_jax.scoring.reference import Crew, Measures, SensorArray, sensor_array, spares_own
-from inspe_jax.scoring.tiled_scene import World
+from inspe_jax.scoring.exact import VisibilityCounts, joined, summed_up
+from inspe_jax.scoring.reference import (
+    Metrics,
+    SensorArray,
+    SensorSet,
+    ignores_self_occlusion,
+    sensor_array,
+)
+from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.sensing.rays import RayTable
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import soft_view
-from inspe_jax.visibility.shadows import WON, casts, may_shade, soft_sight
+from inspe_jax.visibility.shadows import WON, may_shade, shadow_bounds, soft_sight
 from inspe_jax.visibility.tiles import Tile, solid_in, unless_empty
 
 SIGHTS = "sights"
@@ -33,15 +39,15 @@ FRAMES = 20
 
 
 def measure_softly(
-    world: World,
+    world: TiledScene,
     poses: Float[Array, "S 6"],
-    crew: Crew,
+    crew: SensorSet,
     voxel: float,
     softness: Softness,
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Measures:
+) -> Metrics:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
     As :func:`~inspe_jax.scoring.reference.measure`, of a world whose shares have all tiles; its
@@ -58,7 +64,7 @@ def measure_softly(
 
 @partial(jax.jit, static_argnames=("occlusion_reference", "visibility"))
 def read_softly(
-    world: World,
+    world: TiledScene,
     poses: Float[Array, "S 6"],
     sensors: SensorArray,
     voxel: float | Array,
@@ -66,7 +72,7 @@ def read_softly(
     *,
     occlusion_reference: str,
     visibility: str,
-) -> Measures:
+) -> Metrics:
     """:func:`measure_softly` of arrays that are filled up: of the tiles' columns, and with a row
     for each group of failures that there is room for."""
     softness = jax.lax.stop_gradient(softness)
@@ -83,7 +89,7 @@ def read_softly(
     # Kept for the gradient, what every tile needs would be gigabytes; but for what would else have
     # to be found by going through all frames once more.
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SIGHTS))
-    def look(tile: Tile) -> tuple[Array, Array, Array, Watched]:
+    def look(tile: Tile) -> tuple[Array, Array, Array, VisibilityCounts]:
         f = _views(tile, poses, sensors, voxel / 2, softness)
         watched = joined([watch(tile, f, share.prisms) for share in world.shares])
         q = f
@@ -134,7 +140,7 @@ def _watch(
     failures: Groups | None,
     reference: str,
     visibility: str,
-) -> Watched:
+) -> VisibilityCounts:
     """Go through the frames, in one tile."""
     total, levels = len(prisms.top), f.shape[1]
     reach = 0.0 if width is None else REACH * width
@@ -147,7 +153,7 @@ def _watch(
         return x.reshape(parts, each, *x.shape[1:])
 
     split = jax.tree.map(in_parts, (prisms, jnp.ones(total)))
-    sighted, spare = visibility != "in_view", spares_own(reference, visibility)
+    sighted, spare = visibility != "in_view", ignores_self_occlusion(reference, visibility)
     nobody = jnp.zeros(())
 
     def bits(words: UInt[Array, "..."]) -> Float[Array, "..."]:
@@ -172,10 +178,10 @@ def _watch(
             @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(WON))
             def shaded(sensor: Array) -> list[Array]:
                 fixed = jax.lax.stop_gradient(sensor)
-                cast = casts(fixed, prisms, reach)
+                cast = shadow_bounds(fixed, prisms, reach)
                 marked = bitmask.marks(may_shade(fixed, cast, tile))
                 at = sensor, prisms, marked, tile.columns, tile.heights, width
-                found = soft_sight(*at, spare_own=(solid > 0) if spare else False)
+                found = soft_sight(*at, ignore_self_occlusion=(solid > 0) if spare else False)
                 return [found, soft_sight(*at)] if apart else [found]
 
             nothing = jnp.zeros((levels, each, f.shape[1]), f.dtype)
@@ -195,4 +201,4 @@ def _watch(
 
     seen, original, columns, sights = jax.lax.map(some, (split, in_parts(inside)))
     seen, original = (x.swapaxes(0, 1).reshape(len(whole), -1)[:, :total] for x in (seen, original))
-    return Watched(seen, original, columns.sum(0), sights.sum(0) if sighted else None)
+    return VisibilityCounts(seen, original, columns.sum(0), sights.sum(0) if sighted else None)

@@ -20,7 +20,7 @@ from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.parallel import cores, untraced
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.reference import Field
+from inspe_jax.scoring.reference import SceneArrays
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.tiles import SHARES, Tile, Tiles, one_tile, solid, tiles_of
@@ -37,7 +37,7 @@ MANY = 2**18
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Share:
+class WorkChunk:
     """Some of the tiles and some of the frames: what one core goes through.
 
     ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle, None in a bare
@@ -66,7 +66,7 @@ class Share:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class World:
+class TiledScene:
     """What scores need of a scene, or of a sample of one, the same for every layout.
 
     ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
@@ -76,7 +76,7 @@ class World:
     """
 
     tiles: Tiles
-    shares: tuple[Share, ...]
+    shares: tuple[WorkChunk, ...]
     weight: Float[Array, " MC"]
     occupancy: Float[Array, " U"]
     column: Int[Array, " U"]
@@ -96,35 +96,35 @@ class World:
         return self.tiles.of_voxels(found.reshape(*there.shape, -1))
 
     @property
-    def bucketed(self) -> "World":
+    def bucketed(self) -> "TiledScene":
         """The world without what has a length of its own in every scene: what is compiled for it
         serves others too."""
         return replace(self, tiles=replace(self.tiles, place=None), split=None)
 
 
-_worlds: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], World]]" = WeakKeyDictionary()
+_worlds: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], TiledScene]]" = WeakKeyDictionary()
 
 
-def world_of(scene: Scene) -> World:
-    """A scene's :class:`World`, made when it is first asked for and kept as long as the scene.
+def tiled_scene_of(scene: Scene) -> TiledScene:
+    """A scene's :class:`TiledScene`, made when it is first asked for and kept as long as the scene.
 
     One for each precision that JAX is set to.
     """
     return _kept(scene, "shared out", _make_world)
 
 
-def whole_world_of(scene: Scene) -> World:
-    """A scene's :class:`World` with all tiles in every share: for one core, or one device."""
+def whole_tiled_scene_of(scene: Scene) -> TiledScene:
+    """A scene's :class:`TiledScene` with all tiles in every share: for one core, or one device."""
     return _kept(scene, "whole", _make_whole)
 
 
-def bare_world_of(scene: Scene) -> World:
+def bare_tiled_scene_of(scene: Scene) -> TiledScene:
     """The same without the masks of solid voxels, for soft scores: as constants of what is
     compiled for a gradient they would be there several times over."""
     return _kept(scene, "bare", lambda scene: _make_whole(scene, bare=True))
 
 
-def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
+def _kept(scene: Scene, kind: str, make: Callable[[Scene], TiledScene]) -> TiledScene:
     kept = _worlds.setdefault(scene, {})
     key = kind, jnp.zeros((), float).dtype
     if key not in kept:
@@ -132,12 +132,12 @@ def _kept(scene: Scene, kind: str, make: Callable[[Scene], World]) -> World:
     return kept[key]
 
 
-def _make_whole(scene: Scene, bare: bool = False) -> World:
-    world, prisms = world_of(scene), about_center(scene).prisms
+def _make_whole(scene: Scene, bare: bool = False) -> TiledScene:
+    world, prisms = tiled_scene_of(scene), about_center(scene).prisms
     shares, tile = [], world.tiles.tile
     for begin in range(0, world.frame_count, FRAMES):
         part = _some(prisms, slice(begin, begin + FRAMES))
-        shares.append(Share(tile, part, None if bare else solid(tile, part), begin=begin))
+        shares.append(WorkChunk(tile, part, None if bare else solid(tile, part), begin=begin))
     return replace(world, shares=tuple(shares), split=None)
 
 
@@ -146,7 +146,7 @@ def _some(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
     return jax.tree.map(lambda leaf: on_device(np.asarray(leaf)[rows]), arrays)
 
 
-def _make_world(scene: Scene) -> World:
+def _make_world(scene: Scene) -> TiledScene:
     ground = about_center(scene)
     tiles = tiles_of(ground)
     total = len(ground.prisms.top)
@@ -158,18 +158,18 @@ def _make_world(scene: Scene) -> World:
         counts += np.asarray(by_level(inside, counts.shape[-1]))
         if split:
             parts = sharding.put(prisms, 0), sharding.put(inside, 1)
-            shares.append(Share(everywhere, *parts, begin=begin, split=True))
+            shares.append(WorkChunk(everywhere, *parts, begin=begin, split=True))
             continue
         step = min(cores(), SHARES)
         for first in range(step):
             tile, own = _some((tiles.tile, inside), slice(first, None, step))
-            shares.append(Share(tile, prisms, own, first, step, begin))
+            shares.append(WorkChunk(tile, prisms, own, first, step, begin))
     counts = counts.reshape(-1, counts.shape[-1])
     column, level = np.nonzero((counts > 0) & (counts < total))
     spare = wide_bucket(len(column), UNSURE, MANY) - len(column)
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
-    return World(
+    return TiledScene(
         tiles,
         tuple(shares),
         _column_weight(tiles, scene.voxels.column_weight),
@@ -207,8 +207,8 @@ def _runs(total: int) -> list[tuple[int, int, bool]]:
     return runs
 
 
-def world_of_sample(sample: Field) -> World:
-    """The :class:`World` of some columns and frames, in one share.
+def tiled_sample(sample: SceneArrays) -> TiledScene:
+    """The :class:`TiledScene` of some columns and frames, in one share.
 
     Samples of one size make worlds of one shape.
     """
@@ -217,25 +217,25 @@ def world_of_sample(sample: Field) -> World:
     return _in_one_share(sample, tiles, _column_weight(tiles, weight))
 
 
-def world_in_one_tile(sample: Field) -> World:
+def sample_in_one_tile(sample: SceneArrays) -> TiledScene:
     """The same in one tile, traced or not, and bare."""
     tiles = one_tile(sample.ground)
     return _in_one_share(sample, tiles, sample.weight[:: tiles.level_count], bare=True)
 
 
 def _in_one_share(
-    sample: Field, tiles: Tiles, weight: Float[Array, " MC"], bare: bool = False
-) -> World:
+    sample: SceneArrays, tiles: Tiles, weight: Float[Array, " MC"], bare: bool = False
+) -> TiledScene:
     assert sample.occupancy is not None  # that of all frames
     ground = sample.ground
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
     inside = None if bare else solid(tiles.tile, ground.prisms)
-    share = Share(tiles.tile, ground.prisms, inside)
+    share = WorkChunk(tiles.tile, ground.prisms, inside)
     assert tiles.place is not None  # they are just made
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
     column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
-    return World(
+    return TiledScene(
         tiles,
         (share,),
         weight,
@@ -255,4 +255,4 @@ def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array
 @partial(jax.jit, static_argnames="levels")
 def by_level(words: UInt[Array, "N F C"], levels: int) -> Int[Array, "N C Z"]:
     """In how many frames each level's bit is set."""
-    return jax.lax.map(lambda tile: bitmask.tally(tile, levels), words)
+    return jax.lax.map(lambda tile: bitmask.count_levels(tile, levels), words)

@@ -17,17 +17,17 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import options_of
 from inspe_jax.scoring.exact import ONE_MORE, in_view_of, watch_all
-from inspe_jax.scoring.reference import Crew, sensor_array
-from inspe_jax.scoring.tiled_scene import by_level, whole_world_of, world_of
+from inspe_jax.scoring.reference import SensorSet, sensor_array
+from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of, whole_tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
 from inspe_jax.visibility.queries import check_frame, check_layout
-from inspe_jax.visibility.shadows import Casts, casts, clear_masks
+from inspe_jax.visibility.shadows import ShadowBounds, clear_masks, shadow_bounds
 from inspe_jax.visibility.tiles import Tile, Tiles
 
 
-class Sight(IntEnum):
+class Visibility(IntEnum):
     """What a voxel is to a layout in one frame."""
 
     OUT_OF_VIEW = 0
@@ -67,7 +67,7 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
     levels = tiles.tile.heights.shape[1]
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
-    for share in whole_world_of(scene).shares:
+    for share in whole_tiled_scene_of(scene).shares:
         assert share.solid is not None  # it is not bare
         seen += np.asarray(by_level(_look(tiles.tile, views, share.prisms, sensors), levels))
         occupied += np.asarray(by_level(share.solid, levels))
@@ -94,7 +94,7 @@ def _visible(
     reference, visibility = options_of(scene).values()
     if visibility == "in_view":
         return flags.astype(float)
-    world = world_of(scene)
+    world = tiled_scene_of(scene)
     sights = watch_all(world, views, sensors, None, reference, visibility).sights
     assert sights is not None  # they are counted unless only views are asked for
     shares = [world.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
@@ -104,21 +104,21 @@ def _visible(
 def sight_in(
     scene: Scene, layout: Layout, frame: int, *, conditions: Conditions = FAIR
 ) -> UInt[np.ndarray, " V"]:
-    """What each voxel is to a layout in one frame: a :class:`Sight` for each.
+    """What each voxel is to a layout in one frame: a :class:`Visibility` for each.
 
     Raises InspeError as :func:`viewshed` does, or where there is no such frame.
     """
     frame = check_frame(scene, frame)
     layout, tiles, views, sensors = _views(scene, layout, conditions)
-    world = whole_world_of(scene)
+    world = whole_tiled_scene_of(scene)
     (share,) = (s for s in world.shares if s.begin <= frame < s.begin + len(s.prisms.top))
     at = frame - share.begin
     assert share.solid is not None  # it is not bare
     prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[at : at + 1], share.prisms)
     seen = np.asarray(_look(tiles.tile, views, prisms, sensors))
-    found = np.where(tiles.by_voxel(views).any(0), Sight.HIDDEN, Sight.OUT_OF_VIEW)
-    found[tiles.by_voxel(seen[:, 0])] = Sight.SEEN
-    found[tiles.by_voxel(np.asarray(share.solid)[:, at])] = Sight.OCCUPIED
+    found = np.where(tiles.by_voxel(views).any(0), Visibility.HIDDEN, Visibility.OUT_OF_VIEW)
+    found[tiles.by_voxel(seen[:, 0])] = Visibility.SEEN
+    found[tiles.by_voxel(np.asarray(share.solid)[:, at])] = Visibility.OCCUPIED
     return found.astype(np.uint8)
 
 
@@ -128,8 +128,8 @@ def _views(
     """The layout as it is in the conditions, the tiles, what each sensor has in view, and where it
     is; with room for some more sensors."""
     check_layout(scene, layout)
-    layout, world = perceiving(scene, layout, conditions), whole_world_of(scene)
-    sensors = sensor_array(Crew.of(layout), ONE_MORE)
+    layout, world = perceiving(scene, layout, conditions), whole_tiled_scene_of(scene)
+    sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
     poses = sensors.filled(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(world, poses, sensors, scene.voxels.size / 2))
     return layout, world.tiles, views, poses[:, :3]
@@ -140,12 +140,12 @@ def _look(
     tiles: Tile, views: UInt[Array, "S N C"], prisms: Prism, sensors: Float[Array, "S 3"]
 ) -> UInt[Array, "N T C"]:
     """Masks of what some sensor sees in each frame."""
-    cast = jax.vmap(casts, (0, None))(sensors, prisms)
+    cast = jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
 
     def look(part: tuple[Tile, Array]) -> Array:
         tile, views = part
 
-        def add(seen: Array, one: tuple[Array, Casts, Array]) -> tuple[Array, None]:
+        def add(seen: Array, one: tuple[Array, ShadowBounds, Array]) -> tuple[Array, None]:
             sensor, cast, view = one
 
             def look(seen: Array) -> Array:

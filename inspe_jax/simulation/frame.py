@@ -14,7 +14,7 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.traffic.frames import CLASSES
 
 KINDS = CLASSES
-"""Kinds of :class:`Thing`."""
+"""Kinds of :class:`RoadUserBox`."""
 
 MOST_TRACK = 2**16 - 2
 """Tracks run to here: ``track + 1`` must fit a 16-bit picture."""
@@ -48,7 +48,7 @@ def _nothing() -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class RoadUserBox:
     """A road user: an upright box. ``track`` is the same in every frame of a scenario.
 
     ``center`` is the middle of the box [m]; ``size`` is length, width, height [m]; ``velocity``
@@ -108,7 +108,7 @@ class Frame:
 
     number: int
     time: float
-    things: tuple[Thing, ...]
+    things: tuple[RoadUserBox, ...]
     stations: tuple[Station, ...]
 
 
@@ -134,7 +134,7 @@ def check_frame(frame: Frame) -> None:
             _check_points(scan.points, f"{here}: scan {i}: points")
 
 
-def _check_thing(thing: Thing, where: str) -> None:
+def _check_thing(thing: RoadUserBox, where: str) -> None:
     if thing.kind not in KINDS:
         hint = nearest(str(thing.kind), KINDS)
         raise InspeError(f"{where}: kind '{thing.kind}': one of {', '.join(KINDS)}{hint}")

@@ -8,7 +8,7 @@ import shapely
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.simulation.frame import Thing
+from inspe_jax.simulation.frame import RoadUserBox
 
 NEAR = 0.1
 """Edges are cut where they come nearer to the plane of the camera than this [m]."""
@@ -21,7 +21,7 @@ EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) 
 """The 12 edges of a box, two of :func:`corners` each; of those at the front, (3, 0) is lowest."""
 
 
-def corners(things: Sequence[Thing]) -> Float[np.ndarray, "B 8 3"]:
+def corners(things: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
     """Corners of boxes in the world [m]: front left, rear left, rear right, front right at the
     bottom, and again at the top."""
     found = np.zeros((len(things), 8, 3))
@@ -59,7 +59,7 @@ def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
 
 
 def box_lines(
-    image: Pinhole, things: Sequence[Thing], width: int, height: int
+    image: Pinhole, things: Sequence[RoadUserBox], width: int, height: int
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
     """Edges of boxes, each cut to what is on a picture: (column, row) of their ends, and whose.
 

@@ -46,7 +46,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         ) as cluster,
         Client(cluster) as here,
     ):
-        here.register_plugin(Own(count))
+        here.register_plugin(WorkerSetup(count))
         # A worker that dies while it starts is not started again, unless somebody asks.
         cluster.adapt(minimum=count, maximum=count, interval="1s")
         yield here
@@ -103,7 +103,7 @@ COMPILED = (
 """JAX's settings of where it keeps what it compiles."""
 
 
-class Own(WorkerPlugin):
+class WorkerSetup(WorkerPlugin):
     """What each of so many workers of our own does first.
 
     It keeps what it compiles where this process does. It keeps to its share of the cores, as far

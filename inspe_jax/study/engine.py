@@ -16,7 +16,7 @@ AHEAD = 3
 """Jobs that are sent ahead for each worker's thread, so that none waits for the next."""
 
 
-class Job(Protocol):
+class Schedulable(Protocol):
     """What can be sent: a ``key`` of its own, that of its ``scene``, and where that comes from.
 
     Jobs of one scene follow each other.
@@ -35,7 +35,7 @@ class Job(Protocol):
         """The place: its scenes need the same code compiled."""
 
 
-J = TypeVar("J", bound=Job)
+J = TypeVar("J", bound=Schedulable)
 
 
 def dask() -> Any:

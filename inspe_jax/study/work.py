@@ -51,7 +51,7 @@ def build(job: Job) -> Scene | str:
     try:
         return scene_of(job.source, {key: job.settings[key] for key in BUILD})
     except Exception as e:
-        return told(e)
+        return message_of(e)
 
 
 def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
@@ -99,7 +99,7 @@ def work(scene: Scene | str, job: Job, wanted: Row) -> tuple[Row, str | None]:
         layout = placed(job.layout, scene)
         scores, before, found = _scored(scene, layout, job)
     except Exception as e:
-        return row | failed(told(e)), None
+        return row | failed(message_of(e)), None
     facts = (len(layout), scene.voxels.count, round(scene.traffic.mean_count, 2))
     row |= dict(zip(FACTS, map(str, facts), strict=True))
     row |= {name: f"{getattr(scores, name):.7f}" for name in SCORES}
@@ -161,6 +161,6 @@ def _word(value: Any) -> str:
     return str(value).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-def told(e: Exception) -> str:
+def message_of(e: Exception) -> str:
     """What went wrong, in words."""
     return str(e) if isinstance(e, InspeError) else f"{type(e).__name__}: {e}"

@@ -20,7 +20,7 @@ from inspe_jax.scoring.metrics import WEIGHTS
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.display import Display
 from inspe_jax.viewer.handle import Handle, Pull
-from inspe_jax.viewer.job_queue import Desk, Later
+from inspe_jax.viewer.job_queue import JobQueue, Later
 from inspe_jax.viewer.panel import POSE, Panel, put
 from inspe_jax.viewer.scorer import Scored, Scorer
 from inspe_jax.viewer.searcher import Ending, Heard, Searcher
@@ -67,7 +67,7 @@ class Viewer:
         self._picked = 0
         self._grip: tuple[int, Layout, bool] | None = None  # which, of what, whether it was pulled
         self._searching, self._best = False, layout
-        self.desk = Desk(self._failed)
+        self.desk = JobQueue(self._failed)
         self._typing, self._playing = {key: Later() for key in POSE}, Later()
         self.door = Door("127.0.0.1") if door is None else door
         self.server = serve(self.door, port)

@@ -15,9 +15,9 @@ from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.scene3d import Stage, look_from
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.job_queue import Desk, Later
+from inspe_jax.viewer.job_queue import JobQueue, Later
 from inspe_jax.viewer.panel import Panel
-from inspe_jax.viewer.score_panel import board
+from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import Scored
 
 STALE = 0.5
@@ -38,7 +38,7 @@ class Display:
         case: Case,
         opened: Layout,
         panel: Panel,
-        desk: Desk,
+        desk: JobQueue,
         clicked: Callable[[int], None],
     ) -> None:
         """Draw the scene. ``clicked`` is called with a sensor that somebody clicks on."""
@@ -122,7 +122,7 @@ class Display:
 
     def _show_board(self) -> None:
         scored = self.scored
-        self._panel.board.content = board(
+        self._panel.board.content = score_panel(
             self.shown,
             scored,
             frames=self._frames,

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 Job = Callable[[], None]
 
 
-class Desk:
+class JobQueue:
     """Jobs done one after another, in the order in which they were asked for."""
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:

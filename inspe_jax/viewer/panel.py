@@ -7,7 +7,7 @@ from typing import Any
 import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
-from inspe_jax.scoring.viewshed import Sight
+from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.viewer.score_panel import SIGHTS
 from inspe_jax.viewer.store import Earlier
@@ -59,7 +59,7 @@ class Panel:
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
             self.shown = {
-                kind: gui.add_checkbox(name, kind is not Sight.SEEN)
+                kind: gui.add_checkbox(name, kind is not Visibility.SEEN)
                 for kind, name in SIGHTS.items()
             }
         with gui.add_folder("File"):

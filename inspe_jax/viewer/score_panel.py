@@ -9,14 +9,14 @@ from inspe_jax.report.layers import SIGHT_COLORS
 from inspe_jax.report.page import template
 from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
 from inspe_jax.report.tables import METRICS
-from inspe_jax.scoring.viewshed import Sight
+from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scorer import Scored
 
 SIGHTS = {
-    Sight.HIDDEN: "hidden by traffic",
-    Sight.OUT_OF_VIEW: "never in view",
-    Sight.SEEN: "seen",
+    Visibility.HIDDEN: "hidden by traffic",
+    Visibility.OUT_OF_VIEW: "never in view",
+    Visibility.SEEN: "seen",
 }
 """Kinds of voxels in words."""
 KEYS = (
@@ -29,7 +29,7 @@ KEYS = (
 _BOARD = template("viewer", "score_panel.html.j2")
 
 
-def board(
+def score_panel(
     layout: Layout,
     scored: Scored | None,
     *,

@@ -56,7 +56,7 @@ BYTE = 255
 """Masks of which a byte can count the bits."""
 
 
-def tally(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
+def count_levels(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
     """In how many of F masks each of the first ``n`` bits is set; in bytes, where they fit.
 
     Four bits are spread over the four bytes of a word, so that one sum counts all of them.

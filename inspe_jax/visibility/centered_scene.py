@@ -16,7 +16,7 @@ PRISMS = 16
 """Prisms of a frame that there is room for, at least."""
 
 
-class Ground(NamedTuple):
+class CenteredScene(NamedTuple):
     """A scene's arrays about its centre, where single precision is finest.
 
     ``columns`` (L, 2), ``heights`` (L, Z) of the voxel centres, ``prisms`` (T, B).
@@ -33,7 +33,7 @@ class Ground(NamedTuple):
         return jnp.concatenate([jnp.repeat(self.columns, self.heights.shape[1], 0), z], axis=1)
 
 
-def about_center(scene: Scene) -> Ground:
+def about_center(scene: Scene) -> CenteredScene:
     """The scene's columns, heights and prisms, relative to its centre.
 
     Of the prisms of each frame some more at the end are not valid, for scenes of similar traffic to
@@ -46,7 +46,7 @@ def about_center(scene: Scene) -> Ground:
     def filled(values: np.ndarray) -> np.ndarray:
         return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
 
-    return Ground(
+    return CenteredScene(
         columns=on_device(grid.columns - [x, y], float),
         heights=on_device(grid.ground[:, None] - z + grid.levels, float),
         prisms=Prism(

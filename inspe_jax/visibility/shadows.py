@@ -14,12 +14,12 @@ from inspe_jax.core.geometry import (
     Cut,
     Line,
     Prism,
-    Shade,
+    ShadowTerms,
     below_top,
     plan_cut,
     plan_margin,
-    shade,
     shadow_ceiling,
+    shadow_terms,
     stretch,
 )
 from inspe_jax.core.numerics import REACH, Width, exact, step
@@ -32,7 +32,7 @@ def shadow_ceilings(
     prisms: Prism,
     columns: Float[Array, "L 2"],
     *,
-    spare_own: bool = False,
+    ignore_self_occlusion: bool = False,
 ) -> Float[Array, "S L"]:
     """Height [m] below which the prisms (B,) of one frame hide each column from each sensor.
 
@@ -45,11 +45,13 @@ def shadow_ceilings(
         dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
 
         def lift(ceiling, prism_shade):  # type: ignore[no-untyped-def]
-            new = shadow_ceiling(prism_shade, dx, dy, sensor[2], spare_own=spare_own)
+            new = shadow_ceiling(
+                prism_shade, dx, dy, sensor[2], ignore_self_occlusion=ignore_self_occlusion
+            )
             return jnp.maximum(ceiling, new), None
 
         start = jnp.full(len(columns), NEVER, columns.dtype)
-        return jax.lax.scan(lift, start, shade(sensor, prisms), unroll=8)[0]
+        return jax.lax.scan(lift, start, shadow_terms(sensor, prisms), unroll=8)[0]
 
     return jax.vmap(one)(sensors)
 
@@ -68,7 +70,7 @@ def sight(
     heights: Float[Array, "L Z"],
     width: Width = None,
     *,
-    spare_own: bool = False,
+    ignore_self_occlusion: bool = False,
 ) -> Float[Array, "S L Z"]:
     """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
 
@@ -76,14 +78,16 @@ def sight(
     all sensors together.
     """
     if exact(width):
-        ceilings = shadow_ceilings(sensors, prisms, columns, spare_own=spare_own)
+        ceilings = shadow_ceilings(
+            sensors, prisms, columns, ignore_self_occlusion=ignore_self_occlusion
+        )
         return step(heights[None] - ceilings[:, :, None])
     frame = jax.tree.map(lambda leaf: leaf[None], prisms)
     marked = bitmask.marks(frame.valid.T)
 
     def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
         at = sensor, frame, marked, columns.T, heights.T, width
-        return soft_sight(*at, spare_own=spare_own)[:, 0].T
+        return soft_sight(*at, ignore_self_occlusion=ignore_self_occlusion)[:, 0].T
 
     return jax.lax.map(one, sensors)
 
@@ -96,7 +100,7 @@ def soft_sight(
     heights: Float[Array, "Z C"],
     width: Width,
     *,
-    spare_own: bool | Bool[Array, "Z F C"] = False,
+    ignore_self_occlusion: bool | Bool[Array, "Z F C"] = False,
 ) -> Float[Array, "Z F C"]:
     """Chance that the marked prisms (F, B) of each frame leave the lines to some voxels clear.
 
@@ -104,18 +108,25 @@ def soft_sight(
     :data:`WINNERS` prisms that hide most of a column are multiplied, p being the reading of how
     deep the line cuts in sideways times that of how far below the top; prisms that narrowly miss
     count. Who wins is found without differentiation, by how much they hide of the lines to the
-    first of ``heights``, the lowest. ``spare_own``: a prism does not hide the columns it stands on;
-    or which voxels there it does not, and then one sweep finds who wins with and without it.
+    first of ``heights``, the lowest. ``ignore_self_occlusion``: a prism does not hide the columns
+    it stands on; or which voxels there it does not, and then one sweep finds who wins with and
+    without it.
     """
-    both = not isinstance(spare_own, bool)
+    both = not isinstance(ignore_self_occlusion, bool)
     if exact(width):
 
         def clear(own: bool) -> Float[Array, "Z F C"]:
-            ceilings = partial(shadow_ceilings, sensor[None], columns=columns.T, spare_own=own)
+            ceilings = partial(
+                shadow_ceilings, sensor[None], columns=columns.T, ignore_self_occlusion=own
+            )
             over = jax.vmap(lambda prisms: ceilings(prisms=prisms)[0])(prisms)
             return step(heights[:, None] - over[None])
 
-        return jnp.where(spare_own, clear(True), clear(False)) if both else clear(bool(spare_own))
+        return (
+            jnp.where(ignore_self_occlusion, clear(True), clear(False))
+            if both
+            else clear(bool(ignore_self_occlusion))
+        )
     x, y = columns[:, None]
     fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
     # (7, F, B): a prism as it lies, to be fetched by its number.
@@ -128,7 +139,7 @@ def soft_sight(
     frames, count = prisms.top.shape
     spare = jnp.uint32(2 ** max(count - 1, 1).bit_length() - 1)
 
-    sets = (False, True) if both else (spare_own,)
+    sets = (False, True) if both else (ignore_self_occlusion,)
 
     def enter(best: Any, index: Array, some: Array) -> Any:
         prism = table[:, jnp.arange(frames), index][:, :, None]
@@ -178,9 +189,9 @@ def soft_sight(
         asked, best = one
         return jax.lax.cond(asked, clear_of, lambda _: nothing, tuple(best))
 
-    asked = jnp.stack([jnp.array(True), jnp.any(spare_own)])
+    asked = jnp.stack([jnp.array(True), jnp.any(ignore_self_occlusion)])
     line, others = jax.lax.map(read, (asked, jnp.stack([jnp.stack(ranks) for ranks in best])))
-    return jnp.where(spare_own, others, line)
+    return jnp.where(ignore_self_occlusion, others, line)
 
 
 def _own_frame(prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: Array) -> Line:
@@ -218,16 +229,16 @@ def _hides(
 # ── Tile by tile ───────────────────────────────────────────────────
 
 
-class Casts(NamedTuple):
+class ShadowBounds(NamedTuple):
     """The prisms of T frames as one sensor sees them: what tells which tiles their shadows miss.
 
-    ``shade`` (T, B) for the sight lines; of the circle about each prism, (B, T) each: its bearing
+    ``terms`` (T, B) for the sight lines; of the circle about each prism, (B, T) each: its bearing
     ``x``, ``y``, the cosine and sine of half the angle it takes up, whether it is ``around`` the
     sensor, how far away it begins (``near`` [m]), its radius (``span`` [m]), and how far its shadow
     falls for each metre that the sensor is above the ground (``fall``).
     """
 
-    shade: Shade
+    terms: ShadowTerms
     x: Float[Array, "B T"]
     y: Float[Array, "B T"]
     cos: Float[Array, "B T"]
@@ -238,7 +249,7 @@ class Casts(NamedTuple):
     fall: Float[Array, "B T"]
 
 
-def casts(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> Casts:
+def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> ShadowBounds:
     """What one sensor's shadows need of the prisms (T, B), for all tiles; ``wider`` and higher."""
     x, y = prisms.center[..., 0] - sensor[0], prisms.center[..., 1] - sensor[1]
     span = jnp.hypot(prisms.half[..., 0] + wider, prisms.half[..., 1] + wider) + CLOSE
@@ -249,10 +260,12 @@ def casts(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> Casts:
     fall = jnp.where(above > CLOSE, (away + span) / jnp.maximum(above, CLOSE), FAR)
     near = jnp.where(prisms.valid, away - span, FAR)
     columns = x / away, y / away, jnp.sqrt(1.0 - sin * sin), sin, away <= span, near, span, fall
-    return Casts(shade(sensor, prisms), *(leaf.T for leaf in columns))
+    return ShadowBounds(shadow_terms(sensor, prisms), *(leaf.T for leaf in columns))
 
 
-def may_shade(sensor: Float[Array, "3"], casts: Casts, tile: Tile) -> Bool[Array, "B T"]:
+def may_shade(
+    sensor: Float[Array, "3"], shadow_bounds: ShadowBounds, tile: Tile
+) -> Bool[Array, "B T"]:
     """Whether a prism's shadow may touch a tile: if not, it does not.
 
     The circles about both overlap in bearing, the prism does not begin beyond the tile, and its
@@ -263,26 +276,32 @@ def may_shade(sensor: Float[Array, "3"], casts: Casts, tile: Tile) -> Bool[Array
     away = jnp.maximum(jnp.hypot(x, y), CLOSE)
     sin = jnp.minimum(span / away, 1.0)
     cos = jnp.sqrt(1.0 - sin * sin)
-    between = (casts.x * x + casts.y * y) / away  # cosine of the angle between their bearings
-    overlap = between >= cos * casts.cos - sin * casts.sin - CLOSE**2
+    between = (
+        shadow_bounds.x * x + shadow_bounds.y * y
+    ) / away  # cosine of the angle between their bearings
+    overlap = between >= cos * shadow_bounds.cos - sin * shadow_bounds.sin - CLOSE**2
     drop = jnp.maximum(sensor[2] - tile.low, CLOSE)  # more than 0: a prism above it hides all
-    reaches = away - span <= drop * casts.fall + CLOSE
-    return (overlap | casts.around | (away <= span)) & (casts.near <= away + span) & reaches
+    reaches = away - span <= drop * shadow_bounds.fall + CLOSE
+    return (
+        (overlap | shadow_bounds.around | (away <= span))
+        & (shadow_bounds.near <= away + span)
+        & reaches
+    )
 
 
 def stand_on(
-    sensor: Float[Array, "3"], casts: Casts, tile: Tile, solid: UInt[Array, "T C"]
+    sensor: Float[Array, "3"], shadow_bounds: ShadowBounds, tile: Tile, solid: UInt[Array, "T C"]
 ) -> Bool[Array, "B T"]:
     """Whether a prism may stand on a column of a tile, with or without a ``solid`` voxel in it.
 
     By the circles about both; if not, it is :data:`~inspe_jax.visibility.tiles.CLOSE` away from all
     columns. Where no voxel is solid, only a prism may that is lower than some column's lowest.
     """
-    away = casts.near + casts.span
-    x = sensor[0] + away * casts.x - tile.center[0]
-    y = sensor[1] + away * casts.y - tile.center[1]
-    low = (casts.shade.rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
-    close = jnp.hypot(x, y) <= casts.span + tile.radius + CLOSE
+    away = shadow_bounds.near + shadow_bounds.span
+    x = sensor[0] + away * shadow_bounds.x - tile.center[0]
+    y = sensor[1] + away * shadow_bounds.y - tile.center[1]
+    low = (shadow_bounds.terms.rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
+    close = jnp.hypot(x, y) <= shadow_bounds.span + tile.radius + CLOSE
     return close & (low | (solid != 0).any(1)[None])
 
 
@@ -292,7 +311,7 @@ OWN = 16
 
 def clear_masks(
     sensor: Float[Array, "3"],
-    casts: Casts,
+    shadow_bounds: ShadowBounds,
     tile: Tile,
     spared: UInt[Array, "T C"] | None = None,
 ) -> UInt[Array, "T C"]:
@@ -305,16 +324,18 @@ def clear_masks(
     frames and fewer prisms, what is not ``spared``.
     """
     dx, dy = tile.columns[0] - sensor[0], tile.columns[1] - sensor[1]
-    shading = may_shade(sensor, casts, tile)
+    shading = may_shade(sensor, shadow_bounds, tile)
     every = jnp.arange(shading.shape[1])
 
     def above(frames: Array, marked: Array, standing: Array | None) -> UInt[Array, "F C"]:
         """Masks of what is above the ceilings of the marked prisms."""
 
         def lift(ceiling: Array, prism: Array, some: Array) -> Array:
-            of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], casts.shade)  # (F, 1)
+            of = jax.tree.map(
+                lambda leaf: leaf[frames, prism][:, None], shadow_bounds.terms
+            )  # (F, 1)
             own = False if standing is None else standing[prism, frames][:, None]
-            new = shadow_ceiling(of, dx[None], dy[None], sensor[2], spare_own=own)
+            new = shadow_ceiling(of, dx[None], dy[None], sensor[2], ignore_self_occlusion=own)
             return jnp.maximum(ceiling, jnp.where(some[:, None], new, NEVER))
 
         start = jnp.full((len(frames), len(dx)), NEVER, dx.dtype)
@@ -323,7 +344,7 @@ def clear_masks(
 
     if spared is None:
         return above(every, bitmask.marks(shading), None)
-    standing = shading & stand_on(sensor, casts, tile, spared)
+    standing = shading & stand_on(sensor, shadow_bounds, tile, spared)
     clear = above(every, bitmask.marks(shading), standing)
     number = standing.sum(0)
     order, marked = jnp.argsort(-number), bitmask.marks(standing)
@@ -342,5 +363,5 @@ def clear_masks(
 @jax.jit
 def sight_masks(sensor: Float[Array, "3"], prisms: Prism, tiles: Tile) -> UInt[Array, "N T C"]:
     """Masks of the voxels that are in line of sight of one sensor, in T frames of prisms (T, B)."""
-    cast = casts(sensor, prisms)
+    cast = shadow_bounds(sensor, prisms)
     return jax.lax.map(lambda tile: clear_masks(sensor, cast, tile), tiles)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.geometry import NEVER, Prism, top_over
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.centered_scene import Ground
+from inspe_jax.visibility.centered_scene import CenteredScene
 
 COLUMNS = (96, 320)
 """Columns of a tile, in a sample of few and else."""
@@ -81,7 +81,7 @@ class Tiles:
         return values[..., : self.level_count].reshape(*lead, -1)
 
 
-def tiles_of(ground: Ground) -> Tiles:
+def tiles_of(ground: CenteredScene) -> Tiles:
     """Columns halved by their place, along the longer side, into tiles of nearly as many each.
 
     Tiles end in padding, which repeats a column, and there are some tiles of nothing else, so that
@@ -140,7 +140,7 @@ def _halved(
     ]
 
 
-def one_tile(ground: Ground) -> Tiles:
+def one_tile(ground: CenteredScene) -> Tiles:
     """All columns in one tile (of each slab), traced or not: for a few columns, far apart."""
     columns, heights = ground.columns, ground.heights
     slab, exists = _slabs(heights.shape[1])

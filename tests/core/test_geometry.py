@@ -7,8 +7,8 @@ from inspe_jax.core.geometry import (
     Prism,
     ray_cube_margin,
     rotation,
-    shade,
     shadow_ceiling,
+    shadow_terms,
     solid_top,
 )
 
@@ -23,11 +23,13 @@ def prism(x=10.0, y=0.0, yaw=0.0, length=4.0, width=2.0, top=1.5, valid=True):
     )
 
 
-def ceiling(sensor, column, spare_own=False, **shape):
+def ceiling(sensor, column, ignore_self_occlusion=False, **shape):
     s, c = jnp.array(sensor), jnp.array(column)
     d = c - s[:2]
-    seen = shade(s, prism(**shape))
-    return float(shadow_ceiling(seen, d[:1], d[1:], s[2], spare_own=spare_own)[0])
+    seen = shadow_terms(s, prism(**shape))
+    return float(
+        shadow_ceiling(seen, d[:1], d[1:], s[2], ignore_self_occlusion=ignore_self_occlusion)[0]
+    )
 
 
 def test_rotation_follows_the_conventions():
@@ -86,8 +88,10 @@ def test_columns_that_a_prism_does_not_hide():
 
 def test_a_column_inside_a_prism_is_hidden_up_to_the_top_unless_it_is_its_own():
     assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5)) == pytest.approx(1.5, abs=1e-4)
-    assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5), spare_own=True) == NEVER
-    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0), spare_own=True) == pytest.approx(-2.0, abs=1e-4)
+    assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5), ignore_self_occlusion=True) == NEVER
+    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0), ignore_self_occlusion=True) == pytest.approx(
+        -2.0, abs=1e-4
+    )
 
 
 def test_a_sensor_over_a_prism_and_a_sensor_inside_one():

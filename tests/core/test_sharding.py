@@ -33,7 +33,7 @@ for count, options in json.loads(sys.argv[1]):
         getattr(kept, "cache_clear", int)()
     scene, layout = scene_and_layout()
     found = scores(scene, layout, options)
-    places = [len(share.prisms.top.sharding.device_set) for share in world_of(scene).shares]
+    places = [len(share.prisms.top.sharding.device_set) for share in tiled_scene_of(scene).shares]
     print(json.dumps([jax.device_count(), max(places), found]))
 """
 

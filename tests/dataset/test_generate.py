@@ -18,7 +18,7 @@ from opv2v_validator import check_scenario, check_set
 import inspe_jax.dataset as dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import chunk, generate, load_generation
-from inspe_jax.dataset.writer import Making
+from inspe_jax.dataset.writer import DatasetWriter
 
 LAYOUT = """
 name: two masts
@@ -426,7 +426,7 @@ def test_a_server_by_a_name_that_can_be_none():
 def test_one_run_at_a_time(tmp_path):
     generation = load_generation(write(tmp_path))
     with (
-        Making(generation, tmp_path / "out", "embedded"),
+        DatasetWriter(generation, tmp_path / "out", "embedded"),
         pytest.raises(InspeError, match="another run is at work in it"),
     ):
         generate(generation, tmp_path / "out")

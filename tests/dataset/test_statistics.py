@@ -15,7 +15,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset import Frame, Scan, Station, write_frame, write_protocol
 from inspe_jax.dataset.points_in_boxes import SLACK, count_inside
-from inspe_jax.dataset.statistics import RANGE_EDGES, Hits, bands, statistics, table_row
+from inspe_jax.dataset.statistics import RANGE_EDGES, PointCounts, bands, statistics, table_row
 from inspe_jax.simulation.frame import KINDS
 
 LEVEL = np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
@@ -182,14 +182,14 @@ def test_bands_of_range():
     away = np.array([8.0, 8, 8, 9, 9, 0.1, 1e4, 8])
     points = np.array([0, 1, 2, 3, 4, 0, 7, 99])
     kind = np.array([0, 0, 0, 0, 0, 0, 0, 1])
-    near, middle, far = bands(Hits(kind, away, points), 0)
+    near, middle, far = bands(PointCounts(kind, away, points), 0)
     assert (near.low, far.high) == (RANGE_EDGES[0], RANGE_EDGES[-1])
     assert (near.boxes, near.share, near.quartiles) == (1, 0.0, None)
     assert (middle.boxes, middle.share, middle.quartiles) == (5, 0.8, (1.75, 2.5, 3.25))
     assert middle.low == pytest.approx(50**0.5)
     assert middle.high == pytest.approx(10)
     assert far.quartiles == (7, 7, 7)
-    assert bands(Hits(kind, away, points), 2) == ()
+    assert bands(PointCounts(kind, away, points), 2) == ()
 
 
 def test_points_in_a_box_that_stands_across():

@@ -9,13 +9,13 @@ from shapely.geometry import MultiPoint, Point, Polygon, box
 
 from inspe_jax.placement.convex_regions import (
     LEAST_AREA,
+    from_bounded,
+    from_disc,
     into_disc,
-    make_pieces,
+    make_regions,
     merge,
-    swing,
-    swing_disc,
-    unswing,
-    unswing_disc,
+    to_bounded,
+    to_disc,
 )
 
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)
@@ -25,7 +25,7 @@ WEDGE = np.array(
     [[20, 0], [26, 0.0], [26.06, 2.0], [23, 2.5], [20, 2]], float
 )  # an end nearly upright
 SHAPES = [SQUARE, TRAPEZE, LEANING, WEDGE, np.array([[-3.0, 5.0]])]
-PIECES = make_pieces(SHAPES)
+PIECES = make_regions(SHAPES)
 SOLID = [Polygon(shape) for shape in SHAPES if len(shape) > 1]
 ALL = np.ones((1, len(SHAPES)), bool)
 
@@ -180,22 +180,22 @@ def test_everything_has_a_gradient():
 def test_intervals_and_discs_swing_and_invert():
     radius = np.array([2.0, 0.5, 0.0])
     x = radius * [0.9, -0.5, 0.0]
-    np.testing.assert_allclose(swing(unswing(x, radius, np), radius, np), x, atol=1e-12)
+    np.testing.assert_allclose(to_bounded(from_bounded(x, radius, np), radius, np), x, atol=1e-12)
     way = np.array([[0.6, 0.8]]) * (radius * [0.9, 0.5, 0.0])[:, None]
-    np.testing.assert_allclose(swing_disc(unswing_disc(way, radius, np), radius, np), way)
+    np.testing.assert_allclose(to_disc(from_disc(way, radius, np), radius, np), way)
     # In the middle both move as their argument does; the ends are reached and never passed.
-    assert jax.grad(lambda v: swing(v, jnp.asarray(2.0), jnp))(0.0) == pytest.approx(1)
-    turn = jax.jacobian(lambda v: swing_disc(v, jnp.asarray(2.0), jnp))(jnp.zeros(2))
+    assert jax.grad(lambda v: to_bounded(v, jnp.asarray(2.0), jnp))(0.0) == pytest.approx(1)
+    turn = jax.jacobian(lambda v: to_disc(v, jnp.asarray(2.0), jnp))(jnp.zeros(2))
     np.testing.assert_allclose(turn, np.eye(2), atol=1e-6)
     # What lies on the rim still moves.
     rim = jnp.asarray([2.0, 0.0]), jnp.asarray(2.0)
-    for there, back, x in ((swing, unswing, rim[1]), (swing_disc, unswing_disc, rim[0])):
+    for there, back, x in ((to_bounded, from_bounded, rim[1]), (to_disc, from_disc, rim[0])):
         slope = jax.jacobian(lambda v, there=there: there(v, rim[1], jnp))(back(x, rim[1], jnp))
         assert np.abs(slope).ravel()[0] > 0.1  # outward, of the disc
         assert np.linalg.norm(np.asarray(there(back(x, rim[1], jnp), rim[1], jnp))) > 1.95
     v = np.linspace(-50, 50, 10001)
-    assert np.abs(swing(v, np.full(10001, 2.0), np)).max() == pytest.approx(2, abs=1e-4)
-    wide = swing_disc(np.random.default_rng(4).normal(size=(5000, 2)) * 9, np.full(5000, 2.0), np)
+    assert np.abs(to_bounded(v, np.full(10001, 2.0), np)).max() == pytest.approx(2, abs=1e-4)
+    wide = to_disc(np.random.default_rng(4).normal(size=(5000, 2)) * 9, np.full(5000, 2.0), np)
     assert np.hypot(*wide.T).max() == pytest.approx(2, abs=1e-3)
     assert np.hypot(*wide.T).max() <= 2
 

@@ -13,7 +13,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods import greedy, search
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.run import BudgetSpent, Run
-from inspe_jax.placement.sample_score import Tally, times
+from inspe_jax.placement.sample_score import SampleScore, times
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
@@ -309,7 +309,7 @@ def test_grids_of_a_unit_leave_the_others_alone(problem, start):
 def test_sensors_hang_where_they_are_asked_to(problem, start):
     space = problem.space
     asked = np.array([[3.0, 7.0], [12.0, 8.0], [3.0, 3.0], [9.5, 9.5]])
-    x = candidates.hang(space, np.tile(start, (4, 1)), 1, (2, 3), asked)
+    x = candidates.set_heights(space, np.tile(start, (4, 1)), 1, (2, 3), asked)
     for row, heights in zip(x, asked, strict=True):
         assert np.allclose(candidates.above_ground(space, row)[2:4], heights, atol=1e-4)
         layout = space.layout(row)
@@ -353,7 +353,7 @@ def test_units_that_must_stay_have_their_feet_among_the_candidates(scene):
         assert space.can_stand(feet)[u].any()
 
 
-# ── Tally ───────────────────────────────────────────────────────────────────
+# ── Scores of samples ───────────────────────────────────────────────────────────────────
 
 
 def other_traffic(scene):
@@ -386,7 +386,7 @@ def test_bits_add_up_to_the_score(scene, name):
     objective, two = OBJECTIVES[name]
     problem = Problem([scene, Case(other_traffic(scene))] if two else scene, crew(scene), objective)
     sample = problem.sample(np.random.default_rng(1), 96, 3)
-    tally, x = Tally(problem, sample), problem.space.random(np.random.default_rng(2), 3)
+    tally, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)
     bits = {s: tally.view(problem, s, stand[:, s]) for s in range(5)}
     for m, score in enumerate(problem.rough(x, sample)):

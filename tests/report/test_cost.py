@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.studies.pareto import Mix
+from inspe_jax.placement.studies.pareto import DeviceMix
 from inspe_jax.report.cost import NAMED, pareto_view
 from inspe_jax.report.tables import pareto_table
 
@@ -18,7 +18,7 @@ def mix_of(count, cost, objective, front):
     result = SimpleNamespace(
         objective=objective, scores=scores, method="random", settings={"scenes": [{"name": "here"}]}
     )
-    return Mix({"device": count}, cost, result, front)
+    return DeviceMix({"device": count}, cost, result, front)
 
 
 @pytest.fixture

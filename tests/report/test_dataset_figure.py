@@ -14,7 +14,7 @@ from rich.console import Console
 import inspe_jax.dataset as dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, Image, Station, write_frame, write_protocol
-from inspe_jax.dataset.statistics import Hits, statistics
+from inspe_jax.dataset.statistics import PointCounts, statistics
 from inspe_jax.report.dataset_figure import FEWEST, statistics_view
 from inspe_jax.report.dataset_tables import frame_table, statistics_record, statistics_table
 from inspe_jax.report.figures import CLASS_COLORS
@@ -100,8 +100,8 @@ def test_sizes_are_drawn_where_they_are(found):
 def test_points_against_range_are_those_counted(found):
     """One scan: 1 to 5 points at 8 m, and too few boxes at 30 m; all together: 10 points."""
     kind = np.zeros(FEWEST + 2, int)
-    single = Hits(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
-    merged = Hits(kind[:5], np.full(5, 9.0), np.full(5, 10))
+    single = PointCounts(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
+    merged = PointCounts(kind[:5], np.full(5, 9.0), np.full(5, 10))
     fig = statistics_view(replace(found, single=single, merged=merged))
     above, *_ = panels(fig)["car"]
     dots, one, together = above.lines
@@ -119,7 +119,7 @@ def test_points_against_range_are_those_counted(found):
 
 
 def test_a_set_without_point_clouds_says_so(found):
-    empty = Hits(np.zeros(0, int), np.zeros(0), np.zeros(0, int))
+    empty = PointCounts(np.zeros(0, int), np.zeros(0), np.zeros(0, int))
     splits = tuple(replace(split, clouds=0, points=0) for split in found.splits)
     fig = statistics_view(replace(found, splits=splits, single=empty, merged=empty))
     assert "car" not in panels(fig)

@@ -18,13 +18,13 @@ from worlds import (
     world,
 )
 
-from inspe_jax.placement.candidate_views import see
+from inspe_jax.placement.candidate_views import view_from_poses
 from inspe_jax.scoring import exact, metrics
 from inspe_jax.scoring import tiled_scene as made
-from inspe_jax.scoring.reference import Crew, Field, measure
+from inspe_jax.scoring.reference import SceneArrays, SensorSet, measure
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.visibility import bitmask, view_masks
-from inspe_jax.visibility.centered_scene import Ground, about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.tiles import tiles_of
 
 SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
@@ -53,11 +53,11 @@ compiled_measure = jax.jit(
 
 def both(scene, layout, failures=(), **options):
     """(dense, by masks)."""
-    crew = Crew.of(layout, failures)
+    crew = SensorSet.of(layout, failures)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
-    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = compiled_measure(field, poses, crew, voxel, **options)
-    return dense, exact.measure_exactly(made.world_of(scene), poses, crew, voxel, **options)
+    return dense, exact.measure_exactly(made.tiled_scene_of(scene), poses, crew, voxel, **options)
 
 
 def assert_same(dense, counted):
@@ -145,7 +145,7 @@ def test_a_sensor_in_every_awkward_place():
 def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
     scene = world(seed=4)
     layout = random_layout(scene, SPECS, seed=4)
-    crew = Crew.of(layout, UNITS)
+    crew = SensorSet.of(layout, UNITS)
     found = []
     for number in (1, 2, 8):
         monkeypatch.setattr(made, "cores", lambda number=number: number)
@@ -166,25 +166,25 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     rng = np.random.default_rng(0)
     at = np.sort(rng.choice(len(full.columns), 77, replace=False))
     prisms = jax.tree.map(lambda leaf: leaf[np.array([3, 1])], full.prisms)
-    field = Field(
-        Ground(full.columns[at], full.heights[at], prisms),
+    field = SceneArrays(
+        CenteredScene(full.columns[at], full.heights[at], prisms),
         jnp.asarray(np.repeat(scene.voxels.column_weight[at], levels), float),
         jnp.asarray(rng.uniform(size=77 * levels), float),
     )
-    crew = Crew.of(layout, UNITS)
+    crew = SensorSet.of(layout, UNITS)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
-    sample = made.world_of_sample(field)
+    sample = made.tiled_sample(field)
     traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, crew, voxel))
     assert_same(compiled_measure(field, poses, crew, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    views, seen = see(grid, voxel / 2, s, sample)
+    views, seen = view_from_poses(grid, voxel / 2, s, sample)
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])
     assert not (seen & ~views[:, None]).any()
     assert seen[0].any()
-    alone = Crew(((grid, (0,)),), (1.0,))
+    alone = SensorSet(((grid, (0,)),), (1.0,))
     one = compiled_measure(field, poses[:1], alone, voxel)
     assert views[0].mean() == pytest.approx(float(one.column_coverage.mean()), abs=1e-6)
 
@@ -203,14 +203,14 @@ def test_layouts_of_one_shape_compile_once():
 
 def test_a_world_is_kept_as_long_as_its_scene():
     scene = world(seed=1)
-    first = made.world_of(scene)
-    assert made.world_of(scene) is first
+    first = made.tiled_scene_of(scene)
+    assert made.tiled_scene_of(scene) is first
     other = replace(scene, traffic=random_traffic(scene.intersection, 2, 3, 20.0, seed=1))
-    assert made.world_of(other) is not first
+    assert made.tiled_scene_of(other) is not first
     kept = len(made._worlds)
     del scene, other
     assert len(made._worlds) <= kept - 2
-    assert made.world_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
+    assert made.tiled_scene_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
 
 
 @pytest.mark.parametrize("voxel", slow_but([TALL["voxel"], 0.5], 0.5))
@@ -229,7 +229,7 @@ def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel
         inside.append((within.all(-1) & (away[..., 2] < t.size[k, :, 2] / 2) & t.valid[k]).any(1))
     share = np.mean(inside, 0)
     assert 0.01 < ((share > 0) & (share < 1)).mean() < 0.5
-    np.testing.assert_allclose(made.world_of(scene).voxel_occupancy, share % 1, atol=1e-6)
+    np.testing.assert_allclose(made.tiled_scene_of(scene).voxel_occupancy, share % 1, atol=1e-6)
 
 
 @pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5, 2.0])

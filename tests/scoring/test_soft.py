@@ -24,9 +24,9 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
-from inspe_jax.scoring.reference import Crew, Field, measure
+from inspe_jax.scoring.reference import SceneArrays, SensorSet, measure
 from inspe_jax.scoring.soft import measure_softly
-from inspe_jax.scoring.tiled_scene import bare_world_of
+from inspe_jax.scoring.tiled_scene import bare_tiled_scene_of
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
@@ -110,8 +110,8 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
     scene = world(radius=25.0, voxel=1.0, frames=23, count=12)
     layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
-    crew, poses = Crew.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
-    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    crew, poses = SensorSet.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
+    field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     options = dict(occlusion_reference="covered", visibility="line_of_sight")
     softness, voxel = Softness.of(READINGS[reading]), scene.voxels.size
 
@@ -122,7 +122,9 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
         return total(compiled_measure(field, poses, crew, voxel, softness, **options))
 
     def tiled(poses):
-        return total(measure_softly(bare_world_of(scene), poses, crew, voxel, softness, **options))
+        return total(
+            measure_softly(bare_tiled_scene_of(scene), poses, crew, voxel, softness, **options)
+        )
 
     slope, found = jax.grad(tiled, has_aux=True)(poses)
     expected_slope, expected = jax.grad(plain, has_aux=True)(poses)
@@ -144,12 +146,12 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(size):
     """All vehicles against all columns again; of two vehicles both win in every slab."""
     scene = world(seed=3, **size)
     layout = random_layout(scene, [LIDAR, CAMERA], seed=6, heights=(3.0, 6.0))
-    crew, poses = Crew.of(layout, ((0,), (1,))), poses_about_center(scene, layout)
+    crew, poses = SensorSet.of(layout, ((0,), (1,))), poses_about_center(scene, layout)
     poses = poses * jnp.array([0.3, 0.3, 1, 1, 1, 1], poses.dtype)[None]  # near the middle
-    field = Field(about_center(scene), jnp.asarray(scene.voxels.weight, float))
+    field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     softness, voxel = Softness.of(0.5), scene.voxels.size
     expected = compiled_measure(field, poses, crew, voxel, softness)
-    found = measure_softly(bare_world_of(scene), poses, crew, voxel, softness)
+    found = measure_softly(bare_tiled_scene_of(scene), poses, crew, voxel, softness)
     assert 0.05 < float(expected.coverage[0]) < 1
     for name in found._fields:
         ours, theirs = getattr(found, name), getattr(expected, name)
@@ -325,8 +327,8 @@ def test_no_nan_in_degenerate_places():
 
 
 @pytest.mark.parametrize("width", [0.1, 1.0])
-@pytest.mark.parametrize("spare_own", [False, True])
-def test_soft_sight_lines_are_clear_of_the_two_prisms_that_hide_most(width, spare_own):
+@pytest.mark.parametrize("ignore_self_occlusion", [False, True])
+def test_soft_sight_lines_are_clear_of_the_two_prisms_that_hide_most(width, ignore_self_occlusion):
     """Beside the same in the open: every prism's margins, sorted, the first two multiplied.
 
     Sensors at random, all columns and levels. Prisms are told apart to 1e-3 of what they hide:
@@ -339,19 +341,21 @@ def test_soft_sight_lines_are_clear_of_the_two_prisms_that_hide_most(width, spar
     marked = bitmask.marks(jnp.asarray(ground.prisms.valid).T)
     for sensor in rng.uniform([-20, -20, 2], [20, 20, 9], (4, 3)):
         at = jnp.asarray(sensor, float), ground.prisms, marked, columns, heights, width
-        found = np.asarray(compiled_sight(*at, spare_own=spare_own))
-        expected, close = hidden_by_two(sensor, ground.prisms, columns, heights, width, spare_own)
+        found = np.asarray(compiled_sight(*at, ignore_self_occlusion=ignore_self_occlusion))
+        expected, close = hidden_by_two(
+            sensor, ground.prisms, columns, heights, width, ignore_self_occlusion
+        )
         assert (expected < 0.9).mean() > 0.01
         assert close.mean() < 0.05
         np.testing.assert_allclose(found[:, ~close], expected[:, ~close], atol=2e-4)
 
 
-compiled_sight = jax.jit(soft_sight, static_argnames="spare_own")
+compiled_sight = jax.jit(soft_sight, static_argnames="ignore_self_occlusion")
 compiled_cut, compiled_below = jax.jit(plan_cut), jax.jit(below_top)
 compiled_stretch, compiled_step = jax.jit(stretch), jax.jit(step)
 
 
-def hidden_by_two(sensor, prisms, columns, heights, width, spare_own):
+def hidden_by_two(sensor, prisms, columns, heights, width, ignore_self_occlusion):
     """(Z, F, C) chances, and (F, C) where the second prism is nearly another."""
 
     def each(part):  # (F, B, 1)
@@ -377,7 +381,7 @@ def hidden_by_two(sensor, prisms, columns, heights, width, spare_own):
     beside = np.asarray(compiled_step(cut.beside, width))
     lowest = depth(heights[0], Cut(cut.beside, *compiled_stretch(line, half)))
     most = beside * np.maximum(lowest + 3 * width, 0) * each(prisms.valid)
-    if spare_own:
+    if ignore_self_occlusion:
         most = np.where((abs(px + ex) < half[0]) & (abs(py + ey) < half[1]), 0, most)
     order = np.argsort(-most, axis=1)  # (F, B, C)
     ordered = np.take_along_axis(most, order, 1)

@@ -9,7 +9,7 @@ from worlds import CAMERA, LIDAR, no_traffic, random_layout, world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.evaluate import evaluate
-from inspe_jax.scoring.viewshed import Sight, sight_in, viewshed
+from inspe_jax.scoring.viewshed import Visibility, sight_in, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.visibility.queries import in_view, line_of_sight
 
@@ -53,13 +53,13 @@ def test_counts_are_those_of_line_of_sight_in_every_frame(scene, layout, shed):
     assert (shed.occupied != inside).mean() < 1e-3  # centres on a face
     for k in (0, 3):
         sight = sight_in(scene, layout, k)
-        occupied = sight == Sight.OCCUPIED
+        occupied = sight == Visibility.OCCUPIED
         assert (occupied != solid(scene, k)).mean() < 1e-3
-        np.testing.assert_array_equal((sight == Sight.SEEN)[~occupied], seen[k][~occupied])
+        np.testing.assert_array_equal((sight == Visibility.SEEN)[~occupied], seen[k][~occupied])
         np.testing.assert_array_equal(
-            (sight == Sight.OUT_OF_VIEW)[~occupied], ~view.any(0)[~occupied]
+            (sight == Visibility.OUT_OF_VIEW)[~occupied], ~view.any(0)[~occupied]
         )
-        assert {*Sight} == set(sight.tolist())
+        assert {*Visibility} == set(sight.tolist())
 
 
 def test_scores_are_sums_over_it(scene, layout, shed):
@@ -107,7 +107,7 @@ def test_an_empty_road(scene, layout):
     shed = viewshed(empty, layout)
     np.testing.assert_array_equal(shed.seen, shed.sensors > 0)
     assert not shed.entropy.any()
-    assert set(sight_in(empty, layout, 0).tolist()) == {Sight.OUT_OF_VIEW, Sight.SEEN}
+    assert set(sight_in(empty, layout, 0).tolist()) == {Visibility.OUT_OF_VIEW, Visibility.SEEN}
 
 
 def test_no_such_frame_and_a_sensor_in_the_ground(scene, layout):

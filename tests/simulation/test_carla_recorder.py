@@ -43,7 +43,7 @@ from inspe_jax.simulation.carla.sensors import (
 )
 from inspe_jax.simulation.carla.server import town_of
 from inspe_jax.simulation.carla.traffic import body_of
-from inspe_jax.simulation.frame import Thing
+from inspe_jax.simulation.frame import RoadUserBox
 from inspe_jax.simulation.recorder import Server
 
 PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
@@ -97,7 +97,7 @@ def frames(recorded):
     return [scenario.frame(t) for t in scenario.frames]
 
 
-def box_of(thing: Thing) -> np.ndarray:
+def box_of(thing: RoadUserBox) -> np.ndarray:
     """From a thing's box to the world, (4, 4)."""
     cos, sin, turn = np.cos(thing.yaw), np.sin(thing.yaw), np.eye(4)
     turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], thing.center
@@ -209,7 +209,7 @@ def test_depth_is_of_surfaces(frames):
             np.testing.assert_allclose(gap.min(0), 0, atol=0.005 * np.linalg.norm(rays[0, 0]))
 
 
-def outline(image, thing: Thing) -> shapely.Geometry | None:
+def outline(image, thing: RoadUserBox) -> shapely.Geometry | None:
     """The box in the picture by its corners above ground; None where one is behind the camera."""
     corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     corners[:, :3] *= thing.size / 2
@@ -451,7 +451,7 @@ def test_weather_and_light_are_in_the_order_of_their_strength():
 
 def test_two_numbers_of_one_road_user_are_both_its_own_and_strangers_are_nobodys():
     """A rider has a number of its own; a statue with a road user's label stands beside."""
-    thing = Thing(
+    thing = RoadUserBox(
         track=4,
         kind="cyclist",
         name="bicycle",

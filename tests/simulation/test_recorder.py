@@ -25,7 +25,7 @@ from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.lidar import LidarNoise
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.embedded.road_users import Company, paints, pose_things, things_of
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_things
 from inspe_jax.simulation.embedded.static_world import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.simulation.recorder import LAYERS, Recording
 from inspe_jax.visibility import raycast
@@ -86,8 +86,8 @@ def nearest_triangle(origin, directions, triangles):
 def test_returns_are_what_rays_and_triangles_say(scene, corners):
     """300 rays of one LiDAR: distances to a millimetre, and the very road user."""
     recorder = EmbeddedRecorder(scene, corners)
-    things = things_of(scene.traffic, 0, 0)
-    company = Company(things, recorder.statics.center)
+    things = boxes_at(scene.traffic, 0, 0)
+    company = FrameActors(things, recorder.statics.center)
     lidar = recorder.sensors[0]
     returns = lidar.cast(company, 0.0)
     rng = np.random.default_rng(0)
@@ -132,7 +132,7 @@ def test_no_ray_slips_through_between_two_faces():
 def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(Company((), recorder.statics.center), 0.1)
+    returns = lidar.cast(FrameActors((), recorder.statics.center), 0.1)
     noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
     scan = lidar.scan(returns, noise, np.random.default_rng(1))
     back = np.isfinite(returns.distance)
@@ -150,7 +150,7 @@ def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
 def test_as_many_are_lost_as_said(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(Company((), recorder.statics.center), 0.1)
+    returns = lidar.cast(FrameActors((), recorder.statics.center), 0.1)
     total = np.isfinite(returns.distance).sum()
 
     def left(**noise):
@@ -173,7 +173,7 @@ def test_points_on_a_car_fall_with_range_as_the_beams_spread():
             world(count=0, radius=60.0, voxel=2.0), (x, 0, np.pi / 2, 4.6, 1.85, 1.5)
         )
         recorder = EmbeddedRecorder(scene, place_sensors((spec, [0, 0, 1.2, 0, 0, 0])))
-        company = Company(things_of(scene.traffic, 0, 0), recorder.statics.center)
+        company = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.statics.center)
         counts.append(int((recorder.sensors[0].cast(company, 0.0).thing == 0).sum()))
     assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
     assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
@@ -189,7 +189,7 @@ def test_the_turn_takes_time(scene):
     traffic = replace(moving.traffic, velocity=np.array([[[10.0, 0, 0]]]))
     moving = replace(moving, traffic=traffic)
     recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
-    company = Company(things_of(moving.traffic, 0, 0), recorder.statics.center)
+    company = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.statics.center)
     lidar = recorder.sensors[0]
     still, turned = lidar.cast(company, 0.0), lidar.cast(company, 0.1)
     # The car is to the right, at −90°: a quarter of a turn before the middle, 25 ms early.
@@ -247,7 +247,7 @@ def test_as_much_is_seen_as_occlusion_says(crowded, name):
     in_view = inspe_jax.in_view(crowded, layout)
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
-        things = things_of(crowded.traffic, t, 0)
+        things = boxes_at(crowded.traffic, t, 0)
         movers = pose_things(things, recorder.statics.center)
         caster = Caster(np.concatenate([recorder.statics.triangles, movers.triangles]))
         solid = np.zeros(len(centers), bool)
@@ -375,7 +375,7 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
             if hull.area < 400:
                 continue
             # Unoccluded: alone in the world it has as many pixels.
-            company = Company((thing,), recorder.statics.center)
+            company = FrameActors((thing,), recorder.statics.center)
             free = recorder.sensors[0].image(company, 0, np.random.default_rng(0), ("instance",))
             own = free.instance > 0
             seen = image.instance == thing.track + 1
@@ -407,7 +407,7 @@ def test_nobody_is_overlooked(pose, slope):
     for light in ("midday", "dusk"):
         recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
         (camera,) = recorder.sensors
-        company = Company(things_of(crowd.traffic, 0, 0), recorder.statics.center)
+        company = FrameActors(boxes_at(crowd.traffic, 0, 0), recorder.statics.center)
         seen = camera._moment(company, paints(company.things, 0), 0.0)
         movers, caster = company.at(0.0)
         ground = camera.ground
@@ -505,12 +505,12 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
 def test_things_are_where_the_traffic_has_them(scene):
     t = scene.traffic
     on = np.flatnonzero(t.valid[1])
-    for b, thing in zip(on, things_of(t, 1, 0), strict=True):
+    for b, thing in zip(on, boxes_at(t, 1, 0), strict=True):
         assert (thing.track, thing.yaw) == (t.track[1, b], t.yaw[1, b])
         for part, whole in ((thing.center, t.center), (thing.size, t.size)):
             np.testing.assert_array_equal(part, whole[1, b])
         np.testing.assert_array_equal(thing.velocity, t.velocity[1, b])
-    fast = [thing for thing in things_of(t, 1, 0) if np.hypot(*thing.velocity[:2]) > 3]
+    fast = [thing for thing in boxes_at(t, 1, 0) if np.hypot(*thing.velocity[:2]) > 3]
     assert len(fast) > 2
     for thing in fast:  # the nose is in front
         ahead = np.array([np.cos(thing.yaw), np.sin(thing.yaw)]) @ thing.velocity[:2]
@@ -535,7 +535,7 @@ def test_another_seed_is_other_noise():
 def test_things_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):
-        for thing in things_of(scene.traffic, t, 0):
+        for thing in boxes_at(scene.traffic, t, 0):
             assert names.setdefault(thing.track, thing.name) == thing.name
             assert thing.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
     assert len(set(names.values())) > 4

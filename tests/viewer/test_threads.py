@@ -22,8 +22,8 @@ from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer import search_process
-from inspe_jax.viewer.job_queue import Desk, Later
-from inspe_jax.viewer.score_panel import board, cost_of
+from inspe_jax.viewer.job_queue import JobQueue, Later
+from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
 from inspe_jax.viewer.searcher import Heard, Searcher
 
@@ -48,7 +48,7 @@ def layout():
 
 def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     done, go = [], threading.Event()
-    desk = Desk(lambda _: None)
+    desk = JobQueue(lambda _: None)
     desk.ask(go.wait)
     for k in range(5):
         desk.ask(lambda k=k: done.append(("drag", k)), key="drag")
@@ -82,7 +82,7 @@ def test_what_is_to_be_done_later_is_done_once_and_can_be_done_now():
 
 def test_a_job_that_fails_does_not_end_the_others():
     failed, done = [], []
-    desk = Desk(failed.append)
+    desk = JobQueue(failed.append)
     desk.ask(lambda: 1 / 0)
     desk.ask(lambda: done.append(1))
     desk.close()
@@ -93,7 +93,7 @@ def test_a_job_that_fails_does_not_end_the_others():
 # ── The scorer ──
 
 
-class Ear:
+class Listener:
     """Waits for what a thread tells."""
 
     def __init__(self):
@@ -112,7 +112,7 @@ class Ear:
 
 @pytest.fixture
 def listening(scene):
-    scores, sights = Ear(), Ear()
+    scores, sights = Listener(), Listener()
     case = Case(scene, Conditions.of("night", "clear"))
     scorer = Scorer(case, WEIGHTS, scores, sights)
     yield scorer, scores, sights
@@ -172,7 +172,7 @@ def test_a_layout_that_cannot_be_scored_is_said(layout, listening):
 
 
 def test_without_traffic_there_is_no_score_and_it_is_said(layout):
-    scores = Ear()
+    scores = Listener()
     empty = world(radius=12.0, voxel=1.0, count=0)
     scorer = Scorer(Case(empty), WEIGHTS, scores, lambda *_: None)
     scorer.score(layout, whole=True)
@@ -202,7 +202,7 @@ def test_a_fault_of_ours_does_not_end_the_scorer(layout, listening, monkeypatch)
 
 @pytest.fixture
 def heard():
-    return Heard(Ear(), Ear(), Ear(), Ear())
+    return Heard(Listener(), Listener(), Listener(), Listener())
 
 
 @pytest.fixture
@@ -378,28 +378,30 @@ def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
 
 def test_the_board_says_scores_faults_and_cost(scene, layout):
     scored = scorers.Scored(layout, evaluate(scene, layout), 50, 0.25)
-    text = board(layout, scored, frames=50, opened=0.1, faults=["unit <x> floats"], notes=["so"])
+    text = score_panel(
+        layout, scored, frames=50, opened=0.1, faults=["unit <x> floats"], notes=["so"]
+    )
     assert f"{scored.scores.surrogate:.4f}" in text
     assert f"{scored.scores.surrogate - 0.1:+.4f} since" in text
     assert "all frames" in text
     assert "unit &lt;x&gt; floats" in text
     assert f"{scored.scores.region_coverage['driveway']:.3f}" in text
-    few = board(layout, replace(scored, frames=17), frames=50)
+    few = score_panel(layout, replace(scored, frames=17), frames=50)
     assert "17 of 50 frames" in few
     assert "since" not in few
     assert "cannot be mounted" not in few
-    assert "scoring" in board(layout, None, frames=50)
-    later = board(replace(layout, name="moved"), scored, frames=50, faults=["floats"])
+    assert "scoring" in score_panel(layout, None, frames=50)
+    later = score_panel(replace(layout, name="moved"), scored, frames=50, faults=["floats"])
     assert "scoring" in later  # what is known is of another layout
     assert "all frames" not in later
     assert "floats" in later
-    waits = board(replace(layout, name="moved"), scored, frames=50, waiting="compiling: 3 s")
+    waits = score_panel(replace(layout, name="moved"), scored, frames=50, waiting="compiling: 3 s")
     assert "compiling: 3 s" in waits
     assert "opacity" not in waits
-    assert "opacity:.3" in board(replace(layout, name="moved"), scored, frames=50, faded=True)
-    assert "opacity" not in board(layout, scored, frames=50, faded=True)  # it is this one's
+    assert "opacity:.3" in score_panel(replace(layout, name="moved"), scored, frames=50, faded=True)
+    assert "opacity" not in score_panel(layout, scored, frames=50, faded=True)  # it is this one's
     failed = replace(scored, scores=None, wrong="no <traffic>")
-    assert "no &lt;traffic&gt;" in board(layout, failed, frames=50)
+    assert "no &lt;traffic&gt;" in score_panel(layout, failed, frames=50)
 
 
 def test_cost_is_the_catalogue_s_and_says_what_it_has_not(layout):

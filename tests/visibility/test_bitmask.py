@@ -16,7 +16,7 @@ def test_packed_flags_come_back(n):
     assert words.dtype == bitmask.word(n)
     np.testing.assert_array_equal(bitmask.bits(words, n), flags)
     np.testing.assert_array_equal(bitmask.count(jnp.asarray(words[..., 0])), flags.sum(-1))
-    tally = bitmask.tally(jnp.asarray(words[..., 0]), n)
+    tally = bitmask.count_levels(jnp.asarray(words[..., 0]), n)
     np.testing.assert_array_equal(tally, flags.sum(0))
 
 
@@ -61,5 +61,5 @@ def test_bits_are_tallied_one_by_one(number, bits):
     """Against a sum of the bits; all of them set in one column, more than a byte can count."""
     flags = np.random.default_rng(bits).random((number, 7, bits)) < 0.7
     flags[:, 0] = True
-    found = bitmask.tally(jnp.asarray(bitmask.pack(flags)[..., 0]), bits)
+    found = bitmask.count_levels(jnp.asarray(bitmask.pack(flags)[..., 0]), bits)
     np.testing.assert_array_equal(found, flags.sum(0))

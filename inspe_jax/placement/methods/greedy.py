@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float
 
 from inspe_jax.placement.candidate_table import Picks, Table
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, coordinates, poses, project
-from inspe_jax.placement.compile_ahead import Job
+from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run, State
-from inspe_jax.placement.sample_score import Tally, times
+from inspe_jax.placement.sample_score import SampleScore, times
 
 TRIES = 64
 """Finer moves tried for a unit in one step."""
@@ -144,7 +144,7 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
 
 
 def sights(
-    problem: Problem, tally: Tally, x: Float[np.ndarray, " N"], sensors: Sequence[int]
+    problem: Problem, tally: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
 ) -> dict[int, Bool[np.ndarray, " W"]]:
     """What some sensors of a layout see."""
     stand = poses(problem.space, x[None])[0]
@@ -153,7 +153,7 @@ def sights(
 
 def finer(
     problem: Problem,
-    tally: Tally,
+    tally: SampleScore,
     x: Float[np.ndarray, " N"],
     rows: dict[int, np.ndarray],
     u: int,
@@ -191,7 +191,7 @@ def finer(
 # What a checkpoint need not hold, since it can be found again.
 _tables: "WeakKeyDictionary[Run, tuple[int, Table]]" = WeakKeyDictionary()
 """The candidates of each run's present round."""
-_passes: "WeakKeyDictionary[Run, tuple[tuple[int, ...], Tally, dict[int, np.ndarray]]]" = (
+_passes: "WeakKeyDictionary[Run, tuple[tuple[int, ...], SampleScore, dict[int, np.ndarray]]]" = (
     WeakKeyDictionary()
 )
 """The sample of each run's present pass, and what the sensors see of it."""
@@ -224,7 +224,7 @@ def step(run: Run, state: State) -> State:
     return _PHASES[state["phase"]](run, state)
 
 
-def ahead(run: Run) -> dict[str, Job]:
+def ahead(run: Run) -> dict[str, CompileJob]:
     """What a sensor of each kind sees of a sample, compiled while the start is scored."""
     problem = run.problem
     if VIEWS in problem.known:
@@ -241,7 +241,7 @@ def ahead(run: Run) -> dict[str, Job]:
     return {VIEWS: look}
 
 
-def _charge(run: Run, tally: Tally, views: float) -> None:
+def _charge(run: Run, tally: SampleScore, views: float) -> None:
     """Charge for looking at what one sensor sees, so many times."""
     run.charge(views * VIEW_COST * tally.sample.share / len(run.problem.layout))
 
@@ -328,7 +328,7 @@ def _move(run: Run, state: State) -> State:
     if held is not None and held[0] == key:
         _, tally, rows = held
     else:
-        tally = Tally(problem, problem.sample(run.rng(1, *key[:2]), COLUMNS, FRAMES))
+        tally = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), COLUMNS, FRAMES))
         rows = sights(problem, tally, x, range(len(problem.layout)))
     tried = TRIES * len(problem.layout.members()[u])
     _charge(run, tally, (u == 0) * len(rows) + MOVE_COST * tried)

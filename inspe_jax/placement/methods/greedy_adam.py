@@ -7,7 +7,7 @@ One burst of gradients from the first draft says early what they will find.
 
 import numpy as np
 
-from inspe_jax.placement.compile_ahead import Job
+from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import advance, charted, charted_again, layouts
 from inspe_jax.placement.run import Method, Run, State
@@ -54,7 +54,7 @@ def begin(run: Run) -> State:
     } | _within(greedy.begin(run))
 
 
-def ahead(run: Run) -> dict[str, Job]:
+def ahead(run: Run) -> dict[str, CompileJob]:
     """What greedy placement needs compiled; then the gradient, if it will be of use in time."""
     jobs, problem, began = greedy.ahead(run), run.problem, run.spent
     if "slope" in problem.known:

@@ -20,9 +20,9 @@ from inspe_jax.placement.candidates import (
     SPACING,
     above_ground,
     coordinates,
-    hang,
     lattice,
     project,
+    set_heights,
 )
 from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.run import Method, Run, State
@@ -169,7 +169,7 @@ def _aim(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
     found[:, index.pitch[s]] += pitch * STEPS["pitch"]
     above = np.tile(above_ground(space, x)[list(block.sensors)], (len(yaw), 1))
     above[:, block.sensors.index(s)] += height * STEPS["height"]
-    return hang(space, found, block.unit, block.sensors, above)
+    return set_heights(space, found, block.unit, block.sensors, above)
 
 
 # ── CMA-ES ──────────────────────────────────────────────────────────────────

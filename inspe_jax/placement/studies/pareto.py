@@ -30,7 +30,7 @@ SCORES = ("coverage", "occlusion", "information_gain", "surrogate")
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Mix:
+class DeviceMix:
     """So many of each device, what they cost [US dollars], and the search for their places.
 
     ``front``: no other mix scores as much for less, or more for as much.
@@ -125,7 +125,7 @@ def pareto(
     objective: Objective | None = None,
     constraints: Constraints | None = None,
     progress: Callable[[Mapping[str, int], float, float], None] | None = None,
-) -> list[Mix]:
+) -> list[DeviceMix]:
     """The best score found for every mix of devices, cheapest first.
 
     ``counts`` says how many of each device to try, as ``{"hesai-xt32": range(5)}``; each mix gets
@@ -142,7 +142,7 @@ def pareto(
     wanted = mixes(counts, objective)
     cases = cases_of(scene)
     starts = [around(cases[0].scene, row) for _, row in wanted]
-    found: list[Mix] = []
+    found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
         try:
             (result,) = compare(
@@ -160,13 +160,13 @@ def pareto(
             if not found:
                 raise
             break
-        found.append(Mix(row, cost, result))
+        found.append(DeviceMix(row, cost, result))
         if result.status == "interrupted":
             break
     return [replace(mix, front=_on_front(mix, found)) for mix in found]
 
 
-def save_pareto(found: Sequence[Mix], folder: str | os.PathLike[str]) -> None:
+def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> None:
     """Write what mixes came to, and the layouts of those on the front.
 
     ``pareto.csv`` has a row a mix, cheapest first, and names the layout's file where there is
@@ -270,7 +270,7 @@ def _share(
     return lambda method, seed, done, best: progress(row, (k + done) / total, best)
 
 
-def _on_front(mix: Mix, others: Sequence[Mix]) -> bool:
+def _on_front(mix: DeviceMix, others: Sequence[DeviceMix]) -> bool:
     return not any(
         (other.cost <= mix.cost and other.result.objective > mix.result.objective)
         or (other.cost < mix.cost and other.result.objective >= mix.result.objective)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.simulation.frame import Thing
+from inspe_jax.simulation.frame import RoadUserBox
 
 ROAD_USERS = (12, 13, 14, 15, 16, 18, 19)
 """CARLA's labels (0.9.14 and later) of pedestrians, riders, cars, trucks, buses, motorcycles and
@@ -26,7 +26,7 @@ def instances_of(
     depth: Float[np.ndarray, "H W"],
     pose: Float[np.ndarray, "6"],
     intrinsic: Float[np.ndarray, "3 3"],
-    things: tuple[Thing, ...],
+    things: tuple[RoadUserBox, ...],
 ) -> Int[np.ndarray, "H W"]:
     """Track + 1 of each pixel of a camera at ``pose``, 0 where there is no thing."""
     found = np.zeros(tags.shape, np.int32)
@@ -57,7 +57,9 @@ def _some(which: Int[np.ndarray, " P"], many: Int[np.ndarray, " N"]) -> Int[np.n
     return order[rank % -(-many // ASKED)[which[order]] == 0]
 
 
-def _holders(points: Float[np.ndarray, "Q 3"], things: tuple[Thing, ...]) -> Int[np.ndarray, " Q"]:
+def _holders(
+    points: Float[np.ndarray, "Q 3"], things: tuple[RoadUserBox, ...]
+) -> Int[np.ndarray, " Q"]:
     """The thing in or nearest to whose box points lie, −1 where none is near."""
     least, holder = np.full(len(points), BEYOND), np.full(len(points), -1)
     for k, thing in enumerate(things):

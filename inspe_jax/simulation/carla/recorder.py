@@ -24,7 +24,7 @@ from inspe_jax.simulation.carla.sensors import (
     LIDAR,
     NEEDS,
     PICTURES,
-    Ear,
+    SensorQueue,
     camera_attributes,
     colours_of,
     depth_of,
@@ -36,10 +36,10 @@ from inspe_jax.simulation.carla.sensors import (
     tags_of,
     weather_of,
 )
-from inspe_jax.simulation.carla.server import OURS, Session, failing_plainly, session_on
+from inspe_jax.simulation.carla.server import OURS, CarlaSession, failing_plainly, session_on
 from inspe_jax.simulation.carla.traffic import Actors
-from inspe_jax.simulation.embedded.lidar import worn
-from inspe_jax.simulation.frame import Frame, Image, Scan, Thing
+from inspe_jax.simulation.embedded.lidar import apply_noise
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording, Server, stations_of
 
 SETTLE = 1.0
@@ -78,7 +78,7 @@ class CarlaRecorder:
 
     def __enter__(self) -> Self:
         with failing_plainly(self.server), ExitStack() as stack:
-            self.session: Session = stack.enter_context(
+            self.session: CarlaSession = stack.enter_context(
                 session_on(
                     self.server,
                     self.scene.intersection,
@@ -123,7 +123,7 @@ class CarlaRecorder:
 
     # ── Sensors ─────────────────────────────────────────────────────────────
 
-    def _ears(self, s: int) -> dict[str, Ear]:
+    def _ears(self, s: int) -> dict[str, SensorQueue]:
         """CARLA's sensors that one of the layout stands for, by what they bring."""
         sensor, cords = self.layout.sensors[s], to_carla(self.poses[s])
         if isinstance(sensor.spec, CameraSpec):
@@ -139,7 +139,7 @@ class CarlaRecorder:
                 blueprint.set_attribute(key, value)
             actor = self.session.spawn(blueprint, cords)
             self.session.listening.append(actor)
-            ears[kind] = Ear(actor, f"{name} of '{sensor.name}', unit '{unit}',")
+            ears[kind] = SensorQueue(actor, f"{name} of '{sensor.name}', unit '{unit}',")
         return ears
 
     def _warm_up(self) -> None:
@@ -155,13 +155,13 @@ class CarlaRecorder:
             if silent and time.monotonic() > begin + self.server.timeout:
                 self._missing(silent[0], "anything")
 
-    def _missing(self, ear: Ear, what: str) -> None:
+    def _missing(self, ear: SensorQueue, what: str) -> None:
         raise InspeError(
             f"CARLA at {self.server}: {ear.name} did not bring {what} in "
             f"{self.server.timeout:g} s; a slower machine needs a longer timeout"
         )
 
-    def _seen(self, s: int, t: int, number: int, things: tuple[Thing, ...]) -> Image | Scan:
+    def _seen(self, s: int, t: int, number: int, things: tuple[RoadUserBox, ...]) -> Image | Scan:
         """What a sensor brings of the server's frame ``number``."""
         until = time.monotonic() + self.server.timeout
         brought: dict[str, Any] = {}
@@ -172,7 +172,7 @@ class CarlaRecorder:
         pose, spec = self.poses[s], self.layout.sensors[s].spec
         if not isinstance(spec, CameraSpec):
             rng = np.random.default_rng([self.seed, t, s, 3])
-            return Scan(pose, worn(*points_of(brought["points"]), self.recording.noise, rng))
+            return Scan(pose, apply_noise(*points_of(brought["points"]), self.recording.noise, rng))
         intrinsic = intrinsic_of(spec, self.recording.image_scale)
         whole: dict[str, Any] = {}
         if "depth" in brought:

@@ -139,7 +139,7 @@ def weather_of(carla: Any, conditions: Conditions) -> Any:
 # ── What sensors bring ──────────────────────────────────────────────────────────────────────────
 
 
-class Ear:
+class SensorQueue:
     """Listens to a sensor: its measurements come in the order of the frames, in their own time."""
 
     def __init__(self, sensor: Any, name: str) -> None:

@@ -56,7 +56,7 @@ def failing_plainly(server: Server) -> Iterator[None]:
 
 
 @dataclass(eq=False)
-class Session:
+class CarlaSession:
     """A connected client and its world, and what is to be put back there."""
 
     carla: Any
@@ -134,7 +134,9 @@ class Session:
 
 
 @contextmanager
-def session_on(server: Server, place: Intersection, rate: float, weather: Any) -> Iterator[Session]:
+def session_on(
+    server: Server, place: Intersection, rate: float, weather: Any
+) -> Iterator[CarlaSession]:
     """A session on the map of a place, where a tick is 1 / rate seconds and waits for us.
 
     Vehicles that are parked there as a part of the map are hidden, as no frame would tell of them.
@@ -147,7 +149,7 @@ def session_on(server: Server, place: Intersection, rate: float, weather: Any) -
     world = client.get_world()
     settings = world.get_settings()
     world = _on_map(client, world, town, server)
-    session = Session(carla, client, world, server, settings, world.get_weather())
+    session = CarlaSession(carla, client, world, server, settings, world.get_weather())
     try:
         ours = world.get_settings()
         ours.synchronous_mode, ours.fixed_delta_seconds = True, 1.0 / rate

@@ -15,8 +15,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.carla_log import kind_of
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, TrafficFrames
-from inspe_jax.simulation.carla.server import OURS, Session
-from inspe_jax.simulation.frame import Thing
+from inspe_jax.simulation.carla.server import OURS, CarlaSession
+from inspe_jax.simulation.frame import RoadUserBox
 
 ALOFT = 300.0
 """Actors appear so high above the junction [m], where nothing is, and are put down from there."""
@@ -28,11 +28,11 @@ logarithm of length, width or height."""
 THINNEST = 0.05
 """Half a size below this is none [m]: some versions have no width for two wheels."""
 
-_KNOWN: dict[tuple[str, str], "Body | None"] = {}
+_KNOWN: dict[tuple[str, str], "ActorBody | None"] = {}
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class ActorBody:
     """A blueprint's box: its middle from the actor's origin, in our body frame, and size [m]."""
 
     name: str
@@ -43,14 +43,18 @@ class Body:
 class Actors:
     """Everybody of the traffic who is in the world just now."""
 
-    def __init__(self, session: Session, traffic: TrafficFrames, lights: bool, seed: int) -> None:
+    def __init__(
+        self, session: CarlaSession, traffic: TrafficFrames, lights: bool, seed: int
+    ) -> None:
         self.session, self.traffic, self.lights, self.seed = session, traffic, lights, seed
         self.library = session.world.get_blueprint_library()
         where = traffic.center[traffic.valid]
         self.middle = where.mean(0) if len(where) else np.zeros(3)
         kinds = {int(kind) for kind in np.unique(traffic.kind[traffic.valid])}
         self.bodies = self._bodies(kinds)
-        self.present: dict[int, tuple[int, Body]] = {}  # by track: the actor's id, and what it is
+        self.present: dict[
+            int, tuple[int, ActorBody]
+        ] = {}  # by track: the actor's id, and what it is
 
     def move(self, t: int) -> None:
         """Put everybody of frame t in place, and nobody else."""
@@ -66,7 +70,7 @@ class Actors:
             ]
         )
 
-    def things(self, t: int, snapshot: Any) -> tuple[Thing, ...]:
+    def things(self, t: int, snapshot: Any) -> tuple[RoadUserBox, ...]:
         """The road users of frame t, as the server has them."""
         found = []
         for b in self._entries(t):
@@ -82,7 +86,7 @@ class Actors:
             at, turn = where.location, where.rotation
             pose = from_carla([at.x, at.y, at.z, turn.roll, turn.yaw, turn.pitch])
             found.append(
-                Thing(
+                RoadUserBox(
                     track=track,
                     kind=CLASSES[self.traffic.kind[t, b]],
                     name=body.name,
@@ -96,10 +100,10 @@ class Actors:
 
     # ── Who they are ────────────────────────────────────────────────────────
 
-    def _bodies(self, kinds: set[int]) -> dict[int, tuple[Body, ...]]:
+    def _bodies(self, kinds: set[int]) -> dict[int, tuple[ActorBody, ...]]:
         """What the library has of each class, by trying each once: only an actor has a box."""
         version = self.session.client.get_server_version()
-        found: dict[int, list[Body]] = {}
+        found: dict[int, list[ActorBody]] = {}
         names = [*self.library.filter("vehicle.*"), *self.library.filter("walker.*")]
         for blueprint in sorted(names, key=lambda blueprint: blueprint.id):
             might = kind_of(blueprint.id, _facts(blueprint), 0.0)
@@ -121,7 +125,7 @@ class Actors:
             )
         return {kind: tuple(bodies) for kind, bodies in found.items()}
 
-    def _tried(self, blueprint: Any, k: int) -> Body | None:
+    def _tried(self, blueprint: Any, k: int) -> ActorBody | None:
         """What a blueprint makes, None where it makes nothing. Who was destroyed may still be in
         the way."""
         actor = self.session.try_spawn(blueprint, to_carla(self._aloft(k % 9)))
@@ -131,7 +135,7 @@ class Actors:
         self.session.destroy([actor.id])
         return body_of(blueprint.id, box, _usual(blueprint))
 
-    def _body(self, t: int, b: int) -> Body:
+    def _body(self, t: int, b: int) -> ActorBody:
         """Of a road user: by chance among those near its size, the same whenever it appears."""
         bodies = self.bodies[int(self.traffic.kind[t, b])]
         first = self.traffic.track == self.traffic.track[t, b]
@@ -153,7 +157,7 @@ class Actors:
     def _aloft(self, k: int) -> Float[np.ndarray, "6"]:
         return np.array([*self.middle[:2], self.middle[2] + ALOFT + APART * k, 0.0, 0.0, 0.0])
 
-    def _origin(self, t: int, b: int, body: Body) -> Float[np.ndarray, "6"]:
+    def _origin(self, t: int, b: int, body: ActorBody) -> Float[np.ndarray, "6"]:
         """The pose of an actor whose box stands where the road user's does, middle on middle."""
         yaw, center = float(self.traffic.yaw[t, b]), self.traffic.center[t, b]
         foot = center[2] - self.traffic.size[t, b, 2] / 2
@@ -190,7 +194,7 @@ class Actors:
         return blueprint
 
 
-def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> Body:
+def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
     """A blueprint's body by the bounding box of its actor; ``usual`` where that has no size [m].
 
     A box without a height stands on the ground, as the actor does.
@@ -201,7 +205,7 @@ def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> Body:
     middle = np.where(np.isfinite(middle), middle, 0.0)
     if not given[2]:
         middle[2] = half[2]
-    return Body(name, flip(middle), 2 * half)
+    return ActorBody(name, flip(middle), 2 * half)
 
 
 def _facts(blueprint: Any) -> dict[str, str]:

@@ -16,8 +16,8 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.regions import Region
 from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.light import developed, parts
-from inspe_jax.simulation.embedded.road_users import Company, Movers, paints
+from inspe_jax.simulation.embedded.light import parts, tone_map
+from inspe_jax.simulation.embedded.road_users import FrameActors, Movers, paints
 from inspe_jax.simulation.embedded.shading import FAR, Shading
 from inspe_jax.simulation.embedded.shapes import PARTS
 from inspe_jax.simulation.embedded.static_world import (
@@ -28,10 +28,10 @@ from inspe_jax.simulation.embedded.static_world import (
     POLE,
     ROOF,
     TRUNK,
-    Statics,
+    StaticWorld,
 )
 from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
-from inspe_jax.simulation.frame import Image, Thing
+from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
 SHADOWED = 150.0
@@ -61,7 +61,7 @@ _GLOW[PARTS.index("lamp")] = [1.0, 0.95, 0.85]
 _GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
 
 
-class Ground(NamedTuple):
+class GroundTexture(NamedTuple):
     """What lies behind every pixel when nobody is there: R pixels, row by row.
 
     ``other`` is its colour without the sun, before what the air does to it.
@@ -117,7 +117,7 @@ class Cells:
         return np.where(beneath, far + 1, 0).max(-1)
 
 
-class Seen(NamedTuple):
+class CameraView(NamedTuple):
     """P pixels that look otherwise than when nobody is there: their colours, how far away what is
     seen is [m], and which road user it is (−1: what stands still, in somebody's shadow)."""
 
@@ -134,7 +134,7 @@ class Camera:
         self,
         spec: CameraSpec,
         pose: Float[np.ndarray, "6"],
-        statics: Statics,
+        statics: StaticWorld,
         still: Caster,
         shading: Shading,
         scale: float = 1.0,
@@ -162,7 +162,7 @@ class Camera:
 
     # ── What stands still ───────────────────────────────────────────────────
 
-    def _behind(self) -> Ground:
+    def _behind(self) -> GroundTexture:
         hits = self.still_caster.cast(self.origin, self.directions, FAR)
         many = len(self.directions)
         point, other, colour = (np.empty((many, 3), np.float32) for _ in range(3))
@@ -172,12 +172,12 @@ class Camera:
             found = self._behind_part(part, *(x[part] for x in hits))
             for whole, own in zip(wholes, found, strict=True):
                 whole[part] = own
-        return Ground(hits.distance, point, in_sun, other, colour, semantic)
+        return GroundTexture(hits.distance, point, in_sun, other, colour, semantic)
 
     def _behind_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """The look of some of the pixels, as in :class:`Ground` but for the distance."""
+        """The look of some of the pixels, as in :class:`GroundTexture` but for the distance."""
         shading, met = self.shading, face >= 0
         point = self._points(pixels, np.where(met, distance, 0))
         albedo, semantic = _still_look(self.statics, face, point, normal)
@@ -205,7 +205,7 @@ class Camera:
 
     def image(
         self,
-        company: Company,
+        company: FrameActors,
         seed: int,
         rng: np.random.Generator,
         layers: tuple[str, ...] = (),
@@ -221,14 +221,14 @@ class Camera:
             total[seen.pixels] += (seen.colour - self.ground.colour[seen.pixels]) / moments
             middle = seen if after == 0 else middle
         shape = (self.height, self.width)
-        rgb = developed(total.reshape(*shape, 3), self.light, rng)
+        rgb = tone_map(total.reshape(*shape, 3), self.light, rng)
         extra = {}
         if layers:
             whole = self._layers(middle or self._moment(company, painted, 0.0), company.things)
             extra = {name: whole[name].reshape(shape) for name in layers}
         return Image(self.pose, self.intrinsic, rgb, **extra)
 
-    def _layers(self, seen: Seen, things: tuple[Thing, ...]) -> dict[str, np.ndarray]:
+    def _layers(self, seen: CameraView, things: tuple[RoadUserBox, ...]) -> dict[str, np.ndarray]:
         """Depth, instance and semantic of every pixel."""
         distance, semantic = self.ground.distance.copy(), self.ground.semantic.copy()
         instance = np.zeros(len(distance), np.int32)
@@ -243,7 +243,7 @@ class Camera:
             "semantic": semantic,
         }
 
-    def _moment(self, company: Company, painted: np.ndarray, after: float) -> Seen:
+    def _moment(self, company: FrameActors, painted: np.ndarray, after: float) -> CameraView:
         """What road users change at one moment."""
         movers, caster = company.at(after)
         boxes = corners(company.things) + after * company.velocity[:, None]
@@ -259,7 +259,7 @@ class Camera:
         shadow = shadow[~covered[shadow]]
         distance = np.concatenate([distance, self.ground.distance[shadow]])
         colour = np.concatenate([look, self.ground.other[shadow]])
-        return Seen(
+        return CameraView(
             np.concatenate([at, shadow]),
             self.shading.through_air(colour, distance),
             distance,
@@ -293,7 +293,7 @@ class Camera:
         return colour
 
     def _shadows(
-        self, caster: Caster, things: tuple[Thing, ...], after: float
+        self, caster: Caster, things: tuple[RoadUserBox, ...], after: float
     ) -> Int[np.ndarray, " P"]:
         """The pixels of what stands still, in the sun but for the shadow of a road user."""
         if not (self.light.has_sun and things):
@@ -322,7 +322,7 @@ class Camera:
 
 
 def _still_look(
-    statics: Statics, face: np.ndarray, point: np.ndarray, normal: np.ndarray
+    statics: StaticWorld, face: np.ndarray, point: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(linear albedo, CARLA's label) of what stands still, by where it is met."""
     material = np.where(face >= 0, statics.material[face], -1)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from inspe_jax.core.errors import InspeError
 
 
-class Hits(NamedTuple):
+class RayHits(NamedTuple):
     """What R rays meet first: how far away [m], which face (−1: nothing) and its unit normal."""
 
     distance: Float[np.ndarray, " R"]
@@ -31,7 +31,7 @@ class Caster:
         origins: Float[np.ndarray, "*R 3"],
         directions: Float[np.ndarray, "R 3"],
         reach: float | Float[np.ndarray, " R"],
-    ) -> Hits:
+    ) -> RayHits:
         """The first face on each ray within ``reach`` [m]; one origin, or one for each ray.
 
         Normals face the ray. ``distance`` is infinite where nothing is met.
@@ -39,7 +39,7 @@ class Caster:
         many = len(directions)
         distance, normal = np.full(many, np.inf, np.float32), np.zeros((many, 3), np.float32)
         if not (self.count and many):
-            return Hits(distance, np.full(many, -1), normal)
+            return RayHits(distance, np.full(many, -1), normal)
         start, to, reach = _rays(origins, directions, reach)
         found = self._scene.run(start, to, dists=reach, output=True)
         met = np.flatnonzero(found["primID"] >= 0)
@@ -48,7 +48,7 @@ class Caster:
         along = np.einsum("rk,rk->r", across, to[met])
         across /= np.copysign(np.sqrt(np.einsum("rk,rk->r", across, across)), -along)[:, None]
         normal[met] = across
-        return Hits(distance, found["primID"], normal)
+        return RayHits(distance, found["primID"], normal)
 
     def meets(
         self,

@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.road_users import Company
-from inspe_jax.simulation.embedded.static_world import Statics
+from inspe_jax.simulation.embedded.road_users import FrameActors
+from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.frame import Scan
 
 ATTENUATION = 0.004
@@ -55,7 +55,7 @@ class Lidar:
     """One LiDAR at its place; what stands still is met once and for all."""
 
     def __init__(
-        self, spec: LidarSpec, pose: Float[np.ndarray, "6"], statics: Statics, still: Caster
+        self, spec: LidarSpec, pose: Float[np.ndarray, "6"], statics: StaticWorld, still: Caster
     ) -> None:
         self.pose, self.reach, self.center = np.asarray(pose, float), spec.reach, statics.center
         self.body = spec.grid.directions()  # (R, 3), channel by channel
@@ -65,7 +65,7 @@ class Lidar:
         column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
         self.turn = (column + 0.5) / spec.azimuth_count - 0.5  # −½ … ½ of a turn
 
-    def cast(self, company: Company, period: float) -> Returns:
+    def cast(self, company: FrameActors, period: float) -> Returns:
         """One turn in ``period`` seconds about a frame; 0 for all at once."""
         distance, thing = self.still.copy(), np.full(len(self.body), -1)
         sectors = SECTORS if period > 0 else 1
@@ -82,10 +82,10 @@ class Lidar:
 
     def scan(self, returns: Returns, noise: LidarNoise, rng: np.random.Generator) -> Scan:
         """The points of what comes back."""
-        return Scan(self.pose, worn(returns.direction, returns.distance, noise, rng))
+        return Scan(self.pose, apply_noise(returns.direction, returns.distance, noise, rng))
 
 
-def worn(
+def apply_noise(
     direction: Float[np.ndarray, "R 3"],
     distance: Float[np.ndarray, " R"],
     noise: LidarNoise,

@@ -85,7 +85,7 @@ def haze(conditions: Conditions) -> float:
     return RAIN * conditions.intensity
 
 
-def developed(
+def tone_map(
     linear: Float[np.ndarray, "H W 3"], light: Light, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "H W 3"]:
     """What a camera makes of light: noise, gain, highlights that roll off, and sRGB's curve."""

@@ -9,9 +9,9 @@ from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.camera import Camera
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.lidar import Lidar
-from inspe_jax.simulation.embedded.road_users import Company, things_of
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
 from inspe_jax.simulation.embedded.shading import Shading
-from inspe_jax.simulation.embedded.static_world import build_statics
+from inspe_jax.simulation.embedded.static_world import build_static_world
 from inspe_jax.simulation.frame import Frame, Image, Scan
 from inspe_jax.simulation.recorder import Recording, stations_of
 
@@ -38,7 +38,9 @@ class EmbeddedRecorder:
         layout = conditions.layout(layout)
         poses = np.asarray(layout.poses, float)
         self.layout = layout
-        self.statics = build_statics(scene.intersection, scene.voxels.radius, _masts(layout, poses))
+        self.statics = build_static_world(
+            scene.intersection, scene.voxels.radius, _masts(layout, poses)
+        )
         self.still = Caster(self.statics.triangles)
         shading = Shading(conditions, self.statics.poles - self.statics.center)
         scale = self.recording.image_scale
@@ -51,8 +53,8 @@ class EmbeddedRecorder:
 
     def frame(self, t: int) -> Frame:
         """Frame t, as every station recorded it."""
-        things = things_of(self.scene.traffic, t, self.seed)
-        company = Company(things, self.statics.center)
+        things = boxes_at(self.scene.traffic, t, self.seed)
+        company = FrameActors(things, self.statics.center)
         seen: list[Image | Scan] = []
         for s, sensor in enumerate(self.sensors):
             rng = np.random.default_rng([self.seed, t, s, 3])

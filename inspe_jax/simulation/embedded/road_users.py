@@ -10,7 +10,7 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.frames import CLASSES, TrafficFrames
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, paint, shape_of
-from inspe_jax.simulation.frame import Thing
+from inspe_jax.simulation.frame import RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
 """How far a whole stride or a turn of the crank leads [m]."""
@@ -25,10 +25,10 @@ class Movers:
     part: Int[np.ndarray, " F"]
 
 
-def things_of(traffic: TrafficFrames, t: int, seed: int) -> tuple[Thing, ...]:
+def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
     """The road users of frame t; who has a name keeps it, for it hangs on track and seed alone."""
     return tuple(
-        Thing(
+        RoadUserBox(
             track=int(traffic.track[t, b]),
             kind=(kind := CLASSES[traffic.kind[t, b]]),
             name=VARIANTS[kind][_variant(kind, int(traffic.track[t, b]), seed)],
@@ -45,7 +45,7 @@ def _variant(kind: str, track: int, seed: int) -> int:
     return int(np.random.default_rng([seed, track, 1]).integers(len(VARIANTS[kind])))
 
 
-def pose_things(things: tuple[Thing, ...], center: Float[np.ndarray, "3"]) -> Movers:
+def pose_things(things: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> Movers:
     """Things as triangles, where the frame has them."""
     found, owner, part = [np.zeros((0, 3, 3))], [], []
     for k, thing in enumerate(things):
@@ -59,7 +59,7 @@ def pose_things(things: tuple[Thing, ...], center: Float[np.ndarray, "3"]) -> Mo
     return Movers(np.concatenate(found), np.concatenate(none + owner), np.concatenate(none + part))
 
 
-def _phase(thing: Thing) -> float:
+def _phase(thing: RoadUserBox) -> float:
     """Where in its stride somebody is: by how far along its heading it has come."""
     if thing.kind not in STRIDE:
         return 0.0
@@ -67,7 +67,7 @@ def _phase(thing: Thing) -> float:
     return float(thing.track * 0.381966 + along / STRIDE[thing.kind])
 
 
-def paints(things: tuple[Thing, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
+def paints(things: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
     """Linear albedo of every part of every thing, which keeps its paint."""
     each = [_paint(thing.kind, thing.track, seed) for thing in things]
     return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
@@ -78,10 +78,10 @@ def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
     return np.array(list(paint(kind, np.random.default_rng([seed, track, 2])).values()))
 
 
-class Company:
+class FrameActors:
     """Everybody in one frame, ready to be met by rays at any moment about it."""
 
-    def __init__(self, things: tuple[Thing, ...], center: Float[np.ndarray, "3"]) -> None:
+    def __init__(self, things: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
         self.things = things
         self.velocity = np.array([thing.velocity for thing in things], float).reshape(-1, 3)
         self._now = pose_things(things, center)

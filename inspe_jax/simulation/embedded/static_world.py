@@ -40,7 +40,7 @@ BUILDINGS, TREES = 44, 60
 
 
 @dataclass(frozen=True, eq=False)
-class Statics:
+class StaticWorld:
     """Triangles (F, 3, 3) about ``center``, their materials, and for buildings and trees which one.
 
     ``poles`` (P, 3) are the tops of the poles, world.
@@ -54,11 +54,11 @@ class Statics:
     poles: Float[np.ndarray, "P 3"]
 
 
-def build_statics(
+def build_static_world(
     intersection: Intersection,
     radius: float,
     masts: Float[np.ndarray, "U 4"],
-) -> Statics:
+) -> StaticWorld:
     """The still world of an intersection, out to the horizon.
 
     ``masts`` are the infrastructure units' feet and how high they rise above them [m]; units over
@@ -89,7 +89,7 @@ def build_statics(
         parts.append((_crown(foot, height, rng), CROWN, k))
     tops = posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:]
     sizes = [len(part) for part, _, _ in parts]
-    return Statics(
+    return StaticWorld(
         center=center,
         triangles=(np.concatenate([part for part, _, _ in parts]) - center).astype(np.float32),
         material=np.repeat([m for _, m, _ in parts], sizes),

@@ -21,7 +21,7 @@ from inspe_jax.core.files import check_input
 from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, PROTOCOL, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
 from inspe_jax.dataset.formats.png import read_depth, read_instance, read_rgb, read_semantic
-from inspe_jax.simulation.frame import Frame, Image, Scan, Station, Thing
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
 TICK = 0.05
 """Time [s] from one frame number to the next, where no protocol tells it."""
@@ -170,9 +170,9 @@ def _brief(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _things(contents: list[dict[str, Any]], files: list[Path]) -> tuple[Thing, ...]:
+def _things(contents: list[dict[str, Any]], files: list[Path]) -> tuple[RoadUserBox, ...]:
     """The things of all agents; an entry by kind tells more than one in ``vehicles``."""
-    found: dict[int, Thing] = {}
+    found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):
         for section, kind in places:
@@ -186,7 +186,7 @@ def _things(contents: list[dict[str, Any]], files: list[Path]) -> tuple[Thing, .
     return tuple(found[track] for track in sorted(found))
 
 
-def _thing(track: int, kind: str, entry: Mapping[str, Any], where: str) -> Thing:
+def _thing(track: int, kind: str, entry: Mapping[str, Any], where: str) -> RoadUserBox:
     if "obj_type" in entry:
         word = str(entry["obj_type"])
         if word.lower() not in OBJ_TYPES:
@@ -200,7 +200,7 @@ def _thing(track: int, kind: str, entry: Mapping[str, Any], where: str) -> Thing
     ahead = np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
     name = str(entry.get("name", entry.get("bp_id", "")))
     yaw = float(pose[5])
-    return Thing(track, kind, name, pose[:3], yaw, 2 * extent, ahead * (speed / KMH))
+    return RoadUserBox(track, kind, name, pose[:3], yaw, 2 * extent, ahead * (speed / KMH))
 
 
 def _station(agent: int, name: str, content: dict[str, Any], path: Path) -> Station:

@@ -19,7 +19,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import whole_file, write_text
 from inspe_jax.dataset.formats.pcd import write_pcd
 from inspe_jax.dataset.formats.png import write_depth, write_instance, write_rgb, write_semantic
-from inspe_jax.simulation.frame import Frame, Image, Scan, Station, Thing, check_frame
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
 
 PROTOCOL = "data_protocol.yaml"
 """What made a scenario; in the scenario's folder."""
@@ -177,7 +177,7 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
     }
 
 
-def _sections(things: Sequence[Thing]) -> dict[str, dict[int, Any]]:
+def _sections(things: Sequence[RoadUserBox]) -> dict[str, dict[int, Any]]:
     """What the YAML says of the things: all in ``vehicles``, and again by kind."""
     ordered = sorted(things, key=lambda thing: thing.track)
     entries = {int(thing.track): _entry(thing) for thing in ordered}
@@ -188,7 +188,7 @@ def _sections(things: Sequence[Thing]) -> dict[str, dict[int, Any]]:
     return sections
 
 
-def _entry(thing: Thing) -> dict[str, Any]:
+def _entry(thing: RoadUserBox) -> dict[str, Any]:
     """A thing as an entry. Readers add ``center`` to ``location`` as it is, unrotated: it is
     straight up from the middle of the bottom."""
     half = np.asarray(thing.size, float) / 2

@@ -11,7 +11,13 @@ from shapely.ops import unary_union
 
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Leg
 from inspe_jax.scene.maps.lane_strips import Strip
-from inspe_jax.scene.maps.opendrive.road_network import INSET, Road, TownMap, heading_of, position
+from inspe_jax.scene.maps.opendrive.road_network import (
+    INSET,
+    OpenDriveRoad,
+    TownMap,
+    heading_of,
+    position,
+)
 from inspe_jax.scene.maps.parts import CLUSTER, clean, valid
 from inspe_jax.scene.regions import Region
 
@@ -60,7 +66,7 @@ def _beyond(world: TownMap, road: int, end: str) -> tuple[int, str]:
     return road, end
 
 
-def _leg(world: TownMap, road: Road, end: str) -> Leg | None:
+def _leg(world: TownMap, road: OpenDriveRoad, end: str) -> Leg | None:
     away = 1 if end == "start" else -1
     at = INSET if end == "start" else road.length - INSET
     here = _cut(world, road, at, away)
@@ -71,7 +77,7 @@ def _leg(world: TownMap, road: Road, end: str) -> Leg | None:
     return replace(here, end=end, bearing=float(np.arctan2(chord[1], chord[0])))
 
 
-def _cut(world: TownMap, road: Road, s: float, away: int) -> Leg | None:
+def _cut(world: TownMap, road: OpenDriveRoad, s: float, away: int) -> Leg | None:
     """A road's cross-section at s, looking along it (away = +1) or back (−1)."""
     lanes = next((lanes for a, b, lanes in road.sections if a <= s <= b), {})
     found = [(lane, kind, world.at(road.id, lane, s)) for lane, kind in lanes.items()]

@@ -28,7 +28,7 @@ INSET = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Road:
+class OpenDriveRoad:
     """A road as its XML says: where it starts piecewise, its lanes by section, its links."""
 
     id: int
@@ -51,7 +51,7 @@ class TownMap:
     name: str
     source: str
     carla: Any
-    roads: dict[int, Road]
+    roads: dict[int, OpenDriveRoad]
     junctions: tuple[int, ...]
     crosswalks: tuple[np.ndarray, ...]  # loops, each (K, 3)
     signals: Float[np.ndarray, "P 3"]
@@ -136,7 +136,7 @@ def _root(path: Path, text: str) -> ET.Element:
     return root
 
 
-def _road(element: ET.Element) -> Road:
+def _road(element: ET.Element) -> OpenDriveRoad:
     length = float(element.attrib["length"])
     sections = element.findall("lanes/laneSection")
     bounds = [float(s.attrib["s"]) for s in sections] + [length]
@@ -151,7 +151,7 @@ def _road(element: ET.Element) -> Road:
             kind, contact = link.attrib["elementType"], link.get("contactPoint", "")
             links[end] = (kind, int(link.attrib["elementId"]), contact)
     pieces = [[float(g.attrib[k]) for k in ("x", "y", "length")] for g in element.iter("geometry")]
-    return Road(
+    return OpenDriveRoad(
         int(element.attrib["id"]),
         int(element.get("junction", -1)),
         length,

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 from cmaes import CMA
-from common import MAPS, command_line, write_results
+from common import MAPS, METRICS, command_line, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.interpolate import RBFInterpolator
@@ -51,7 +51,6 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
-from inspe_jax.report.tables import METRICS
 from inspe_jax.study.cluster import client
 from inspe_jax.study.plan import Job, Study, make_study
 from inspe_jax.study.sweep import sweep

@@ -19,6 +19,13 @@ import numpy as np
 import inspe_jax
 from inspe_jax.core.files import write_text
 
+METRICS = {
+    "coverage": "C",
+    "occlusion": "O",
+    "information_gain": "IG",
+    "surrogate": "P_sm",
+}
+"""The columns of the paper's Table 2: names in records, and symbols."""
 MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 """Town maps beside the checkout, where there are any."""
 

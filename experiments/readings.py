@@ -33,7 +33,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from calibrate import START, jobs
-from common import command_line, write_results
+from common import METRICS, command_line, write_results
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -48,9 +48,8 @@ from inspe_jax.core.files import write_text
 from inspe_jax.core.geometry import Prism, rotation, solid_top
 from inspe_jax.core.numerics import step
 from inspe_jax.placement.strategies import STRATEGIES
-from inspe_jax.report.tables import METRICS
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.metrics import WEIGHTS
+from inspe_jax.scoring.metrics import weights_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, PinholeGrid, RayGrid, Spec
 from inspe_jax.study.work import build, placed
@@ -740,7 +739,7 @@ def loss(table: Table, paper: np.ndarray) -> float:
 
 def with_surrogate(table: Table) -> Float[np.ndarray, "P 4"]:
     """C, O, IG and P_sm."""
-    return np.column_stack([table, table @ np.array(WEIGHTS)])
+    return np.column_stack([table, table @ np.array(list(weights_of().values())[:3])])
 
 
 def ranks(table: Table, paper: np.ndarray) -> list[float]:
@@ -777,7 +776,7 @@ def check(facts: Facts, scene: Scene, layouts: Mapping[str, Layout], world: "Wor
     mine = with_surrogate(one.fit(plain, np.zeros((len(NAMES), 4)), fit_r=False).table)
     options_ = {key: facts.settings[key] for key in ("occlusion_reference", "visibility")}
     scores = [inspe_jax.evaluate(scene, layouts[name], **options_) for name in NAMES]
-    rows = np.array([[getattr(score, metric) for metric in METRICS] for score in scores])
+    rows = np.array([[score.value(metric) for metric in METRICS] for score in scores])
     if (off := np.abs(mine - rows).max()) > ROUNDING:
         raise SystemExit(f"{facts.name}: these facts give scores that are {off:.5f} off")
     worst = {by: min(shares) for by, shares in same.items()}

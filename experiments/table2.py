@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, command_line, write_results
+from common import MAPS, METRICS, command_line, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import spearmanr
@@ -33,7 +33,6 @@ from inspe_jax.cli.common import keep_compiled, progress
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
-from inspe_jax.report.tables import METRICS
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profiles
 from inspe_jax.study.plan import Study, make_study
 from inspe_jax.study.sweep import sweep

@@ -54,7 +54,7 @@ two cores, and most of a small sample's is fixed."""
 class Objective:
     """What is maximised: a mean or a worst case of P_sm, less what the sensors cost.
 
-    ``weights`` of C, O, IG; ``occlusion_reference`` and ``visibility`` as in
+    ``weights`` of the metrics by name; ``occlusion_reference`` and ``visibility`` as in
     :func:`inspe_jax.evaluate`, those of the scenes' profile if not given; ``over`` several scenes,
     "mean" or "worst"; with ``failures`` the score is N−1: the mean over the units of the score
     without that unit. ``price_weight`` is how much score a thousand US dollars must bring;
@@ -62,7 +62,7 @@ class Objective:
     the catalogue's.
     """
 
-    weights: tuple[float, float, float] = metrics.WEIGHTS
+    weights: metrics.Weights = None
     occlusion_reference: str | None = None
     visibility: str | None = None
     over: str = "mean"
@@ -70,6 +70,11 @@ class Objective:
     price_weight: float = 0.0
     budget: float | None = None
     prices: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def weights_by_name(self) -> dict[str, float]:
+        """The weight of every metric. Raises InspeError as :func:`metrics.weights_of` does."""
+        return metrics.weights_of(self.weights)
 
     def check(self) -> None:
         """Raise InspeError where a setting is unknown or out of range."""
@@ -185,6 +190,7 @@ class Problem:
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
         self.objective = replace(
             wanted,
+            weights=wanted.weights_by_name,
             occlusion_reference=self.options["occlusion_reference"],
             visibility=self.options["visibility"],
         )
@@ -211,7 +217,7 @@ class Problem:
         self.terms = ScoreTerms(
             tuple(sensor_array(crew) for crew in self.crews),
             tuple(case.scene.voxels.size for case in self.cases),
-            np.array(self.objective.weights),
+            np.array(list(self.objective.weights_by_name.values())),
             np.array(len(failures), np.int32),
         )
         self._constraints = constraints or Constraints()
@@ -230,7 +236,7 @@ class Problem:
         found = []
         for case in self.cases:
             world = tiled_scene_of(case.scene)
-            if self.objective.weights[2] > 0:
+            if self.objective.weights_by_name["information_gain"] > 0:
                 check_entropy(case.scene, metrics.entropy(world.occupancy).sum())
             arrays = case.scene.voxels.weight, world.voxel_occupancy
             found.append(
@@ -254,7 +260,7 @@ class Problem:
                 case.scene.voxels.size,
                 **self.options,
             )
-            if self.objective.weights[2] > 0:
+            if self.objective.weights_by_name["information_gain"] > 0:
                 check_entropy(case.scene, found.entropy)
             measures.append(found)
         return self._combined(scores(measures, self.terms.weights, self.terms.failures))

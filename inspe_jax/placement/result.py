@@ -18,7 +18,7 @@ from inspe_jax.placement.run import Progress
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
 
-FORMAT = "inspe_jax result 2"
+FORMAT, BEFORE = "inspe_jax result 3", "inspe_jax result 2"
 FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv", "path.csv")
 """The files of a result: the layout found, the one begun with, the record, the exact scores, and
 where the sensors were in every layout that was the best so far."""
@@ -129,7 +129,7 @@ def _read_record(place: Path) -> dict[str, Any]:
         written = str(record.pop("format"))
     except (AttributeError, KeyError, TypeError, ValueError) as e:
         raise InspeError(f"{place}: not a result saved by this package") from e
-    if written != FORMAT:
+    if written not in (FORMAT, BEFORE):
         known = written.startswith(FORMAT.rstrip("0123456789"))
         what = (
             "a result of another version of inspe_jax; search again"
@@ -185,11 +185,22 @@ def _record(result: Result) -> dict[str, Any]:
 
 
 def _scores(record: dict[str, Any]) -> Scores:
-    record = dict(record)
-    record["contributions"] = tuple(Contribution(**row) for row in record["contributions"])
+    record = _by_metric(record)
+    record["contributions"] = tuple(
+        Contribution(**_by_metric(row)) for row in record["contributions"]
+    )
     record["level_coverage"] = tuple(record["level_coverage"])
     record["seen_share"] = np.array(record["seen_share"], float)
     return Scores(**record)
+
+
+def _by_metric(record: dict[str, Any]) -> dict[str, Any]:
+    """A record of scores with its metrics by name; before, each of the paper's had a key."""
+    if "metrics" in record:
+        return dict(record)
+    paper = ("coverage", "occlusion", "information_gain")
+    rest = {key: value for key, value in record.items() if key not in paper}
+    return rest | {"metrics": {name: record[name] for name in paper}}
 
 
 def csv_text(rows: Sequence[dict[str, Any]]) -> str:

@@ -26,7 +26,8 @@ class SampleScore:
 
     def __init__(self, problem: Problem, sample: Sample) -> None:
         objective, shares = problem.objective, problem.shares(sample)
-        c, o, ig = objective.weights
+        weights = objective.weights_by_name
+        c, o, ig = (weights[name] for name in ("coverage", "occlusion", "information_gain"))
         self.sample, self.price = sample, problem.price
         self._weight = c * shares.weight
         self._free = o * shares.free

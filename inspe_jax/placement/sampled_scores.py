@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import count_exactly
-from inspe_jax.scoring.reference import Metrics, SceneArrays, SensorArray
+from inspe_jax.scoring.reference import MetricValues, SceneArrays, SensorArray
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import TiledScene, sample_in_one_tile
 
@@ -25,25 +25,26 @@ COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, 
 class ScoreTerms(NamedTuple):
     """What a score is made of, but for the poses and the sample.
 
-    ``sensors`` and ``voxel`` [m] of every case; ``weights`` (3,) of C, O, IG; ``failures``, the
-    number of units that are left out in turn, 0 for none.
+    ``sensors`` and ``voxel`` [m] of every case; ``weights`` (K,) of every metric, in the registry's
+    order; ``failures``, the number of units that are left out in turn, 0 for none.
     """
 
     sensors: tuple[SensorArray, ...]
     voxel: tuple[float, ...]
-    weights: Float[np.ndarray | Array, "3"]
+    weights: Float[np.ndarray | Array, " K"]
     failures: Int[np.ndarray | Array, ""]
 
 
 @jax.jit
 def scores(
-    measures: list[Metrics], weights: Float[Any, "3"], failures: Int[Any, ""]
+    measures: list[MetricValues], weights: Float[Any, " K"], failures: Int[Any, ""]
 ) -> Float[Array, " N"]:
     """P_sm of every case; with failures the mean of those without each unit."""
     found = []
     for m in measures:
-        parts = list(jnp.asarray(weights, m.coverage.dtype))
-        p = metrics.weighted(m.coverage, m.occlusion, m.information_gain, parts)  # (1 + G,)
+        parts = jnp.asarray(weights, m.column_coverage.dtype)
+        named = dict(zip(metrics.METRICS, parts, strict=True))
+        p = metrics.surrogate(m.values, named)  # (1 + G,)
         number = jnp.arange(len(p))
         real = (number > 0) & (number <= failures)
         without = jnp.where(real, p, 0.0).sum() / jnp.maximum(failures, 1).astype(p.dtype)

@@ -29,10 +29,11 @@ from inspe_jax.report.layers import BLIND, SIGHT_COLORS, Layer, layers
 from inspe_jax.report.progress import before_after, history_view
 from inspe_jax.report.scene3d import USER_COLOR, stage_page
 from inspe_jax.report.sheet import house_style
-from inspe_jax.report.tables import METRICS, scores_record, tolerance_record
+from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.metrics import Weights, listed
 from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
@@ -67,7 +68,7 @@ class Entry:
 def entry_of(
     case: Case,
     layout: Layout,
-    weights: tuple[float, float, float],
+    weights: Weights,
     result: Result | None = None,
 ) -> Entry:
     """All that a page says of a layout, but for the tolerance; ``result`` is that it comes from.
@@ -142,8 +143,8 @@ def report_page(
             "LiDAR": SENSOR_COLORS["lidar"],
         },
         parts=parts,
-        metrics=METRICS,
-        best={name: max(record[name] for record in records) for name in METRICS},
+        metrics={metric.name: metric.symbol for metric in listed()},
+        best={m.name: max(record[m.name] for record in records) for m in listed()},
         weights=entries[0].scores.settings["weights"],
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
         scene_figure=drawn(scene_view(scene, frame=frame)),

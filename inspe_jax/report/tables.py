@@ -21,6 +21,7 @@ from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.catalogue import Device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
@@ -29,13 +30,6 @@ from inspe_jax.sensing.sensors import CameraSpec, Spec
 if TYPE_CHECKING:
     from inspe_jax.scene.maps.opendrive.reader import JunctionInfo
 
-METRICS: dict[str, str] = {
-    "coverage": "C",
-    "occlusion": "O",
-    "information_gain": "IG",
-    "surrogate": "P_sm",
-}
-"""The four scores by the name they have in records, with the paper's symbol."""
 
 _SAME = 1e-5  # objectives and scores sum in different orders, in single precision
 _CHANGE = ("before", "after", "change")
@@ -51,13 +45,15 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     where the scores are not of this layout.
     """
     members = _members(scores, layout)
-    weights = [f"{w:g}" for w in scores.settings.get("weights", ())] or [""] * 3
+    weights = scores.settings.get("weights", {})
 
     title = f"Scores of {layout.name}{scores.conditions.words}"
     total = table_of(title, "metric", "symbol", "weight", "score")
-    for (name, symbol), weight in zip(METRICS.items(), [*weights, ""], strict=True):
-        look = "bold" if name == "surrogate" else ""
-        total.add_row(_words(name), symbol, weight, f"{getattr(scores, name):.3f}", style=look)
+    for metric in listed():
+        look = "bold" if metric.name == "surrogate" else ""
+        weight = f"{weights[metric.name]:g}" if metric.name in weights else ""
+        number = f"{scores.value(metric.name):.3f}"
+        total.add_row(metric.words, metric.symbol, weight, number, style=look)
 
     regions = table_of("Share covered by region", "region", "weight", "share")
     for key, share in scores.region_coverage.items():
@@ -67,9 +63,9 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     for k, share in enumerate(scores.level_coverage):
         levels.add_row(str(k + 1), f"{share:.3f}")
 
-    each = table_of("What each sensor adds", "#", "sensor", "device", *METRICS.values())
+    each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in listed()))
     for k, (part, _, device) in enumerate(members):
-        drops = [f"{getattr(part, name):+.4f}" for name in METRICS]
+        drops = [f"{part.value(metric.name):+.4f}" for metric in listed()]
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
@@ -82,8 +78,8 @@ def before_after_table(result: Result) -> RenderableType:
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
     table = table_of(title, "metric", "symbol", *_CHANGE)
     rows = [
-        (_words(name), symbol, getattr(result.scores_before, name), getattr(result.scores, name))
-        for name, symbol in METRICS.items()
+        (m.words, m.symbol, result.scores_before.value(m.name), result.scores.value(m.name))
+        for m in listed()
     ]
     if abs(result.objective - result.scores.surrogate) > _SAME:
         rows.append(("objective", "", result.objective_before, result.objective))
@@ -118,13 +114,15 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 
 def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     """The rows of a study by layout: mean ± standard deviation over scenes and settings."""
-    table = table_of("Mean ± standard deviation", "layout", "jobs", "failed", *METRICS.values())
+    table = table_of(
+        "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in listed())
+    )
     by: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
         by.setdefault(row["layout"], []).append(row)
     for name, own in by.items():
         done = [row for row in own if row["status"] == "done"]
-        scores = (np.array([float(row[key]) for row in done]) for key in METRICS)
+        scores = (np.array([float(row[key]) for row in done]) for key in (m.name for m in listed()))
         words = (f"{x.mean():.3f} ± {x.std():.2f}" if len(x) else "" for x in scores)
         table.add_row(Text(name), str(len(own)), str(len(own) - len(done)), *words)
     return table
@@ -147,9 +145,11 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
 
 def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
     """What mixes of devices cost and score, cheapest first; those that no other beats in bold."""
-    table = table_of("Cost against score", "mix", "cost\n[US$]", *METRICS.values(), "objective", "")
+    table = table_of(
+        "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in listed()), "objective", ""
+    )
     for mix in found:
-        scores = [f"{getattr(mix.result.scores, name):.3f}" for name in METRICS]
+        scores = [f"{mix.result.scores.value(m.name):.3f}" for m in listed()]
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
         words = ("front", "bold") if mix.front else ("", "")
         table.add_row(Text(mix.name), *numbers, words[0], style=words[1])
@@ -204,7 +204,7 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
     InspeError where the scores are not of this layout.
     """
     return {
-        **{name: float(getattr(scores, name)) for name in METRICS},
+        **{m.name: float(scores.value(m.name)) for m in listed()},
         "information_gain_literal": float(scores.information_gain_literal),
         "region_coverage": {key: float(share) for key, share in scores.region_coverage.items()},
         "level_coverage": [float(share) for share in scores.level_coverage],
@@ -213,7 +213,7 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
                 "sensor": part.sensor,
                 "unit": unit,
                 "device": device,
-                **{name: float(getattr(part, name)) for name in METRICS},
+                **{m.name: float(part.value(m.name)) for m in listed()},
             }
             for part, unit, device in _members(scores, layout)
         ],

@@ -34,34 +34,55 @@ share of frames in which no vehicle hides the voxel; ``past_others``: the same, 
 that the voxel is inside, which does not hide it."""
 
 
+class PaperMetrics:
+    """The paper's three metrics as attributes of a record of all ``metrics`` by name."""
+
+    metrics: dict[str, Any]
+    surrogate: Any
+
+    def value(self, name: str) -> Any:
+        """A metric, or ``surrogate``, by name."""
+        return self.surrogate if name == "surrogate" else self.metrics[name]
+
+    @property
+    def coverage(self) -> Any:
+        """C, the weighted share of voxels in view."""
+        return self.metrics["coverage"]
+
+    @property
+    def occlusion(self) -> Any:
+        """O, the share that stays visible behind traffic."""
+        return self.metrics["occlusion"]
+
+    @property
+    def information_gain(self) -> Any:
+        """IG, the share of the occupancy's entropy that is resolved."""
+        return self.metrics["information_gain"]
+
+
 @dataclass(frozen=True)
-class Contribution:
-    """What the layout loses when one sensor is left out, metric by metric."""
+class Contribution(PaperMetrics):
+    """What the layout loses when one sensor is left out, metric by metric and in P_sm."""
 
     sensor: str
-    coverage: float
-    occlusion: float
-    information_gain: float
+    metrics: dict[str, float]
     surrogate: float
 
 
 @dataclass(frozen=True)
-class Scores:
+class Scores(PaperMetrics):
     """The scores of one layout on one scene, each between 0 and 1, higher is better.
 
-    Numbers; or JAX arrays, where the layout's poses are traced.
-    ``region_coverage`` and ``level_coverage`` are unweighted shares of the voxels
-    of one region and of one level (lowest first); ``contributions`` has one row a
+    ``metrics`` by name, and ``surrogate``, their weighted sum. Numbers; or JAX arrays, where the
+    layout's poses are traced. ``region_coverage`` and ``level_coverage`` are unweighted shares of
+    the voxels of one region and of one level (lowest first); ``contributions`` has one row a
     sensor, in the layout's order, none where poses are traced, and can be negative only for
-    occlusion with the reference ``covered``, whose voxels change with the sensors;
-    ``seen_share`` (L,) is the share of frames and levels in which each column is seen, for
-    pictures: it has no gradient;
-    ``settings`` are the options used.
+    occlusion with the reference ``covered``, whose voxels change with the sensors; ``seen_share``
+    (L,) is the share of frames and levels in which each column is seen, for pictures: it has no
+    gradient; ``settings`` are the options used.
     """
 
-    coverage: float
-    occlusion: float
-    information_gain: float
+    metrics: dict[str, float]
     surrogate: float
     region_coverage: dict[str, float]
     level_coverage: tuple[float, ...]
@@ -86,7 +107,7 @@ def evaluate(
     scene: Scene,
     layout: Layout,
     *,
-    weights: tuple[float, float, float] = metrics.WEIGHTS,
+    weights: metrics.Weights = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
     softness: Any = 0.0,
@@ -94,15 +115,16 @@ def evaluate(
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
-    ``weights`` of C, O, IG in P_sm; ``occlusion_reference`` as in
-    :func:`~inspe_jax.scoring.metrics.occlusion_terms`; ``visibility`` for information gain, one of
-    :data:`VISIBILITIES`; those two are the scene's profile's where they are not given. ``softness``
-    [m] is 0 for the exact scores, or the width that fields of view and shadows are read with, or a
-    :class:`~inspe_jax.core.numerics.Softness`. With poses P (S, 6) traced, ``evaluate(scene,
-    layout.with_poses(P), softness=0.5).surrogate`` is differentiable in P; read exactly it is a
-    step function, with gradient 0. Such a gradient needs no ``jax.jit`` about it: without, what is
-    compiled serves other scenes and layouts of similar size; within, the scene is a part of the
-    program. ``conditions`` are the light and the weather that the sensors work in.
+    ``weights`` of the metrics in P_sm, by name or as three numbers of C, O and IG;
+    ``occlusion_reference`` as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`; ``visibility``
+    for information gain, one of :data:`VISIBILITIES`; those two are the scene's profile's where
+    they are not given. ``softness`` [m] is 0 for the exact scores, or the width that fields of view
+    and shadows are read with, or a :class:`~inspe_jax.core.numerics.Softness`. With poses P (S, 6)
+    traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is differentiable in
+    P; read exactly it is a step function, with gradient 0. Such a gradient needs no ``jax.jit``
+    about it: without, what is compiled serves other scenes and layouts of similar size; within, the
+    scene is a part of the program. ``conditions`` are the light and the weather that the sensors
+    work in.
 
     Raises InspeError where a sensor is in the
     ground or out of reach of the scene, an option is unknown, the arrays would not
@@ -111,6 +133,7 @@ def evaluate(
     """
     options = options_of(scene, occlusion_reference, visibility)
     check_options(weights, **options, conditions=conditions)
+    by_name = metrics.weights_of(weights)
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
@@ -128,28 +151,26 @@ def evaluate(
     else:
         world = bare_tiled_scene_of(scene)
         found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)
-    if weights[2] > 0:
+    if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
     regions = _by_region(scene, world, found.column_coverage)
     measured = jax.tree.map(_array, found)
-    c, o, ig = (x[: 1 + len(each)] for x in measured[:3])
-    rows = (c, o, ig, metrics.surrogate(c, o, ig, weights))
+    values = {name: measured.values[name][: 1 + len(each)] for name in metrics.METRICS}
+    rows = [*values.values(), metrics.surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
     return Scores(
-        coverage=total[0],
-        occlusion=total[1],
-        information_gain=total[2],
-        surrogate=total[3],
+        metrics=dict(zip(values, total[:-1], strict=True)),
+        surrogate=total[-1],
         region_coverage={key: _numbers(share) for key, share in regions.items()},
         level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
-            Contribution(sensor.name, *(a - b for a, b in zip(total, left, strict=True)))
+            _contribution(sensor.name, [a - b for a, b in zip(total, left, strict=True)])
             for sensor, left in zip(layout.sensors, without, strict=False)
         ),
         seen_share=measured.seen_share[world.tiles.place],
         settings=dict(
-            weights=list(weights),
+            weights=by_name,
             profile=scene.profile.name,
             **options,
             softness=softness,
@@ -158,13 +179,15 @@ def evaluate(
     )
 
 
-@dataclass(frozen=True)
-class ManyScores:
-    """The exact scores of M layouts, (M,) each."""
+def _contribution(sensor: str, lost: list[float]) -> Contribution:
+    return Contribution(sensor, dict(zip(metrics.METRICS, lost[:-1], strict=True)), lost[-1])
 
-    coverage: Float[np.ndarray, " M"]
-    occlusion: Float[np.ndarray, " M"]
-    information_gain: Float[np.ndarray, " M"]
+
+@dataclass(frozen=True)
+class ManyScores(PaperMetrics):
+    """The exact scores of M layouts, (M,) each: ``metrics`` by name, and P_sm."""
+
+    metrics: dict[str, Float[np.ndarray, " M"]]
     surrogate: Float[np.ndarray, " M"]
 
 
@@ -173,7 +196,7 @@ def evaluate_many(
     layout: Layout,
     poses: Float[np.ndarray, "M S 6"],
     *,
-    weights: tuple[float, float, float] = metrics.WEIGHTS,
+    weights: metrics.Weights = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
     conditions: Conditions = FAIR,
@@ -207,16 +230,17 @@ def evaluate_many(
         check_layout(scene, one)
     layout = perceiving(scene, layout, conditions)
     world = whole_tiled_scene_of(scene)
-    if weights[2] > 0:
+    by_name = metrics.weights_of(weights)
+    if by_name["information_gain"] > 0:
         check_entropy(scene, metrics.entropy(world.occupancy).sum())
-    c, o, ig = measure_many(
+    found = measure_many(
         world,
         np.stack([poses_about_center(scene, one) for one in layouts]),
         SensorSet.of(layout),
         scene.voxels.size,
         **options,
     )
-    return ManyScores(c, o, ig, np.asarray(metrics.surrogate(c, o, ig, weights)))
+    return ManyScores(found, np.asarray(metrics.surrogate(found, by_name)))
 
 
 def _by_region(
@@ -265,7 +289,7 @@ def options_of(
 
 
 def check_options(
-    weights: tuple[float, float, float],
+    weights: metrics.Weights,
     occlusion_reference: str,
     visibility: str,
     conditions: Conditions = FAIR,
@@ -279,7 +303,7 @@ def check_options(
         raise metrics.unknown_reference(occlusion_reference)
     if visibility not in VISIBILITIES:
         raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
-    metrics.check_weights(weights)
+    metrics.weights_of(weights)
 
 
 def check_entropy(scene: Scene, entropy: Float[Array, ""]) -> None:

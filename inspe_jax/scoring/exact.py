@@ -21,7 +21,7 @@ from inspe_jax.core.numerics import Groups, leave_one_out
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.reference import (
-    Metrics,
+    MetricValues,
     SensorArray,
     SensorSet,
     ignores_self_occlusion,
@@ -43,7 +43,7 @@ def measure_exactly(
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Metrics:
+) -> MetricValues:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
     As :func:`~inspe_jax.scoring.reference.measure`. Works on all cores; traced, on one, and on a
@@ -63,7 +63,7 @@ def count_exactly(
     *,
     occlusion_reference: str,
     visibility: str,
-) -> Metrics:
+) -> MetricValues:
     """:func:`measure_exactly` of arrays that are filled up: of the tiles' columns, and with a row
     for each group of failures that there is room for."""
     views = in_view_of(world, poses, sensors, voxel / 2)
@@ -315,7 +315,7 @@ def _measures(
     watched: VisibilityCounts,
     reliability: Float[Array, " S"],
     failures: Groups | None,
-) -> Metrics:
+) -> MetricValues:
     """From masks and counts to the metrics."""
     slabs, levels = world.tiles.slabs, world.tiles.level_count
     covered = bitmask.without_one(views, failures)
@@ -369,7 +369,7 @@ def summed_up(
     by_level: Num[Array, " Z"],
     terms: tuple[Float[Array, " 1+G"], Float[Array, ""]],
     watched: VisibilityCounts,
-) -> Metrics:
+) -> MetricValues:
     """The metrics, of what is in view of each column and level, and of what is seen.
 
     ``shares`` of each tile column's levels, ``by_level`` in columns, ``terms`` of all voxels as
@@ -378,10 +378,14 @@ def summed_up(
     slabs, levels = world.tiles.slabs, world.tiles.level_count
     seen = watched.columns.reshape(slabs, -1).sum(0)
     there = world.tiles.tile.there.reshape(slabs, -1)[0] != 0
-    return Metrics(
-        metrics.coverage(shares, world.weight),
-        metrics.occlusion(*(jnp.asarray(x, float).T for x in (watched.seen, watched.original))),
-        metrics.information_gain(*terms),
+    return MetricValues(
+        dict(
+            coverage=metrics.coverage(shares, world.weight),
+            occlusion=metrics.occlusion(
+                *(jnp.asarray(x, float).T for x in (watched.seen, watched.original))
+            ),
+            information_gain=metrics.information_gain(*terms),
+        ),
         column_coverage=shares[0],
         level_coverage=by_level[:levels].astype(float) / there.astype(float).sum(),
         entropy=terms[1],
@@ -397,8 +401,8 @@ def measure_many(
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Float[np.ndarray, "3 M"]:
-    """C, O and IG of M layouts, on a world whose shares have all tiles: layouts side by side.
+) -> dict[str, Float[np.ndarray, " M"]]:
+    """Every metric of M layouts, on a world whose shares have all tiles: layouts side by side.
 
     On several devices each works on a layout of its own, on one each core.
     """
@@ -418,7 +422,8 @@ def measure_many(
         )
         for row in rows
     ]
-    return np.stack(run(jobs)).reshape(-1, 3)[: len(poses)].T
+    found = np.stack(run(jobs)).reshape(-1, len(metrics.METRICS))[: len(poses)]
+    return dict(zip(metrics.METRICS, found.T, strict=True))
 
 
 @partial(jax.jit, static_argnames=("reference", "visibility"))
@@ -430,11 +435,11 @@ def _one(
     *,
     reference: str,
     visibility: str,
-) -> Float[Array, "3"]:
+) -> Float[Array, " K"]:
     m = count_exactly(
         world, poses, sensors, voxel, occlusion_reference=reference, visibility=visibility
     )
-    return jnp.stack([m.coverage[0], m.occlusion[0], m.information_gain[0]])
+    return jnp.stack([m.values[name][0] for name in metrics.METRICS])
 
 
 @cache

@@ -4,17 +4,15 @@ Sensors are fused before a metric sees them, all of them and with each left out 
 (:func:`~inspe_jax.core.numerics.leave_one_out`); every function keeps that leading axis.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.numerics import dot
-
-WEIGHTS = (0.3, 0.5, 0.2)
-"""Weights of C, O and IG in P_sm."""
 
 OCCLUSION_REFERENCES = ("roi", "covered", "targets")
 """Readings of V_orig, the voxels that occlusion is a share of; see :func:`occlusion_terms`."""
@@ -109,28 +107,86 @@ def information_gain(
     return jnp.where(some, 1.0 - remaining / jnp.where(some, total, 1.0), 0.0)
 
 
-def surrogate(
-    coverage: Float[Array, "..."],
-    occlusion: Float[Array, "..."],
-    information_gain: Float[Array, "..."],
-    weights: tuple[float, float, float] = WEIGHTS,
-) -> Float[Array, "..."]:
-    """P_sm = 0.3 C + 0.5 O + 0.2 IG. Raises InspeError unless the weights sum to 1."""
-    check_weights(weights)
-    return weighted(coverage, occlusion, information_gain, weights)
+def surrogate(scores: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
+    """P_sm = 0.3 C + 0.5 O + 0.2 IG: the weighted sum of metrics by name.
+
+    ``weights`` as :func:`weights_of` gives them; they may be traced.
+    """
+    terms = [weights[name] * scores[name] for name in METRICS]
+    return sum(terms[1:], terms[0])
 
 
-def weighted(
-    coverage: Float[Array, "..."],
-    occlusion: Float[Array, "..."],
-    information_gain: Float[Array, "..."],
-    weights: Sequence[Any],
-) -> Float[Array, "..."]:
-    """:func:`surrogate` of weights that were checked before: they may be traced."""
-    return weights[0] * coverage + weights[1] * occlusion + weights[2] * information_gain
+# ── The registry ────────────────────────────────────────────────────────────
 
 
-def check_weights(weights: tuple[float, float, float]) -> None:
-    """Raise InspeError unless these are three weights, none negative, that sum to 1."""
-    if len(weights) != 3 or not abs(sum(weights) - 1.0) < 1e-6 or min(weights) < 0:
-        raise InspeError(f"weights {weights}: three numbers, none negative, that sum to 1")
+@dataclass(frozen=True)
+class Metric:
+    """A row of the registry: a metric between 0 and 1, higher is better.
+
+    ``name`` in records and options, ``symbol`` in tables, its usual ``weight`` in P_sm, and a
+    line that says what it is.
+    """
+
+    name: str
+    symbol: str
+    weight: float
+    summary: str
+
+    @property
+    def words(self) -> str:
+        """The name, for people."""
+        return self.name.replace("_", " ")
+
+
+METRICS: dict[str, Metric] = {
+    metric.name: metric
+    for metric in (
+        Metric(
+            "coverage", "C", 0.3, "share of voxels that some sensor ray passes through, by region"
+        ),
+        Metric(
+            "occlusion", "O", 0.5, "share that stays visible behind traffic, a mean over frames"
+        ),
+        Metric(
+            "information_gain", "IG", 0.2, "share of the occupancy's entropy that sensors resolve"
+        ),
+    )
+}
+"""The metrics by name, in the paper's order."""
+
+
+def listed() -> tuple[Metric, ...]:
+    """What tables of scores list: every metric, and P_sm after them."""
+    surrogate = Metric("surrogate", "P_sm", 0.0, "the weighted sum of the metrics")
+    return (*METRICS.values(), surrogate)
+
+
+Weights = Mapping[str, float] | Sequence[float] | None
+"""Weights by name of the metric; or numbers, those of the paper's three in their order."""
+
+
+def weights_of(given: Weights = None) -> dict[str, float]:
+    """The weight of every metric in P_sm: the usual ones, or those given and else 0.
+
+    Raises InspeError where one is of no metric or negative, or they do not sum to 1.
+    """
+    if given is None:
+        return {name: metric.weight for name, metric in METRICS.items()}
+    if not isinstance(given, Mapping):
+        paper = tuple(METRICS)[:3]
+        if len(given) != len(paper):
+            raise InspeError(
+                f"weights {tuple(given)}: {len(paper)} numbers, of {', '.join(paper)}; or by name"
+            )
+        given = dict(zip(paper, given, strict=True))
+    for name in given:
+        if name not in METRICS:
+            known = tuple(METRICS)
+            raise InspeError(
+                f"weight of '{name}': a metric is one of {', '.join(known)}{nearest(name, known)}"
+            )
+    weights = {name: float(given.get(name, 0.0)) for name in METRICS}
+    if not abs(sum(weights.values()) - 1.0) < 1e-6 or min(weights.values()) < 0:
+        words = ", ".join(f"{name} {value:g}" for name, value in weights.items())
+        raise InspeError(f"weights {words}: none may be negative, and they must sum to 1")
+    return weights

@@ -132,31 +132,27 @@ def sensor_array(crew: SensorSet, spare: int = 0) -> SensorArray:
     )
 
 
-class Metrics(NamedTuple):
-    """C, O and IG: of all sensors in row 0, of all but failure g in row 1 + g.
+class MetricValues(NamedTuple):
+    """Every metric by name: of all sensors in row 0, of all but failure g in row 1 + g.
 
     ``column_coverage`` and ``level_coverage`` are the shares in view of each column's and of each
     level's voxels; ``seen_share`` is the share of frames and levels in which each column is seen;
     ``entropy`` is H(Ω), what there is to gain.
     """
 
-    coverage: Float[Array, " 1+G"]
-    occlusion: Float[Array, " 1+G"]
-    information_gain: Float[Array, " 1+G"]
+    values: dict[str, Float[Array, " 1+G"]]
     column_coverage: Float[Array, " L"]
     level_coverage: Float[Array, " Z"]
     entropy: Float[Array, ""]
     seen_share: Float[Array, " L"]
 
-    def of_scene(self, place: Any, failures: int) -> "Metrics":
+    def of_scene(self, place: Any, failures: int) -> "MetricValues":
         """These of arrays that are filled up, as they are of a scene: its columns, so many rows."""
-        if not isinstance(self.coverage, jax.core.Tracer):
+        if not isinstance(self.column_coverage, jax.core.Tracer):
             place, self = jax.tree.map(np.asarray, (place, self))
         rows = slice(1 + failures)
         return self._replace(
-            coverage=self.coverage[rows],
-            occlusion=self.occlusion[rows],
-            information_gain=self.information_gain[rows],
+            values={name: value[rows] for name, value in self.values.items()},
             column_coverage=self.column_coverage[place],
             seen_share=self.seen_share[place],
         )
@@ -171,7 +167,7 @@ def measure(
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Metrics:
+) -> MetricValues:
     """The three metrics as functions of pose (about the scene's centre), in the paper's order.
 
     ``voxel`` is the edge of a voxel [m]. Differentiable in the poses where ``softness`` is not 0.
@@ -194,10 +190,12 @@ def measure(
     covered, resolved = leave_one_out(f, failures), leave_one_out(q, failures)
     remaining, total = metrics.entropy_terms(resolved, occupancy)
     by_column = covered[0].reshape(ground.heights.shape)
-    return Metrics(
-        metrics.coverage(covered, field.weight),
-        seen.occlusion,
-        metrics.information_gain(remaining, total),
+    return MetricValues(
+        dict(
+            coverage=metrics.coverage(covered, field.weight),
+            occlusion=seen.occlusion,
+            information_gain=metrics.information_gain(remaining, total),
+        ),
         column_coverage=by_column.mean(1),
         level_coverage=by_column.mean(0),
         entropy=total,

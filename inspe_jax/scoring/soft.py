@@ -19,7 +19,7 @@ from inspe_jax.core.numerics import REACH, Groups, Softness, Width, leave_one_ou
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import VisibilityCounts, joined, summed_up
 from inspe_jax.scoring.reference import (
-    Metrics,
+    MetricValues,
     SensorArray,
     SensorSet,
     ignores_self_occlusion,
@@ -47,7 +47,7 @@ def measure_softly(
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
-) -> Metrics:
+) -> MetricValues:
     """The three metrics of poses about the scene's centre, in the paper's order.
 
     As :func:`~inspe_jax.scoring.reference.measure`, of a world whose shares have all tiles; its
@@ -72,7 +72,7 @@ def read_softly(
     *,
     occlusion_reference: str,
     visibility: str,
-) -> Metrics:
+) -> MetricValues:
     """:func:`measure_softly` of arrays that are filled up: of the tiles' columns, and with a row
     for each group of failures that there is room for."""
     softness = jax.lax.stop_gradient(softness)

@@ -157,8 +157,8 @@ class _StudyFile(Sources):
 
 _CHECKS = CHECKS | {
     "weights": lambda value: check_options(tuple(value), "roi", "in_view"),
-    "occlusion_reference": lambda value: check_options(metrics.WEIGHTS, value, "in_view"),
-    "visibility": lambda value: check_options(metrics.WEIGHTS, "roi", value),
+    "occlusion_reference": lambda value: check_options(None, value, "in_view"),
+    "visibility": lambda value: check_options(None, "roi", value),
     "method": one_of((AS_IT_IS, *METHODS)),
     "seconds": lambda value: check_budget(value, None),
     "evaluations": lambda value: check_budget(None, value),
@@ -209,7 +209,7 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
         defaults_of((*BUILD, *CONDITIONS), profile)
         | lattice
         | dict(
-            weights=[list(metrics.WEIGHTS)],
+            weights=[list(metrics.weights_of().values())[:3]],
             occlusion_reference=[own.occlusion_reference],
             visibility=[own.visibility],
             method=[AS_IT_IS],

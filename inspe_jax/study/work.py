@@ -16,6 +16,7 @@ from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene, load_scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.study.plan import AS_IT_IS, BUILD, SETTINGS, Job, Study
@@ -23,7 +24,8 @@ from inspe_jax.study.sources import LayoutSource, SceneSource, digest_of
 
 Row = dict[str, str]
 
-SCORES = ("coverage", "occlusion", "information_gain", "surrogate", "information_gain_literal")
+LITERAL = "information_gain_literal"
+"""IG to the letter of the paper, for comparison."""
 FACTS = ("sensors", "voxels", "objects")
 """How many sensors and voxels, and objects in a frame in the mean."""
 BEFORE = "surrogate_before"
@@ -37,7 +39,17 @@ _compiled_for: set[str] = set()
 def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     head = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
-    return (*head, *SETTINGS, *FACTS, *SCORES, BEFORE, "status", "error", *versions())
+    return (
+        *head,
+        *SETTINGS,
+        *FACTS,
+        *(m.name for m in listed()),
+        LITERAL,
+        BEFORE,
+        "status",
+        "error",
+        *versions(),
+    )
 
 
 @cache
@@ -102,7 +114,8 @@ def work(scene: Scene | str, job: Job, wanted: Row) -> tuple[Row, str | None]:
         return row | failed(message_of(e)), None
     facts = (len(layout), scene.voxels.count, round(scene.traffic.mean_count, 2))
     row |= dict(zip(FACTS, map(str, facts), strict=True))
-    row |= {name: f"{getattr(scores, name):.7f}" for name in SCORES}
+    row |= {m.name: f"{scores.value(m.name):.7f}" for m in listed()}
+    row[LITERAL] = f"{scores.information_gain_literal:.7f}"
     row |= {BEFORE: "" if before is None else f"{before:.7f}", "status": "done", "error": ""}
     return row, None if found is None else layout_text(found)
 

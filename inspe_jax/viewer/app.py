@@ -16,7 +16,7 @@ from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.server import Door, quiet, serve
-from inspe_jax.scoring.metrics import WEIGHTS
+from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.display import Display
 from inspe_jax.viewer.handle import Handle, Pull
@@ -51,7 +51,7 @@ class Viewer:
         layout: Layout,
         path: Path,
         *,
-        weights: tuple[float, float, float] = WEIGHTS,
+        weights: Weights = None,
         door: Door | None = None,
         port: int = 8080,
     ) -> None:

@@ -8,7 +8,7 @@ from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
 from inspe_jax.report.page import template
 from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
-from inspe_jax.report.tables import METRICS
+from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scorer import Scored
@@ -63,9 +63,9 @@ def score_panel(
         notes=notes,
         broken=BROKEN_COLOR,
         metrics=[
-            (f"{name.replace('_', ' ')} {symbol}", getattr(scores, name))
-            for name, symbol in METRICS.items()
-            if scores is not None and name != "surrogate"
+            (f"{metric.words} {metric.symbol}", scores.metrics[metric.name])
+            for metric in METRICS.values()
+            if scores is not None
         ],
         regions=list(regions.items()),
         sensors=len(layout),

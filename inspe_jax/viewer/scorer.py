@@ -15,6 +15,7 @@ from jaxtyping import UInt
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.metrics import Weights
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.layout import Layout
 
@@ -43,7 +44,7 @@ class Scorer:
     def __init__(
         self,
         case: Case,
-        weights: tuple[float, float, float],
+        weights: Weights,
         scored: Callable[[Scored], None],
         sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
     ) -> None:

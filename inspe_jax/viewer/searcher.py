@@ -14,6 +14,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import named_optimised
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.result import STATUSES
+from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.search_process import Task
 
@@ -65,7 +66,7 @@ class Searcher:
     def __init__(
         self,
         case: Case,
-        weights: tuple[float, float, float],
+        weights: Weights,
         constraints: Constraints,
         heard: Heard,
     ) -> None:

@@ -17,6 +17,7 @@ from inspe_jax.core.files import write_text
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import entry_of, report_page
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
 
 UNSAVED = "unsaved"
@@ -126,7 +127,7 @@ class Store:
         self,
         case: Case,
         layout: Layout,
-        weights: tuple[float, float, float],
+        weights: Weights,
         frame: int,
         ended: Callable[[Path, Exception | None], None],
     ) -> bool:

@@ -12,6 +12,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_folder
 from inspe_jax.placement.result import FILES, FORMAT, Result, load_result, save_result
 from inspe_jax.placement.run import Progress
+from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, load_layout, make_layout
@@ -64,7 +65,7 @@ def test_a_result_comes_back(result, tmp_path):
             assert len(theirs.seen_share) == 0
             for part in fields(mine):
                 if part.name == "settings":
-                    assert theirs.settings["weights"] == [0.3, 0.5, 0.2]
+                    assert theirs.settings["weights"] == metrics.weights_of()
                 elif part.name != "seen_share":
                     assert getattr(theirs, part.name) == getattr(mine, part.name)
         elif name == "path":

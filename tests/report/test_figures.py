@@ -41,8 +41,10 @@ SECTOR = LidarSpec("sector", (-0.1, 0.0), 80, math.radians(80), 20.0)
 def scores_of(scene, layout, share=None):
     """Scores as they might be; only seen_share and the four numbers are drawn."""
     share = np.linspace(0, 1, len(scene.voxels.columns)) if share is None else share
-    parts = tuple(Contribution(s.name, 0.01, 0.02, 0.03, 0.019) for s in layout.sensors)
-    return Scores(0.812, 0.703, 0.651, 0.7253, {"driveway": 0.8}, (0.8,), parts, share, {})
+    drops = dict(coverage=0.01, occlusion=0.02, information_gain=0.03)
+    parts = tuple(Contribution(s.name, drops, 0.019) for s in layout.sensors)
+    found = dict(coverage=0.812, occlusion=0.703, information_gain=0.651)
+    return Scores(found, 0.7253, {"driveway": 0.8}, (0.8,), parts, share, {})
 
 
 @pytest.fixture(scope="module")

@@ -30,19 +30,22 @@ from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 METRICS = ("coverage", "occlusion", "information_gain", "surrogate")
 WIDTHS = (80, 160)
 
+
+def named(*values):
+    return dict(zip(METRICS[:3], values, strict=True))
+
+
 SCORES = Scores(
-    coverage=0.8123456789012345,
-    occlusion=0.1 + 0.2,
-    information_gain=1 / 3,
+    metrics=dict(coverage=0.8123456789012345, occlusion=0.1 + 0.2, information_gain=1 / 3),
     surrogate=0.7004999,
     region_coverage={"driveway": 0.901, "crosswalk": 0.456},
     level_coverage=(0.111, 0.222, 0.333),
     contributions=(
-        Contribution("cam a", 0.0123 + 1e-9, 0.0456, 0.0789, 0.01 / 1.01),
-        Contribution("[red]top[/red]", -0.0001, 0.2222, 0.0, 0.1111),
+        Contribution("cam a", named(0.0123 + 1e-9, 0.0456, 0.0789), 0.01 / 1.01),
+        Contribution("[red]top[/red]", named(-0.0001, 0.2222, 0.0), 0.1111),
     ),
     seen_share=np.zeros(3),
-    settings={"weights": (0.3, 0.5, 0.2), "occlusion_reference": "roi", "at": np.float32(0.5)},
+    settings={"weights": named(0.3, 0.5, 0.2), "occlusion_reference": "roi", "at": np.float32(0.5)},
 )
 
 

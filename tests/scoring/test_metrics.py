@@ -88,11 +88,24 @@ def test_no_entropy_is_no_gain_and_no_nan():
 
 
 def test_surrogate_and_its_weights():
-    assert metrics.surrogate(1.0, 0.5, 0.25) == pytest.approx(0.3 + 0.25 + 0.05)
-    assert metrics.surrogate(1.0, 0.5, 0.25, (1, 0, 0)) == 1.0
-    for weights in ((0.3, 0.5, 0.3), (1.5, -0.5, 0.0), (0.5, 0.5)):
-        with pytest.raises(InspeError, match="sum to 1"):
-            metrics.surrogate(1.0, 0.5, 0.25, weights)
+    scores = dict(coverage=1.0, occlusion=0.5, information_gain=0.25)
+    assert metrics.surrogate(scores, metrics.weights_of()) == pytest.approx(0.3 + 0.25 + 0.05)
+    assert metrics.surrogate(scores, metrics.weights_of((1, 0, 0))) == 1.0
+    assert metrics.surrogate(scores, metrics.weights_of({"occlusion": 1})) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((0.3, 0.5, 0.3), "sum to 1"),
+        ((1.5, -0.5, 0.0), "none may be negative"),
+        ((0.5, 0.5), "3 numbers, of coverage, occlusion, information_gain; or by name"),
+        ({"coverage": 0.5, "oclusion": 0.5}, "did you mean 'occlusion'"),
+    ],
+)
+def test_weights_that_can_be_none(given, words):
+    with pytest.raises(InspeError, match=words):
+        metrics.weights_of(given)
 
 
 @pytest.mark.parametrize(
@@ -112,5 +125,8 @@ def test_surrogate_and_its_weights():
 )
 def test_the_weights_are_those_of_the_papers_table(placement, c, o, ig, surrogate):
     """P_sm of the paper's own C, O and IG is the paper's P_sm, to what it rounds off."""
-    ours = metrics.surrogate(*(jnp.asarray(x, float) for x in (c, o, ig)), metrics.WEIGHTS)
+    scores = {
+        name: jnp.asarray(x, float) for name, x in zip(metrics.METRICS, (c, o, ig), strict=True)
+    }
+    ours = metrics.surrogate(scores, metrics.weights_of())
     assert float(ours) == pytest.approx(surrogate, abs=1e-3)

@@ -31,7 +31,7 @@ def best_subset(
     free: Float[np.ndarray, "T V"],
     reliability: float,
     k: int,
-    weights: tuple[float, float, float] = metrics.WEIGHTS,
+    weights: metrics.Weights = None,
     *,
     seconds: float = 60.0,
 ) -> Subset:
@@ -52,7 +52,8 @@ def best_subset(
         raise InspeError(f"k {k}: choose from 1 to {count}, the number of candidates")
     if not 0 <= reliability <= 1:
         raise InspeError(f"reliability {reliability:g}: from 0 to 1")
-    c, o, ig = weights
+    given = metrics.weights_of(weights)
+    c, o, ig = (given[name] for name in ("coverage", "occlusion", "information_gain"))
     ideal = reliability == 1  # then IG is a union too
     union = np.concatenate([c * weight + (ig * entropy if ideal else 0.0), o * np.ravel(free)])
     groups = [_together(np.concatenate([f, np.reshape(seen, (count, -1))], 1), union)]

@@ -19,14 +19,13 @@ from inspe_jax.placement.result import Result, csv_text
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, save_layout
 
 MOST = 200
 """Mixes searched at most."""
 _ADVICE = f"at most {MOST} are searched; allow fewer counts, such as 0, 4 and 8"
-SCORES = ("coverage", "occlusion", "information_gain", "surrogate")
-"""The scores that are saved of each mix, beside its objective."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -179,7 +178,7 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
         file = "_".join(f"{n}_{name}" for name, n in mix.counts.items() if n) + ".yaml"
         if mix.front:
             save_layout(mix.result.layout, place / file)
-        scores = {name: getattr(mix.result.scores, name) for name in SCORES}
+        scores = {m.name: mix.result.scores.value(m.name) for m in listed()}
         point = mix.point
         head = {**point.counts, "cost_usd": point.cost, "objective": point.objective}
         ends = {"front": int(mix.front), "layout": file if mix.front else ""}

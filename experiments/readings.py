@@ -56,7 +56,7 @@ from inspe_jax.study.work import build, placed
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view
-from inspe_jax.visibility.shadows import sight
+from inspe_jax.visibility.shadows import shadow_ceilings
 
 console = Console()
 Table = Float[np.ndarray, "P 3"]
@@ -447,7 +447,8 @@ def _sights(scene: Scene, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     def look(prisms: Prism) -> tuple[jax.Array, jax.Array]:
         solid = step(solid_top(ground.columns, prisms)[:, None] - ground.heights) > 0
         line, others = (
-            sight(sensors, prisms, ground.columns, ground.heights, ignore_self_occlusion=own) > 0
+            ground.heights[None]
+            > shadow_ceilings(sensors, prisms, ground.columns, ignore_self_occlusion=own)[..., None]
             for own in (False, True)
         )
         return jnp.where(solid[None], others, line).reshape(len(sensors), -1), solid.ravel()

@@ -1,7 +1,5 @@
-"""The viewsheds of one sensor at many poses: what it has in view, and what it sees in each frame.
-
-What searches choose candidates by.
-"""
+"""What one sensor has in view and sees in each frame at many poses: what candidates are chosen
+by."""
 
 from functools import partial
 
@@ -11,10 +9,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.parallel import Job, parts_of, run
+from inspe_jax.scoring.accumulate import sees
+from inspe_jax.scoring.exact import BITS
+from inspe_jax.scoring.reading import Asked, Frames
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
-from inspe_jax.visibility.shadows import clear_masks, shadow_bounds
 from inspe_jax.visibility.tiles import Tile
 from inspe_jax.visibility.view_masks import view_masks
 
@@ -23,63 +23,51 @@ TOGETHER = 8
 
 
 def view_from_poses(
-    grid: RayGrid,
-    half: float,
-    poses: Float[Array, "K 6"],
-    world: TiledScene,
-    *,
-    ignore_self_occlusion: bool = False,
+    grid: RayGrid, half: float, poses: Float[Array, "K 6"], tiled: TiledScene, asked: Asked
 ) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
-    """What one sensor has in view and what it sees in each frame, from each of K poses.
+    """What one sensor has in view, and what it sees in each frame, from each of K poses.
 
-    For a world of one share. With ``ignore_self_occlusion`` other vehicles alone hide what is
-    inside one.
+    ``half`` is half the edge of a voxel [m]. Of a scene in one chunk.
     """
-    (share,) = world.shares
-    assert share.solid is not None  # it is not bare
+    (chunk,) = tiled.chunks
+    assert chunk.solid is not None  # it is not bare
     rays = grid.rays
     lengths = rays.table.rows.shape + rays.table.nearest.shape
-    key = (
-        _see,
-        grid.kind,
-        lengths,
-        share.solid.shape,
-        share.prisms.top.shape,
-        ignore_self_occlusion,
-    )
+    # Metrics make no difference to what is seen.
+    asked = asked._replace(metrics=())
+    key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, asked)
     jobs: list[Job] = [
-        (key, partial(_see, rays, half, part, share, ignore_self_occlusion=ignore_self_occlusion))
+        (key, partial(_view, rays, half, part, chunk, asked=asked))
         for part in parts_of(np.asarray(poses), TOGETHER)
     ]
     views, seen = (np.concatenate(found)[: len(poses)] for found in zip(*run(jobs), strict=True))
-    return world.tiles.by_voxel(views), world.tiles.by_voxel(seen)
+    return tiled.tiles.by_voxel(views), tiled.tiles.by_voxel(seen)
 
 
-@partial(jax.jit, static_argnames="ignore_self_occlusion")
-def _see(
+@partial(jax.jit, static_argnames="asked")
+def _view(
     rays: Rays,
     half: Float[Array, ""],
     poses: Float[Array, "K 6"],
-    share: WorkChunk,
+    chunk: WorkChunk,
     *,
-    ignore_self_occlusion: bool,
+    asked: Asked,
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
     def one(pose: Array) -> tuple[Array, Array]:
-        views = view_masks(rays, pose, share.tile, half)
-        cast = shadow_bounds(pose[:3], share.prisms)
+        views = view_masks(rays, pose, chunk.tile, half)
+        shadows = jax.tree.map(lambda leaf: leaf[0], BITS.shadows(pose[None, :3], chunk.prisms))
 
         def look(part: tuple[Tile, Array, Array]) -> Array:
             tile, view, solid = part
-            return view[None] & clear_masks(
-                pose[:3], cast, tile, solid if ignore_self_occlusion else None
-            )
+            row = pose[:3], shadows, view
+            return sees(BITS, row, tile, Frames(chunk.prisms, solid), asked)[0]
 
-        def none(part: tuple[Tile, Array, Array]) -> Array:
-            return jnp.zeros((len(share.prisms.top), len(part[1])), part[1].dtype)
+        def blind(part: tuple[Tile, Array, Array]) -> Array:
+            return jnp.zeros((len(chunk.prisms.top), len(part[1])), part[1].dtype)
 
         seen = jax.lax.map(
-            lambda part: jax.lax.cond((part[1] != 0).any(), look, none, part),
-            (share.tile, views, share.solid),
+            lambda part: jax.lax.cond((part[1] != 0).any(), look, blind, part),
+            (chunk.tile, views, chunk.solid),
         )
         return views, seen.swapaxes(0, 1)
 

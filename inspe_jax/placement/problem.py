@@ -35,8 +35,9 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import check_entropy, check_options, options_of
 from inspe_jax.scoring.exact import measure_exactly
-from inspe_jax.scoring.reference import SceneArrays, SensorSet, ignores_self_occlusion, sensor_array
-from inspe_jax.scoring.tiled_scene import TiledScene, tiled_sample, tiled_scene_of
+from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
+from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
@@ -151,8 +152,8 @@ class Sample:
     share: float
 
     @cached_property
-    def worlds(self) -> tuple[TiledScene, ...]:
-        """The same as masks."""
+    def scenes(self) -> tuple[TiledScene, ...]:
+        """The same in tiles, with masks."""
         return tuple(tiled_sample(part) for part in self.fields)
 
 
@@ -188,6 +189,7 @@ class Problem:
         wanted.check()
         first = self.cases[0].scene
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
+        self.asked = Asked.of(**self.options)
         self.objective = replace(
             wanted,
             weights=wanted.weights_by_name,
@@ -217,7 +219,7 @@ class Problem:
         self.terms = ScoreTerms(
             tuple(sensor_array(crew) for crew in self.crews),
             tuple(case.scene.voxels.size for case in self.cases),
-            np.array(list(self.objective.weights_by_name.values())),
+            {name: np.array(weight) for name, weight in self.objective.weights_by_name.items()},
             np.array(len(failures), np.int32),
         )
         self._constraints = constraints or Constraints()
@@ -235,10 +237,10 @@ class Problem:
         """Every case's arrays in full."""
         found = []
         for case in self.cases:
-            world = tiled_scene_of(case.scene)
+            tiled = tiled_scene_of(case.scene)
             if self.objective.weights_by_name["information_gain"] > 0:
-                check_entropy(case.scene, metrics.entropy(world.occupancy).sum())
-            arrays = case.scene.voxels.weight, world.voxel_occupancy
+                check_entropy(case.scene, metrics.entropy(tiled.occupancy).sum())
+            arrays = case.scene.voxels.weight, tiled.voxel_occupancy
             found.append(
                 SceneArrays(about_center(case.scene), *(on_device(x, float) for x in arrays))
             )
@@ -258,7 +260,7 @@ class Problem:
                 poses,
                 crew,
                 case.scene.voxels.size,
-                **self.options,
+                self.asked,
             )
             if self.objective.weights_by_name["information_gain"] > 0:
                 check_entropy(case.scene, found.entropy)
@@ -309,13 +311,13 @@ class Problem:
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of many layouts, read hard on a sample; layouts side by side."""
-        worlds = tuple(world.bucketed for world in sample.worlds)
-        shapes = tuple(leaf.shape for leaf in jax.tree.leaves((worlds, self.terms.sensors)))
+        scenes = tuple(tiled.bucketed for tiled in sample.scenes)
+        shapes = tuple(leaf.shape for leaf in jax.tree.leaves((scenes, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
-        key = (hard_scores, *self.options.values(), kinds, shapes)
+        key = (hard_scores, self.asked, kinds, shapes)
         filled = [self.terms.sensors[0].filled(row) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(hard_scores, row, worlds, self.terms, **self.options)) for row in filled
+            (key, partial(hard_scores, row, scenes, self.terms, asked=self.asked)) for row in filled
         ]
         return np.array([self._combined(row) for row in run(jobs)])
 
@@ -331,7 +333,7 @@ class Problem:
             on,
             self.terms,
             softness,
-            **self.options,
+            asked=self.asked,
             over=self.objective.over,
         )
         return float(value) - self.price, np.asarray(slope)[: len(poses)]
@@ -362,13 +364,10 @@ class Problem:
         some, IG that of ``entropy``·(1 − ∏(1 − reliability·view)), where visibility is ``in_view``.
         """
         views, seen = [], []
-        for case, world, crew in zip(self.cases, sample.worlds, self.crews, strict=True):
+        for case, tiled, crew in zip(self.cases, sample.scenes, self.crews, strict=True):
             grid = next(grid for grid, index in crew.groups if s in index)
-            own = ignores_self_occlusion(*self.options.values())
             half = case.scene.voxels.size / 2
-            f, v = view_from_poses(
-                grid, half, jnp.asarray(poses, float), world, ignore_self_occlusion=own
-            )
+            f, v = view_from_poses(grid, half, jnp.asarray(poses, float), tiled, self.asked)
             views.append(f)
             seen.append(v)
         return np.concatenate(views, -1), np.concatenate(seen, -1)

@@ -14,9 +14,11 @@ from jaxtyping import Array, Float, Int
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import count_exactly
-from inspe_jax.scoring.reference import MetricValues, SceneArrays, SensorArray
+from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.soft import read_softly
-from inspe_jax.scoring.tiled_scene import TiledScene, sample_in_one_tile
+from inspe_jax.scoring.summary import MetricValues
+from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, sample_in_one_tile
 
 COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, np.min)}
 """How the scores of several scenes become one, in JAX and in NumPy."""
@@ -25,25 +27,25 @@ COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, 
 class ScoreTerms(NamedTuple):
     """What a score is made of, but for the poses and the sample.
 
-    ``sensors`` and ``voxel`` [m] of every case; ``weights`` (K,) of every metric, in the registry's
-    order; ``failures``, the number of units that are left out in turn, 0 for none.
+    ``sensors`` and ``voxel`` [m] of every case; ``weights`` of every metric by name; ``failures``,
+    the number of units that are left out in turn, 0 for none.
     """
 
     sensors: tuple[SensorArray, ...]
     voxel: tuple[float, ...]
-    weights: Float[np.ndarray | Array, " K"]
+    weights: dict[str, Float[np.ndarray | Array, ""]]
     failures: Int[np.ndarray | Array, ""]
 
 
 @jax.jit
 def scores(
-    measures: list[MetricValues], weights: Float[Any, " K"], failures: Int[Any, ""]
+    measures: list[MetricValues], weights: dict[str, Any], failures: Int[Any, ""]
 ) -> Float[Array, " N"]:
     """P_sm of every case; with failures the mean of those without each unit."""
     found = []
     for m in measures:
-        parts = jnp.asarray(weights, m.column_coverage.dtype)
-        named = dict(zip(metrics.METRICS, parts, strict=True))
+        kind = m.column_coverage.dtype
+        named = {name: jnp.asarray(weight, kind) for name, weight in weights.items()}
         p = metrics.surrogate(m.values, named)  # (1 + G,)
         number = jnp.arange(len(p))
         real = (number > 0) & (number <= failures)
@@ -52,44 +54,40 @@ def scores(
     return jnp.stack(found)
 
 
-@partial(jax.jit, static_argnames=("occlusion_reference", "visibility"))
+@partial(jax.jit, static_argnames="asked")
 def hard_scores(
     poses: Float[Array, "S 6"],
-    worlds: tuple[TiledScene, ...],
+    scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     *,
-    occlusion_reference: str,
-    visibility: str,
+    asked: Asked,
 ) -> Float[Array, " N"]:
     """P_sm of every case, read hard, of poses about the centre that are filled up."""
-    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
     measures = [
-        count_exactly(world, poses, sensors, voxel, **options)
-        for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
+        count_exactly(tiled, poses, sensors, voxel, asked)
+        for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
     ]
     return scores(measures, terms.weights, terms.failures)
 
 
-@partial(jax.jit, static_argnames=("occlusion_reference", "visibility", "over"))
+@partial(jax.jit, static_argnames=("asked", "over"))
 def soft_slope(
     poses: Float[Array, "S 6"],
     on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
     terms: ScoreTerms,
     softness: Float[Array, ""],
     *,
-    occlusion_reference: str,
-    visibility: str,
+    asked: Asked,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
-    """The score of all cases, read softly [m], and its slope in the poses; on samples or worlds."""
+    """The score of all cases, read softly [m], and its slope in the poses; on samples or scenes."""
     width = Softness.of(softness)
-    options = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    worlds = [sample_in_one_tile(part) if isinstance(part, SceneArrays) else part for part in on]
+    scenes = [sample_in_one_tile(part) if isinstance(part, SceneArrays) else part for part in on]
 
     def score(poses: Array) -> Array:
         measures = [
-            read_softly(world.bucketed, poses, sensors, voxel, width, **options)
-            for world, sensors, voxel in zip(worlds, terms.sensors, terms.voxel, strict=True)
+            read_softly(tiled.bucketed, poses, sensors, voxel, width, asked=asked)
+            for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
         ]
         return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))
 

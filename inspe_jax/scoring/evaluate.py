@@ -15,7 +15,8 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
-from inspe_jax.scoring.reference import SensorSet, sensor_array
+from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import (
     TiledScene,
@@ -133,7 +134,7 @@ def evaluate(
     """
     options = options_of(scene, occlusion_reference, visibility)
     check_options(weights, **options, conditions=conditions)
-    by_name = metrics.weights_of(weights)
+    by_name, asked = metrics.weights_of(weights), Asked.of(**options)
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
@@ -146,17 +147,17 @@ def evaluate(
         given = jax.lax.stop_gradient(given)
     filled = from_center(scene, sensors.filled(given))
     if width.exact:
-        world = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
-        found = count_exactly(world, filled, sensors, voxel, **options)
+        tiled = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
+        found = count_exactly(tiled, filled, sensors, voxel, asked)
     else:
-        world = bare_tiled_scene_of(scene)
-        found = read_softly(world.bucketed, filled, sensors, voxel, width, **options)
+        tiled = bare_tiled_scene_of(scene)
+        found = read_softly(tiled.bucketed, filled, sensors, voxel, width, asked=asked)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
-    regions = _by_region(scene, world, found.column_coverage)
+    regions = _by_region(scene, tiled, found.column_coverage)
     measured = jax.tree.map(_array, found)
-    values = {name: measured.values[name][: 1 + len(each)] for name in metrics.METRICS}
+    values = {name: measured.values[name][: 1 + len(each)] for name in by_name}
     rows = [*values.values(), metrics.surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
     return Scores(
@@ -168,7 +169,7 @@ def evaluate(
             _contribution(sensor.name, [a - b for a, b in zip(total, left, strict=True)])
             for sensor, left in zip(layout.sensors, without, strict=False)
         ),
-        seen_share=measured.seen_share[world.tiles.place],
+        seen_share=measured.seen_share[tiled.tiles.place],
         settings=dict(
             weights=by_name,
             profile=scene.profile.name,
@@ -201,7 +202,7 @@ def evaluate_many(
     visibility: str | None = None,
     conditions: Conditions = FAIR,
 ) -> ManyScores:
-    """Exact scores of one layout's sensors at M times S world poses.
+    """Exact scores of one layout's sensors at M times S tiled poses.
 
     Layouts are worked on side by side, on all cores or devices, and nothing else is found.
     They are those of :func:`evaluate`, from the same counts, though sums may be rounded otherwise.
@@ -229,25 +230,25 @@ def evaluate_many(
     for one in layouts:
         check_layout(scene, one)
     layout = perceiving(scene, layout, conditions)
-    world = whole_tiled_scene_of(scene)
+    tiled = whole_tiled_scene_of(scene)
     by_name = metrics.weights_of(weights)
     if by_name["information_gain"] > 0:
-        check_entropy(scene, metrics.entropy(world.occupancy).sum())
+        check_entropy(scene, metrics.entropy(tiled.occupancy).sum())
     found = measure_many(
-        world,
+        tiled,
         np.stack([poses_about_center(scene, one) for one in layouts]),
         SensorSet.of(layout),
         scene.voxels.size,
-        **options,
+        Asked.of(**options),
     )
     return ManyScores(found, np.asarray(metrics.surrogate(found, by_name)))
 
 
 def _by_region(
-    scene: Scene, world: TiledScene, columns: Float[Array, " MC"]
+    scene: Scene, tiled: TiledScene, columns: Float[Array, " MC"]
 ) -> dict[str, Float[Array | np.ndarray, ""]]:
     """The mean over the columns of each region that there is."""
-    place, label = np.asarray(world.tiles.place), scene.voxels.region
+    place, label = np.asarray(tiled.tiles.place), scene.voxels.region
     there = [region for region in Region if (label == region).any()]
     if not isinstance(columns, jax.core.Tracer):
         share = np.asarray(columns)[place]

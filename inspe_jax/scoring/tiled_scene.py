@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import jax
@@ -20,9 +20,8 @@ from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.parallel import cores, untraced
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.reference import SceneArrays
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.centered_scene import about_center
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center
 from inspe_jax.visibility.tiles import SHARES, Tile, Tiles, one_tile, solid, tiles_of
 
 FRAMES = 128
@@ -33,6 +32,18 @@ UNSURE = 4096
 together."""
 MANY = 2**18
 """Such voxels up to which three of four may be padding: gradients have numbers for each."""
+
+
+class SceneArrays(NamedTuple):
+    """What is scored: the scene's arrays, or a sample of them.
+
+    ``weight`` (V,) of the voxels' regions; ``occupancy`` (V,) is p̂, or None to take it from the
+    frames of ``ground``.
+    """
+
+    ground: CenteredScene
+    weight: Float[Array, " V"]
+    occupancy: Float[Array, " V"] | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -76,7 +87,7 @@ class TiledScene:
     """
 
     tiles: Tiles
-    shares: tuple[WorkChunk, ...]
+    chunks: tuple[WorkChunk, ...]
     weight: Float[Array, " MC"]
     occupancy: Float[Array, " U"]
     column: Int[Array, " U"]
@@ -134,11 +145,11 @@ def _kept(scene: Scene, kind: str, make: Callable[[Scene], TiledScene]) -> Tiled
 
 def _make_whole(scene: Scene, bare: bool = False) -> TiledScene:
     world, prisms = tiled_scene_of(scene), about_center(scene).prisms
-    shares, tile = [], world.tiles.tile
+    chunks, tile = [], world.tiles.tile
     for begin in range(0, world.frame_count, FRAMES):
         part = _some(prisms, slice(begin, begin + FRAMES))
-        shares.append(WorkChunk(tile, part, None if bare else solid(tile, part), begin=begin))
-    return replace(world, shares=tuple(shares), split=None)
+        chunks.append(WorkChunk(tile, part, None if bare else solid(tile, part), begin=begin))
+    return replace(world, chunks=tuple(chunks), split=None)
 
 
 def _some(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
@@ -150,7 +161,7 @@ def _make_world(scene: Scene) -> TiledScene:
     ground = about_center(scene)
     tiles = tiles_of(ground)
     total = len(ground.prisms.top)
-    shares, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
+    chunks, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
     everywhere = sharding.put(tiles.tile, None) if sharding.devices() > 1 else tiles.tile
     for begin, end, split in _runs(total):
         prisms = _some(ground.prisms, slice(begin, end))
@@ -158,12 +169,12 @@ def _make_world(scene: Scene) -> TiledScene:
         counts += np.asarray(by_level(inside, counts.shape[-1]))
         if split:
             parts = sharding.put(prisms, 0), sharding.put(inside, 1)
-            shares.append(WorkChunk(everywhere, *parts, begin=begin, split=True))
+            chunks.append(WorkChunk(everywhere, *parts, begin=begin, split=True))
             continue
         step = min(cores(), SHARES)
         for first in range(step):
             tile, own = _some((tiles.tile, inside), slice(first, None, step))
-            shares.append(WorkChunk(tile, prisms, own, first, step, begin))
+            chunks.append(WorkChunk(tile, prisms, own, first, step, begin))
     counts = counts.reshape(-1, counts.shape[-1])
     column, level = np.nonzero((counts > 0) & (counts < total))
     spare = wide_bucket(len(column), UNSURE, MANY) - len(column)
@@ -171,7 +182,7 @@ def _make_world(scene: Scene) -> TiledScene:
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
     return TiledScene(
         tiles,
-        tuple(shares),
+        tuple(chunks),
         _column_weight(tiles, scene.voxels.column_weight),
         on_device(occupancy, float),
         on_device(column),
@@ -230,14 +241,14 @@ def _in_one_share(
     ground = sample.ground
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
     inside = None if bare else solid(tiles.tile, ground.prisms)
-    share = WorkChunk(tiles.tile, ground.prisms, inside)
+    chunk = WorkChunk(tiles.tile, ground.prisms, inside)
     assert tiles.place is not None  # they are just made
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
     column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
     return TiledScene(
         tiles,
-        (share,),
+        (chunk,),
         weight,
         sample.occupancy,
         on_device(column.reshape(-1)),

@@ -15,16 +15,17 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.accumulate import seen_in_tile
 from inspe_jax.scoring.evaluate import options_of
-from inspe_jax.scoring.exact import ONE_MORE, in_view_of, watch_all
-from inspe_jax.scoring.reference import SensorSet, sensor_array
+from inspe_jax.scoring.exact import BITS, ONE_MORE, count_all, in_view_of
+from inspe_jax.scoring.reading import Asked, Frames
+from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of, whole_tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
 from inspe_jax.visibility.queries import check_frame, check_layout
-from inspe_jax.visibility.shadows import ShadowBounds, clear_masks, shadow_bounds
-from inspe_jax.visibility.tiles import Tile, Tiles
+from inspe_jax.visibility.tiles import Tile, Tiles, unless_empty
 
 
 class Visibility(IntEnum):
@@ -67,10 +68,11 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
     levels = tiles.tile.heights.shape[1]
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
-    for share in whole_tiled_scene_of(scene).shares:
-        assert share.solid is not None  # it is not bare
-        seen += np.asarray(by_level(_look(tiles.tile, views, share.prisms, sensors), levels))
-        occupied += np.asarray(by_level(share.solid, levels))
+    for chunk in whole_tiled_scene_of(scene).chunks:
+        assert chunk.solid is not None  # it is not bare
+        found = _look(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
+        seen += np.asarray(by_level(found, levels))
+        occupied += np.asarray(by_level(chunk.solid, levels))
     flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
     visible = _visible(scene, layout, flags, views, sensors)
     return Viewshed(
@@ -91,14 +93,14 @@ def _visible(
 ) -> Float[np.ndarray, "S V"]:
     """Visibility of each voxel from each sensor, as information gain has it: whether it is in view,
     or in what share of the frames in sight. By what is compiled for a score."""
-    reference, visibility = options_of(scene).values()
-    if visibility == "in_view":
+    asked = Asked.of(**options_of(scene))
+    if not asked.counts_sight:
         return flags.astype(float)
-    world = tiled_scene_of(scene)
-    sights = watch_all(world, views, sensors, None, reference, visibility).sights
+    tiled = tiled_scene_of(scene)
+    sights = count_all(tiled, views, sensors, None, asked).sights
     assert sights is not None  # they are counted unless only views are asked for
-    shares = [world.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
-    return np.stack(shares) / world.frame_count
+    shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
+    return np.stack(shares) / tiled.frame_count
 
 
 def sight_in(
@@ -110,15 +112,16 @@ def sight_in(
     """
     frame = check_frame(scene, frame)
     layout, tiles, views, sensors = _views(scene, layout, conditions)
-    world = whole_tiled_scene_of(scene)
-    (share,) = (s for s in world.shares if s.begin <= frame < s.begin + len(s.prisms.top))
-    at = frame - share.begin
-    assert share.solid is not None  # it is not bare
-    prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[at : at + 1], share.prisms)
-    seen = np.asarray(_look(tiles.tile, views, prisms, sensors))
+    tiled = whole_tiled_scene_of(scene)
+    (chunk,) = (c for c in tiled.chunks if c.begin <= frame < c.begin + len(c.prisms.top))
+    assert chunk.solid is not None  # it is not bare
+    at = slice(frame - chunk.begin, frame - chunk.begin + 1)
+    prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[at], chunk.prisms)
+    solid = np.asarray(chunk.solid)[:, at]
+    seen = np.asarray(_look(tiles.tile, views, solid, prisms, sensors))
     found = np.where(tiles.by_voxel(views).any(0), Visibility.HIDDEN, Visibility.OUT_OF_VIEW)
     found[tiles.by_voxel(seen[:, 0])] = Visibility.SEEN
-    found[tiles.by_voxel(np.asarray(share.solid)[:, at])] = Visibility.OCCUPIED
+    found[tiles.by_voxel(solid[:, 0])] = Visibility.OCCUPIED
     return found.astype(np.uint8)
 
 
@@ -128,32 +131,27 @@ def _views(
     """The layout as it is in the conditions, the tiles, what each sensor has in view, and where it
     is; with room for some more sensors."""
     check_layout(scene, layout)
-    layout, world = perceiving(scene, layout, conditions), whole_tiled_scene_of(scene)
+    layout, tiled = perceiving(scene, layout, conditions), whole_tiled_scene_of(scene)
     sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
     poses = sensors.filled(poses_about_center(scene, layout))
-    views = np.asarray(in_view_of(world, poses, sensors, scene.voxels.size / 2))
-    return layout, world.tiles, views, poses[:, :3]
+    views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
+    return layout, tiled.tiles, views, poses[:, :3]
 
 
 @jax.jit
 def _look(
-    tiles: Tile, views: UInt[Array, "S N C"], prisms: Prism, sensors: Float[Array, "S 3"]
+    tiles: Tile,
+    views: UInt[Array, "S N C"],
+    solid: UInt[Array, "N T C"],
+    prisms: Prism,
+    sensors: Float[Array, "S 3"],
 ) -> UInt[Array, "N T C"]:
     """Masks of what some sensor sees in each frame."""
-    cast = jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
+    shadows = BITS.shadows(sensors, prisms)
 
-    def look(part: tuple[Tile, Array]) -> Array:
-        tile, views = part
+    @unless_empty
+    def look(tile: Tile, views: Array, solid: Array) -> Array:
+        rows = sensors, shadows, views
+        return seen_in_tile(BITS, rows, tile, Frames(prisms, solid), None, Asked())[0].all
 
-        def add(seen: Array, one: tuple[Array, ShadowBounds, Array]) -> tuple[Array, None]:
-            sensor, cast, view = one
-
-            def look(seen: Array) -> Array:
-                return seen | view[None] & clear_masks(sensor, cast, tile)
-
-            return jax.lax.cond((view != 0).any(), look, lambda seen: seen, seen), None
-
-        none = jnp.zeros((len(prisms.top), views.shape[1]), views.dtype)
-        return jax.lax.scan(add, none, (sensors, cast, views))[0]
-
-    return jax.lax.map(look, (tiles, views.swapaxes(0, 1)))
+    return jax.lax.map(lambda part: look(*part), (tiles, views.swapaxes(0, 1), solid))

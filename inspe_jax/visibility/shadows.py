@@ -63,35 +63,6 @@ WON = "won"
 work, and they take the least room."""
 
 
-def sight(
-    sensors: Float[Array, "S 3"],
-    prisms: Prism,
-    columns: Float[Array, "L 2"],
-    heights: Float[Array, "L Z"],
-    width: Width = None,
-    *,
-    ignore_self_occlusion: bool = False,
-) -> Float[Array, "S L Z"]:
-    """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
-
-    As :func:`soft_sight` has it, but every prism is looked at from every column; read exactly, of
-    all sensors together.
-    """
-    if exact(width):
-        ceilings = shadow_ceilings(
-            sensors, prisms, columns, ignore_self_occlusion=ignore_self_occlusion
-        )
-        return step(heights[None] - ceilings[:, :, None])
-    frame = jax.tree.map(lambda leaf: leaf[None], prisms)
-    marked = bitmask.marks(frame.valid.T)
-
-    def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
-        at = sensor, frame, marked, columns.T, heights.T, width
-        return soft_sight(*at, ignore_self_occlusion=ignore_self_occlusion)[:, 0].T
-
-    return jax.lax.map(one, sensors)
-
-
 def soft_sight(
     sensor: Float[Array, "3"],
     prisms: Prism,

@@ -171,11 +171,13 @@ def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
     return jax.lax.map(unless_empty(lambda one: solid_in(one, prisms)), tile)
 
 
-def unless_empty(work: Callable[[Tile], Any]) -> Callable[[Tile], Any]:
-    """``work`` on a tile; zeros, at once, of one that is nothing but padding."""
+def unless_empty(work: Callable[..., Any]) -> Callable[..., Any]:
+    """``work`` on a tile, and on what else it is given; zeros, at once, of a tile of nothing but
+    padding."""
 
-    def done(tile: Tile) -> Any:
-        return jax.lax.cond((tile.there != 0).any(), work, partial(nothing_of, work), tile)
+    def done(tile: Tile, *given: Any) -> Any:
+        skip = partial(nothing_of, work)
+        return jax.lax.cond((tile.there != 0).any(), work, skip, tile, *given)
 
     return done
 

@@ -22,8 +22,9 @@ import json, sys
 from functools import cache
 import jax
 import numpy as np
-from inspe_jax import exact, sharding
-from inspe_jax.scoring.tiled_scene import world_of
+from inspe_jax.core import sharding
+from inspe_jax.scoring import exact
+from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from test_sharding import scene_and_layout, scores
 
 for count, options in json.loads(sys.argv[1]):
@@ -33,7 +34,7 @@ for count, options in json.loads(sys.argv[1]):
         getattr(kept, "cache_clear", int)()
     scene, layout = scene_and_layout()
     found = scores(scene, layout, options)
-    places = [len(share.prisms.top.sharding.device_set) for share in tiled_scene_of(scene).shares]
+    places = [len(share.prisms.top.sharding.device_set) for share in tiled_scene_of(scene).chunks]
     print(json.dumps([jax.device_count(), max(places), found]))
 """
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from checkpoints import Checkpoint
+from dense_reference import measure
 from mounts import assert_mountable, lanes_of
 
 from inspe_jax.core.arrays import on_host
@@ -24,8 +25,7 @@ from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.scoring.metrics import surrogate
-from inspe_jax.scoring.reference import measure
+from inspe_jax.scoring.metrics import surrogate, weights_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
 
@@ -196,7 +196,7 @@ def test_a_slope_is_that_of_every_vehicle_against_every_column(problem, way):
     def expected(x):
         at = field, space.poses(x), problem.crews[0], 1.0, Softness.of(0.5)
         found = measure(*at, **problem.options)
-        return -surrogate(found.coverage, found.occlusion, found.information_gain)[0]
+        return -surrogate(found.values, weights_of())[0]
 
     scale = np.where(space.scale > 0, space.scale, 1)
     if way is charted_score:

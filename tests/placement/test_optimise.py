@@ -9,10 +9,11 @@ import pytest
 from mounts import assert_mountable, lanes_of
 from worlds import CAMERA, crossing
 
+from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement import checkpoint as files
 from inspe_jax.placement import optimise as module
-from inspe_jax.placement.checkpoint import FORMAT, digest, load_checkpoint, save_checkpoint
+from inspe_jax.placement.checkpoint import FORMAT, load_checkpoint, save_checkpoint
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
 from inspe_jax.placement.problem import Case, Objective, Problem

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from dense_reference import measure
 from worlds import (
     CAMERA,
     LIDAR,
@@ -21,7 +22,9 @@ from worlds import (
 from inspe_jax.placement.candidate_views import view_from_poses
 from inspe_jax.scoring import exact, metrics
 from inspe_jax.scoring import tiled_scene as made
-from inspe_jax.scoring.reference import SceneArrays, SensorSet, measure
+from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.sensor_array import SensorSet
+from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.visibility import bitmask, view_masks
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
@@ -57,7 +60,9 @@ def both(scene, layout, failures=(), **options):
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = compiled_measure(field, poses, crew, voxel, **options)
-    return dense, exact.measure_exactly(made.tiled_scene_of(scene), poses, crew, voxel, **options)
+    return dense, exact.measure_exactly(
+        made.tiled_scene_of(scene), poses, crew, voxel, Asked.of(**options)
+    )
 
 
 def assert_same(dense, counted):
@@ -65,8 +70,10 @@ def assert_same(dense, counted):
 
     H(Ω) is a plain sum of thousands: of n additions, roundings grow as √n · 6e-8.
     """
-    for name in dense._fields:
-        ours, theirs = getattr(counted, name), getattr(dense, name)
+    for name in (*dense.values, *dense._fields[1:]):
+        ours, theirs = (
+            m.values[name] if name in m.values else getattr(m, name) for m in (counted, dense)
+        )
         rtol = 1e-5 if name == "entropy" else 0
         np.testing.assert_allclose(ours, theirs, rtol, 2e-6, err_msg=name)
 
@@ -82,7 +89,7 @@ def test_masks_count_what_numbers_add_up_to(name):
         poses[:, :2] = [x, y] + (poses[:, :2] - [x, y]) / 2
         layout = layout.with_poses(poses)
     dense, counted = both(scene, layout, UNITS)
-    assert 0.05 < float(dense.coverage[0]) < 1
+    assert 0.05 < float(dense.values["coverage"][0]) < 1
     assert_same(dense, counted)
 
 
@@ -150,12 +157,11 @@ def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
     for number in (1, 2, 8):
         monkeypatch.setattr(made, "cores", lambda number=number: number)
         shared = made._make_world(scene)
-        assert len(shared.shares) == number
+        assert len(shared.chunks) == number
         poses = poses_about_center(scene, layout)
         found.append(exact.measure_exactly(shared, poses, crew, scene.voxels.size))
     for other in found[1:]:
-        for name in other._fields:
-            np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))
+        jax.tree.map(np.testing.assert_array_equal, other, found[0])
 
 
 def test_a_sample_is_counted_as_a_scene_of_its_own():
@@ -178,7 +184,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     assert_same(compiled_measure(field, poses, crew, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    views, seen = view_from_poses(grid, voxel / 2, s, sample)
+    views, seen = view_from_poses(grid, voxel / 2, s, sample, Asked())
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])
@@ -193,11 +199,11 @@ def test_layouts_of_one_shape_compile_once():
     scene = world(seed=9)
     first, second = (random_layout(scene, SPECS, seed=k) for k in (1, 2))
     both(scene, first)
-    parts = view_masks.view_masks, exact._watch, exact._measures
+    parts = view_masks.view_masks, exact._count, exact._summarise
     before = [part._cache_size() for part in parts]
     both(scene, second)
     assert [part._cache_size() for part in parts] == before
-    assert both(scene, Conditions.of("night", "fog:50").layout(second))[1].coverage[0] > 0
+    assert both(scene, Conditions.of("night", "fog:50").layout(second))[1].values["coverage"][0] > 0
     assert [part._cache_size() for part in parts] == before
 
 

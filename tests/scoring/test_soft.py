@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from dense_reference import measure
 from jax.test_util import check_grads
 from scipy.stats import spearmanr
 from worlds import (
@@ -24,9 +25,10 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
-from inspe_jax.scoring.reference import SceneArrays, SensorSet, measure
+from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.sensor_array import SensorSet
 from inspe_jax.scoring.soft import measure_softly
-from inspe_jax.scoring.tiled_scene import bare_tiled_scene_of
+from inspe_jax.scoring.tiled_scene import SceneArrays, bare_tiled_scene_of
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
@@ -116,21 +118,21 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     softness, voxel = Softness.of(READINGS[reading]), scene.voxels.size
 
     def total(measures):
-        return sum(getattr(measures, name).sum() for name in METRICS), measures
+        return sum(value.sum() for value in measures.values.values()), measures
 
     def plain(poses):
         return total(compiled_measure(field, poses, crew, voxel, softness, **options))
 
     def tiled(poses):
         return total(
-            measure_softly(bare_tiled_scene_of(scene), poses, crew, voxel, softness, **options)
+            measure_softly(
+                bare_tiled_scene_of(scene), poses, crew, voxel, softness, Asked.of(**options)
+            )
         )
 
     slope, found = jax.grad(tiled, has_aux=True)(poses)
     expected_slope, expected = jax.grad(plain, has_aux=True)(poses)
-    for name in found._fields:
-        ours, theirs = getattr(found, name), getattr(expected, name)
-        np.testing.assert_allclose(ours, theirs, 1e-5, 2e-6, err_msg=name)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=2e-6), found, expected)
     assert np.abs(expected_slope).max() > 1e-3
     np.testing.assert_allclose(slope, expected_slope, 0, 1e-5 * np.abs(expected_slope).max())
 
@@ -152,10 +154,8 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(size):
     softness, voxel = Softness.of(0.5), scene.voxels.size
     expected = compiled_measure(field, poses, crew, voxel, softness)
     found = measure_softly(bare_tiled_scene_of(scene), poses, crew, voxel, softness)
-    assert 0.05 < float(expected.coverage[0]) < 1
-    for name in found._fields:
-        ours, theirs = getattr(found, name), getattr(expected, name)
-        np.testing.assert_allclose(ours, theirs, 1e-5, 2e-6, err_msg=name)
+    assert 0.05 < float(expected.values["coverage"][0]) < 1
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=2e-6), found, expected)
 
 
 @pytest.mark.parametrize("specs", [slow([CAMERA] * 6), slow([LIDAR] * 2), [CAMERA] * 3 + [LIDAR]])

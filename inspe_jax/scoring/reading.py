@@ -1,0 +1,395 @@
+"""The two readings of what sensors see: exactly, as bits, or softly, as numbers.
+
+Scores are counts of sets of voxels. :mod:`inspe_jax.scoring.accumulate` and
+:mod:`inspe_jax.scoring.metrics` say which sets, once, over the operations of this module; only
+this module knows how a set is kept. With F frames, C columns and Z levels in a tile:
+
+- :class:`Bits`: a mask for each column with a bit for each level, (C,), and (F, C) in F frames.
+  Exact in any order, 32 voxels in one operation.
+- :class:`Numbers`: the chance of each voxel, (Z, C), and (Z, F, C) in F frames. Differentiable.
+
+Both have the same methods. ``rows`` are one set for each sensor, (S, …); what is without each
+group of failures has 1 + G rows, the first of all sensors.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Num, UInt
+
+from inspe_jax.core.geometry import Prism
+from inspe_jax.core.numerics import REACH, Groups, Softness, leave_one_out
+from inspe_jax.scoring.metrics import METRICS, Metric
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.in_view import soft_view
+from inspe_jax.visibility.shadows import WON, clear_masks, may_shade, shadow_bounds, soft_sight
+from inspe_jax.visibility.tiles import Tile, solid_in
+
+TOGETHER = 20
+"""Frames that are read softly together: what a tile needs of them stays in a core's cache."""
+
+
+class Frames(NamedTuple):
+    """F frames of one tile.
+
+    ``prisms`` (F, B); ``solid`` (F, C), masks of the voxels inside a vehicle; ``real`` (F,), 1 for
+    every frame and 0 for padding, or None where there is no padding.
+    """
+
+    prisms: Prism
+    solid: UInt[Array, "F C"]
+    real: Float[Array, " F"] | None = None
+
+
+class Asked(NamedTuple):
+    """What is asked for: the two readings that the paper leaves open, and which metrics.
+
+    Static in what is compiled.
+    """
+
+    occlusion_reference: str = "roi"
+    visibility: str = "in_view"
+    metrics: tuple[Metric, ...] = ()
+
+    @classmethod
+    def of(cls, occlusion_reference: str = "roi", visibility: str = "in_view") -> "Asked":
+        """These readings, and all metrics of the registry."""
+        return cls(occlusion_reference, visibility, tuple(METRICS.values()))
+
+    @property
+    def counts_sight(self) -> bool:
+        """Whether it is asked in how many frames each sensor sees each voxel."""
+        return self.visibility != "in_view"
+
+    @property
+    def ignores_self_occlusion(self) -> bool:
+        """Whether other vehicles alone hide what is inside one."""
+        return self.occlusion_reference == "targets" or self.visibility == "past_others"
+
+    @property
+    def sight_apart(self) -> bool:
+        """Whether that holds for occlusion, but not for information gain."""
+        return self.ignores_self_occlusion and self.visibility == "line_of_sight"
+
+
+class Counts(NamedTuple):
+    """What is counted over the voxels of tiles: whole numbers, or softly sums of chances.
+
+    ``seen`` and ``original``: |V_orig| − |V_occ| and |V_orig| of occlusion in each frame, of all
+    sensors in row 0 and without group g in row 1 + g. ``columns``: in how many frames the voxels of
+    a column are seen, outside vehicles, added up over the column. ``sights``: in how many frames
+    each sensor sees each voxel, or None where nobody asks.
+    """
+
+    seen: Num[Array, "1+G F"]
+    original: Num[Array, "1+G F"]
+    columns: Num[Array, "*N C"]
+    sights: Num[Array, "S *N C Z"] | None
+
+
+Row = tuple[Float[Array, "3"], Any, Any]
+"""One sensor's position, what its shadows need, and what it has in view."""
+Look = Callable[[Row], tuple[Any, Any]]
+"""From a sensor's row to the set that it sees in each frame, and in how many frames it sees each
+voxel, or None."""
+
+
+# ── Exactly ─────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class BitUnion:
+    """What some sensor sees in each frame, and what one group of sensors alone sees."""
+
+    all: UInt[Array, "F C"]
+    alone: Callable[[UInt[Array, "F C"]], Int[Array, "G F"]]
+
+    def count(self, of: UInt[Array, "F C"]) -> Int[Array, "1+G F"]:
+        """How many voxels of a set are seen: by all sensors, and without each group."""
+        seen = bitmask.count(self.all & of).sum(1)
+        return jnp.concatenate([seen[None], seen[None] - self.alone(of)])
+
+
+@dataclass(frozen=True)
+class Bits:
+    """Margins read exactly; a set is a mask of levels for each column."""
+
+    def voxels(self, tile: Tile) -> UInt[Array, " C"]:
+        """The voxels that there are."""
+        return tile.there
+
+    def in_frames(self, found: UInt[Array, "... C"]) -> UInt[Array, "... 1 C"]:
+        """A set that is the same in every frame."""
+        return found[..., None, :]
+
+    def solid(self, frames: Frames, levels: int) -> UInt[Array, "F C"]:
+        """The voxels inside a vehicle."""
+        return frames.solid
+
+    def both(self, a: UInt[Array, "..."], b: UInt[Array, "..."]) -> UInt[Array, "..."]:
+        """Intersection of two sets."""
+        return a & b
+
+    def outside(self, a: UInt[Array, "..."], b: UInt[Array, "..."]) -> UInt[Array, "..."]:
+        """The voxels of set ``a`` that are not in ``b``."""
+        return a & ~b
+
+    def any_of(self, rows: UInt[Array, "S ..."], failures: Groups | None) -> UInt[Array, "1+G ..."]:
+        """Union of all rows, and of all but each group's."""
+        return bitmask.without_one(rows, failures)
+
+    def count(self, found: UInt[Array, "... C"]) -> Int[Array, "..."]:
+        """How many voxels a set has."""
+        return bitmask.count(found).sum(-1)
+
+    def count_both(
+        self, rows: UInt[Array, "1+G C"], found: UInt[Array, "F C"]
+    ) -> Int[Array, "1+G F"]:
+        """How many voxels of each row are in a set, in each frame: row by row."""
+        return jax.lax.map(lambda row: self.count(row[None] & found), rows)
+
+    def column_sums(self, found: UInt[Array, "F C"], frames: Frames) -> Int[Array, " C"]:
+        """Voxels of a set in each column, added up over the frames."""
+        return bitmask.count(found).sum(0)
+
+    def level_sums(
+        self, found: UInt[Array, "F C"], frames: Frames, levels: int
+    ) -> Int[Array, "C Z"]:
+        """In how many frames each voxel is in a set."""
+        return bitmask.count_levels(found, levels)
+
+    def shadows(self, sensors: Float[Array, "S 3"], prisms: Prism) -> Any:
+        """What each sensor's shadows need, for all tiles."""
+        return jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
+
+    def line_of_sight(
+        self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
+    ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"]]:
+        """The voxels in line of sight of a sensor: for occlusion, and for information gain."""
+        spared = frames.solid if asked.ignores_self_occlusion else None
+        clear = clear_masks(sensor, shadows, tile, spared)
+        return clear, clear if asked.visibility == "past_others" else clear & ~frames.solid
+
+    def over_sensors(
+        self, look: Look, rows: Row, frames: Frames, failures: Groups | None
+    ) -> tuple[BitUnion, Any]:
+        """The union of what the sensors see, and each one's number of frames in sight.
+
+        Only sensors that have some of the tile in view are gone through, one group after the other.
+        What ``once`` has is seen by a sensor, what ``twice`` has by two groups: so what a group
+        sees that is not in ``twice``, it alone sees, and that is lost without it.
+        """
+        views = rows[2]
+        groups = 0 if failures is None else len(failures.first)
+        order = jnp.arange(len(views)) if failures is None else jnp.asarray(failures.order)
+        group = jnp.zeros(len(views), int) if failures is None else jnp.asarray(failures.of)
+        has = (views != 0).any(1)[order]
+        listed = order[jnp.argsort(~has, stable=True)]
+        number = has.sum()
+
+        def opens(i: Array) -> Array:
+            """Whether the sensor is the first of its group."""
+            return (i == 0) | (group[listed[i]] != group[listed[i - 1]])
+
+        def add(i: Array, state: tuple) -> tuple:
+            once, twice, before, kept, sights = state
+            visible, sight = look(jax.tree.map(lambda leaf: leaf[listed[i]], rows))
+            before = jnp.where(opens(i), once, before)
+            if groups:
+                kept = kept.at[i].set(visible)
+            sights = jax.tree.map(lambda all_, one: all_.at[listed[i]].set(one), sights, sight)
+            return once | visible, twice | (before & visible), before, kept, sights
+
+        visible, sight = jax.eval_shape(look, jax.tree.map(lambda leaf: leaf[0], rows))
+        none = jnp.zeros(visible.shape, visible.dtype)
+        kept = jnp.zeros((len(views) if groups else 0, *none.shape), none.dtype)
+        sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sight)
+        start = none, none, none, kept, sights
+        once, twice, _, kept, sights = jax.lax.fori_loop(0, number, add, start)
+
+        def alone(of: UInt[Array, "F C"]) -> Int[Array, "G F"]:
+            def lose(i: Array, state: tuple) -> tuple:
+                lost, taken = state
+                taken = jnp.where(opens(i), jnp.zeros_like(taken), taken)
+                own = kept[i] & ~twice & of & ~taken
+                return lost.at[group[listed[i]]].add(self.count(own)), taken | own
+
+            lost = jnp.zeros((groups, len(none)), int)
+            return jax.lax.fori_loop(0, number, lose, (lost, none))[0] if groups else lost
+
+        return BitUnion(once, alone), sights
+
+    def in_parts(self, work: Callable[[Frames], Counts], frames: Frames) -> Counts:
+        """``work`` on all frames at once."""
+        return work(frames)
+
+
+# ── Softly ──────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class NumberUnion:
+    """The chance that some sensor sees a voxel in a frame: all sensors, and all but each group."""
+
+    rows: Float[Array, "1+G Z F C"]
+
+    @property
+    def all(self) -> Float[Array, "Z F C"]:
+        """Of all sensors."""
+        return self.rows[0]
+
+    def count(self, of: Float[Array, "Z F C"]) -> Float[Array, "1+G F"]:
+        """How many voxels of a set are seen: by all sensors, and without each group."""
+        return (self.rows * of[None]).sum(1).sum(-1)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Margins read with a softness; a set is a chance for each voxel.
+
+    Kept for the gradient, every frame's sight lines would not fit in memory: what is cheap to find
+    again is found again. ``softness`` itself has no gradient.
+    """
+
+    softness: Softness
+
+    def voxels(self, tile: Tile) -> Float[Array, "Z C"]:
+        """The voxels that there are."""
+        return self._chances(tile.there, len(tile.heights))
+
+    def in_frames(self, found: Float[Array, "... Z C"]) -> Float[Array, "... Z 1 C"]:
+        """A set that is the same in every frame."""
+        return found[..., None, :]
+
+    def solid(self, frames: Frames, levels: int) -> Float[Array, "Z F C"]:
+        """The voxels inside a vehicle, which do not depend on sensors: read exactly."""
+        return self._chances(frames.solid, levels)
+
+    def both(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Intersection of two sets: their chances multiplied."""
+        return a * b
+
+    def outside(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The voxels of set ``a`` that are not in ``b``, a part of ``a``."""
+        return a - b
+
+    def any_of(
+        self, rows: Float[Array, "S ..."], failures: Groups | None
+    ) -> Float[Array, "1+G ..."]:
+        """Union of all rows, and of all but each group's: 1 − ∏(1 − p)."""
+        return leave_one_out(rows, failures)
+
+    def count(self, found: Float[Array, "Z ... C"]) -> Float[Array, "..."]:
+        """How many voxels a set has."""
+        return found.sum(0).sum(-1)
+
+    def count_both(
+        self, rows: Float[Array, "1+G Z C"], found: Float[Array, "Z F C"]
+    ) -> Float[Array, "1+G F"]:
+        """How many voxels of each row are in a set, in each frame."""
+        return (rows[:, :, None] * found[None]).sum(1).sum(-1)
+
+    def column_sums(self, found: Float[Array, "Z F C"], frames: Frames) -> Float[Array, " C"]:
+        """Voxels of a set in each column, added up over the frames."""
+        return (found.sum(0) * self._real(frames)[:, None]).sum(0)
+
+    def level_sums(
+        self, found: Float[Array, "Z F C"], frames: Frames, levels: int
+    ) -> Float[Array, "C Z"]:
+        """In how many frames each voxel is in a set."""
+        return (found * self._real(frames)[None, :, None]).sum(1).T
+
+    def shadows(self, sensors: Float[Array, "S 3"], prisms: Prism) -> Any:
+        """Nothing: what shadows need is found tile by tile, to be found again for the gradient."""
+
+    def line_of_sight(
+        self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
+    ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
+        """The chance of line of sight to a sensor: for occlusion, and for information gain."""
+        width = self.softness.shadow
+        reach = 0.0 if width is None else REACH * width
+        spared = self.solid(frames, len(tile.heights)) > 0
+
+        @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(WON))
+        def read(sensor: Array) -> tuple[Array, Array]:
+            fixed = jax.lax.stop_gradient(sensor)
+            bounds = shadow_bounds(fixed, frames.prisms, reach)
+            marked = bitmask.marks(may_shade(fixed, bounds, tile))
+            at = sensor, frames.prisms, marked, tile.columns, tile.heights, width
+            own = spared if asked.ignores_self_occlusion else False
+            clear = soft_sight(*at, ignore_self_occlusion=own)
+            return clear, soft_sight(*at) if asked.sight_apart else clear
+
+        return read(sensor)
+
+    def over_sensors(
+        self, look: Look, rows: Row, frames: Frames, failures: Groups | None
+    ) -> tuple[NumberUnion, Any]:
+        """The union of what the sensors see, and each one's number of frames in sight.
+
+        A sensor that has nothing of the tile in view sees nothing, at no cost.
+        """
+
+        def unless_blind(row: Row) -> tuple[Any, Any]:
+            nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(look, row))
+            return jax.lax.cond((row[2] > 0).any(), look, lambda _: nothing, row)
+
+        visible, sights = jax.lax.map(unless_blind, rows)
+        return NumberUnion(leave_one_out(visible, failures)), sights
+
+    def in_parts(self, work: Callable[[Frames], Counts], frames: Frames) -> Counts:
+        """``work`` on :data:`TOGETHER` frames after another, found again for the gradient."""
+        total = len(frames.prisms.top)
+        parts = -(-total // TOGETHER)
+        each = -(-total // parts)
+
+        def split(x: Array) -> Array:
+            """(F, …) as (parts, each, …), padded with zeros: frames without prisms."""
+            x = jnp.pad(x, [(0, parts * each - total)] + [(0, 0)] * (x.ndim - 1))
+            return x.reshape(parts, each, *x.shape[1:])
+
+        def joined(x: Array) -> Array:
+            return x.swapaxes(0, 1).reshape(x.shape[1], -1)[:, :total]
+
+        found = jax.lax.map(
+            jax.checkpoint(work), jax.tree.map(split, frames._replace(real=jnp.ones(total)))
+        )
+        return Counts(
+            joined(found.seen),
+            joined(found.original),
+            found.columns.sum(0),
+            None if found.sights is None else found.sights.sum(0),
+        )
+
+    def views(
+        self, tile: Tile, poses: Float[Array, "S 6"], sensors: Any, half: float | Array
+    ) -> Float[Array, "S Z C"]:
+        """The chance that each sensor has each voxel of a tile in view."""
+
+        def look(one: tuple[Array, Any, Array]) -> Array:
+            kind, table, pose = one
+            return soft_view(sensors.kinds, kind, table, half, self.softness, pose, tile)
+
+        each = jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses
+        return jax.lax.map(look, each)
+
+    def frames(self, tile: Tile, prisms: Prism) -> Frames:
+        """Frames of a tile, from their prisms."""
+        return Frames(prisms, solid_in(tile, prisms))
+
+    @staticmethod
+    def _chances(words: UInt[Array, "..."], levels: int) -> Float[Array, "Z ..."]:
+        """Masks as 0 and 1 for each level."""
+        z = jnp.arange(levels, dtype=words.dtype).reshape(-1, *[1] * words.ndim)
+        return ((words[None] >> z) & words.dtype.type(1)).astype(float)
+
+    @staticmethod
+    def _real(frames: Frames) -> Float[Array, " F"]:
+        return jnp.ones(len(frames.prisms.top)) if frames.real is None else frames.real
+
+
+Reading = Bits | Numbers

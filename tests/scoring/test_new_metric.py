@@ -1,0 +1,106 @@
+"""A metric that is not the paper's: one function and one row, and every score has it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, random_layout, world
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.metrics import Metric
+
+
+def watched_twice(found):
+    """The share of voxels that at least two sensors have in view: with any one left out, some has
+    it in view still."""
+    number, everywhere = found.terms["redundancy"]
+    return number / everywhere
+
+
+def twice(reading, tile, views, failures):
+    """(in view of two sensors, all voxels) of a tile; without a group, as if all were there."""
+    one = views[0]
+    seen, again = one, reading.outside(one, one)  # nothing
+    for view in views[1:]:
+        both = reading.both(seen, view)
+        again = reading.any_of(jnp.stack([again, both]), None)[0]
+        seen = reading.any_of(jnp.stack([seen, view]), None)[0]
+    rows = 1 if failures is None else 1 + len(failures.first)
+    number = reading.count(again).astype(float)
+    return jnp.full(rows, number), reading.count(reading.voxels(tile)).astype(float)
+
+
+REDUNDANCY = Metric("redundancy", "R", 0.0, "seen by two", watched_twice, twice)
+WORST = Metric(
+    "worst_frame",
+    "W",
+    0.0,
+    "the share that stays visible in the worst frame",
+    lambda found: (found.seen / found.original).min(0),
+)
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    monkeypatch.setitem(metrics.METRICS, "redundancy", REDUNDANCY)
+    monkeypatch.setitem(metrics.METRICS, "worst_frame", WORST)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(seed=3, voxel=1.0)
+
+
+@pytest.fixture(scope="module")
+def layout(scene):
+    return random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5)
+
+
+def test_it_is_scored_exactly(scene, layout):
+    scores = inspe_jax.evaluate(scene, layout)
+    f = inspe_jax.in_view(scene, layout)
+    assert 0.02 < scores.metrics["redundancy"] < 0.98
+    assert scores.metrics["redundancy"] == pytest.approx((f.sum(0) >= 2).mean(), abs=1e-6)
+    assert 0 < scores.metrics["worst_frame"] < scores.occlusion
+    assert list(scores.metrics) == list(metrics.METRICS)
+    many = inspe_jax.evaluate_many(scene, layout, [layout.poses])
+    for name, value in scores.metrics.items():
+        assert many.metrics[name][0] == pytest.approx(value, abs=1e-6)
+
+
+def test_it_carries_weight_in_the_surrogate(scene, layout):
+    weights = {"redundancy": 0.25, "coverage": 0.75}
+    scores = inspe_jax.evaluate(scene, layout, weights=weights)
+    by_hand = 0.75 * scores.coverage + 0.25 * scores.metrics["redundancy"]
+    assert scores.surrogate == pytest.approx(by_hand, abs=1e-6)
+    assert scores.settings["weights"]["redundancy"] == 0.25
+    with pytest.raises(InspeError, match="did you mean redundancy"):
+        inspe_jax.evaluate(scene, layout, weights={"redundncy": 1})
+
+
+def test_softly_it_has_a_slope(scene, layout):
+    soft = inspe_jax.evaluate(scene, layout, softness=1e-4)
+    exact = inspe_jax.evaluate(scene, layout)
+    for name in ("redundancy", "worst_frame"):
+        assert soft.metrics[name] == pytest.approx(exact.metrics[name], abs=2e-3)
+
+    def score(poses):
+        given = dict(softness=1.0, weights={"redundancy": 1.0})
+        return inspe_jax.evaluate(scene, layout.with_poses(poses), **given).surrogate
+
+    assert np.abs(jax.grad(score)(layout.poses)[:, :2]).max() > 1e-4
+
+
+def test_a_search_maximises_it(scene):
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=8)  # 0.07 of the voxels
+    objective = inspe_jax.Objective(weights={"redundancy": 1.0})
+    found = inspe_jax.optimise(scene, layout, "random", evaluations=80, objective=objective)
+    assert found.objective == pytest.approx(found.scores.metrics["redundancy"], abs=1e-6)
+    assert found.objective > found.objective_before
+
+
+def test_taken_from_the_registry_it_is_gone(scene, layout, monkeypatch):
+    monkeypatch.delitem(metrics.METRICS, "redundancy")
+    assert "redundancy" not in inspe_jax.evaluate(scene, layout).metrics

@@ -1,0 +1,150 @@
+"""Sets as bits and as numbers, against flags in NumPy: the same operations, the same counts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from inspe_jax.core.geometry import Prism
+from inspe_jax.core.numerics import Groups, Softness
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.reading import Bits, Counts, Frames, Numbers
+from inspe_jax.visibility import bitmask
+
+S, Z, F, C = 5, 6, 7, 9
+"""Sensors, levels, frames and columns."""
+UNITS = ((0, 3), (1,), (4,))
+READINGS = [Bits(), Numbers(Softness())]
+
+
+def as_set(reading, flags):
+    """Flags (…, Z, F, C) or (…, Z, C), levels third or second from the end, as sets."""
+    if isinstance(reading, Numbers):
+        return flags.astype(np.float32)
+    axis = -3 if flags.shape[-3:] == (Z, F, C) else -2
+    return bitmask.pack(np.moveaxis(flags, axis, -1))[..., 0]
+
+
+def frames(solid):
+    """Frames of nothing but these flags (Z, F, C) of solid voxels."""
+    none = np.zeros((F, 1))
+    prisms = Prism(np.zeros((F, 1, 2)), none, np.ones((F, 1, 2)), none, none > 0)
+    words = bitmask.pack(np.moveaxis(solid, 0, -1))[..., 0]
+    return Frames(prisms, words)
+
+
+@pytest.fixture(params=READINGS, ids=["bits", "numbers"])
+def reading(request):
+    return request.param
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def test_sets_are_counted_as_flags(reading, rng):
+    a, b = rng.uniform(size=(2, Z, F, C)) < 0.4
+    rows = rng.uniform(size=(3, Z, C)) < 0.5
+
+    @jax.jit
+    def found(a, b, rows, given):
+        both = reading.both(a, b)
+        return (
+            reading.count(a),
+            reading.count(both),
+            reading.count(reading.outside(a, both)),
+            reading.solid(given, Z),
+            reading.count_both(rows, a),
+            reading.column_sums(a, given),
+            reading.level_sums(a, given, Z),
+        )
+
+    expected = (
+        a.sum((0, 2)),
+        (a & b).sum((0, 2)),
+        (a & ~b).sum((0, 2)),
+        as_set(reading, b),
+        (rows[:, :, None] & a[None]).sum((1, 3)),
+        a.sum((0, 1)),
+        a.sum(1).T,
+    )
+    sets = (as_set(reading, flags) for flags in (a, b, rows))
+    jax.tree.map(np.testing.assert_array_equal, found(*sets, frames(b)), expected)
+
+
+@pytest.mark.parametrize("units", [(), UNITS, tuple((s,) for s in range(S))])
+def test_unions_of_all_sensors_and_without_each_group(reading, rng, units):
+    """Of sensors that see much, little and, having nothing in view, nothing."""
+    views = rng.uniform(size=(S, Z, C)) < np.array([0.9, 0.3, 0.0, 0.5, 0.2])[:, None, None]
+    visible = views[:, :, None] & (rng.uniform(size=(S, Z, F, C)) < 0.6)
+    of = rng.uniform(size=(Z, F, C)) < 0.7
+    failures = Groups.of_rows(units, S)
+
+    @jax.jit
+    def found(views, visible, of, given):
+        def look(row):
+            return visible[row[0]], reading.level_sums(visible[row[0]], given, Z)
+
+        rows = jnp.arange(S), None, views
+        union, sights = reading.over_sensors(look, rows, given, failures)
+        return union.all, sights, union.count(of), reading.any_of(views, failures)
+
+    left = [range(S), *([s for s in range(S) if s not in unit] for unit in units)]
+    expected = (
+        as_set(reading, visible.any(0)),
+        np.moveaxis(visible.sum(2), 1, 2),
+        np.array([(visible[list(some)].any(0) & of).sum((0, 2)) for some in left]),
+        np.array([as_set(reading, views[list(some)].any(0)) for some in left]),
+    )
+    sets = (as_set(reading, flags) for flags in (views, visible, of))
+    jax.tree.map(np.testing.assert_array_equal, found(*sets, frames(of)), expected)
+
+
+def test_many_frames_softly_are_those_of_its_parts(rng):
+    """In parts, the last of which ends in padding that counts for nothing."""
+    numbers, total = Numbers(Softness()), 47
+    flags = rng.uniform(size=(Z, total, C)) < 0.5
+    words = bitmask.pack(np.moveaxis(flags, 0, -1))[..., 0]
+    empty = np.zeros((total, 1))
+    prisms = Prism(np.zeros((total, 1, 2)), empty, np.ones((total, 1, 2)), empty, empty > 0)
+
+    def count(part):
+        found = 1.0 - numbers.solid(part, Z)
+        seen = numbers.count(found)[None]
+        sights = numbers.level_sums(found, part, Z)[None]
+        return Counts(seen, seen, numbers.column_sums(found, part), sights)
+
+    found = jax.jit(lambda given: numbers.in_parts(count, given))(Frames(prisms, words))
+    np.testing.assert_array_equal(found.seen[0], (~flags).sum((0, 2)))
+    np.testing.assert_array_equal(found.columns, (~flags).sum((0, 1)))
+    np.testing.assert_array_equal(found.sights[0], (~flags).sum(1).T)
+
+
+@pytest.mark.parametrize(
+    ("reference", "seen", "original"),
+    # Voxels: 0 visible, 1 covered but hidden, 2 not covered, 3 solid and in sight.
+    [("roi", 1, 3), ("covered", 1, 2), ("targets", 1, 1)],
+)
+def test_occlusion_references_by_hand(reading, reference, seen, original):
+    def column(*flags):
+        return np.array(flags, bool)[:, None, None]  # (Z, F, C)
+
+    def make(flags):
+        if isinstance(reading, Numbers):
+            return flags.astype(np.float32)
+        axis = flags.shape.index(4)  # the levels'
+        return bitmask.pack(np.moveaxis(flags, axis, -1))[..., 0]
+
+    visible, covered = column(1, 0, 0, 1), np.array([[[1], [1], [0], [1]]], bool)
+    solid = column(0, 0, 0, 1)
+
+    @jax.jit
+    def found(visible, covered, free, solid):
+        rows = jnp.zeros(1), None, covered
+        given = frames(np.zeros((Z, F, C), bool))
+        union, _ = reading.over_sensors(lambda row: (visible, None), rows, given, None)
+        return metrics.occlusion_terms(reading, union, covered, free, solid, reference)
+
+    terms = found(*map(make, (visible, covered, ~solid, solid)))
+    assert [x.item() for x in terms] == [seen, original]

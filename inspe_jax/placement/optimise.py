@@ -16,8 +16,7 @@ from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods.gradient import GRADIENTS
-from inspe_jax.placement.methods.search import SEARCHES
+from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget, check_seed
@@ -26,8 +25,6 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.layout import Layout
 
-METHODS: dict[str, Method] = {method.name: method for method in (*GRADIENTS, *SEARCHES)}
-"""The registry; adding a method is adding a row."""
 DEFAULT_METHOD = "greedy-adam"
 """Candidates find the places, gradients the poses."""
 DEFAULT_SECONDS = 60.0
@@ -122,7 +119,7 @@ def optimise(
 def compare(
     scene: Scene | Case | Sequence[Scene | Case],
     layout: Layout,
-    methods: Sequence[str] = tuple(METHODS),
+    methods: Sequence[str] | None = None,
     seconds: float | None = None,
     evaluations: float | None = None,
     seeds: int | Sequence[int] = 3,
@@ -133,12 +130,13 @@ def compare(
 ) -> list[Result]:
     """Searches by several methods on equal terms, each with ``seeds``: how many, from 0, or which.
 
-    The other options as in :func:`optimise`. All work on the same compiled scores, and every
-    method first runs for a moment, at most for its budget, that is not counted: none pays for
-    what it or another compiles.
+    ``methods`` are names of :func:`methods`, all of them if not given. The other options as in
+    :func:`optimise`. All work on the same compiled scores, and every method first runs for a
+    moment, at most for its budget, that is not counted: none pays for what it or another compiles.
     ``progress`` is called with the method, the seed, the share of its budget spent and its best
     score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
     """
+    methods = tuple(METHODS) if methods is None else methods
     rows = [_method(name) for name in methods]
     if not rows:
         raise InspeError(f"no method to compare: some of {', '.join(METHODS)}")

@@ -9,6 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.placement.site import CENTRAL_HEIGHTS, POLE_HEIGHTS
+from inspe_jax.sensing.kinds import SENSOR_KINDS
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 PLACES = {
@@ -18,6 +19,15 @@ PLACES = {
     "keep": (False, False),
 }
 """Where units may stand: whether in mounting areas, and whether on poles."""
+
+
+def default_pitch() -> dict[str, tuple[float, float]]:
+    """Lowest and highest pitch [rad] that a mount allows, by kind of sensor."""
+    limits = {kind: keys.spec_type.pitch_limits_deg for kind, keys in SENSOR_KINDS.items()}
+    return {
+        kind: (float(np.radians(low)), float(np.radians(high)))
+        for kind, (low, high) in limits.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -39,12 +49,7 @@ class Constraints:
     heights: tuple[float, float] = POLE_HEIGHTS
     span_heights: tuple[float, float] = CENTRAL_HEIGHTS
     clearance: float = 5.0
-    pitch: Mapping[str, tuple[float, float]] = field(
-        default_factory=lambda: {
-            kind: (float(np.radians(low)), float(np.radians(high)))
-            for kind, low, high in (("camera", -80, 10), ("lidar", -30, 30))
-        }
-    )
+    pitch: Mapping[str, tuple[float, float]] = field(default_factory=default_pitch)
     yaw: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     places: str | Mapping[str, str] = "any"
     area: BaseGeometry | None = None
@@ -69,8 +74,10 @@ class Constraints:
                     f"clearance {self.clearance:g} m: 0 to {most:g} m with {name} of "
                     f"{low:g} to {high:g} m"
                 )
-        if set(self.pitch) != {"camera", "lidar"}:
-            raise InspeError(f"pitch of {', '.join(self.pitch)}: needs camera and lidar, no other")
+        if set(self.pitch) != (kinds := set(SENSOR_KINDS)):
+            raise InspeError(
+                f"pitch of {', '.join(self.pitch)}: needs {' and '.join(sorted(kinds))}, no other"
+            )
         for kind, (low, high) in self.pitch.items():
             if not -np.pi / 2 <= low <= high <= np.pi / 2:
                 raise InspeError(

@@ -25,8 +25,8 @@ PLANE = ("base", "arm", "offset")
 """Coordinates that come in pairs, x and y."""
 
 _TOWARDS = np.radians(60.0)  # half of the random directions are this near to the centre's
-_DOWNWARD = np.radians([-40.0, -5.0])  # random pitch of cameras
-_LEVEL = np.radians([-10.0, 10.0])  # … and of LiDARs
+_DOWNWARD = np.radians([-40.0, -5.0])  # random pitch of sensors that are aimed
+_LEVEL = np.radians([-10.0, 10.0])  # … and of the others
 
 
 class Coordinates(NamedTuple):
@@ -92,7 +92,7 @@ class Range(NamedTuple):
 class Limits:
     """Discs for ``arm`` (U,) and ``offset`` (S,) [m] and intervals for the others.
 
-    ``sector`` tells the sensors whose yaw is limited; ``camera`` those that are cameras.
+    ``sector`` tells the sensors whose yaw is limited; ``aimed`` those that are aimed, as cameras.
     """
 
     arm: Float[np.ndarray, " U"]
@@ -102,11 +102,11 @@ class Limits:
     yaw: Range
     pitch: Range
     sector: Bool[np.ndarray, " S"]
-    camera: Bool[np.ndarray, " S"]
+    aimed: Bool[np.ndarray, " S"]
 
     @classmethod
     def of(
-        cls, unit: np.ndarray, above: Range, yaw: Range, pitch: Range, camera: np.ndarray
+        cls, unit: np.ndarray, above: Range, yaw: Range, pitch: Range, aimed: np.ndarray
     ) -> "Limits":
         """From the ``unit`` (S,) of each sensor and the heights allowed ``above`` (U,) the ground.
 
@@ -125,7 +125,7 @@ class Limits:
             yaw,
             pitch,
             yaw.half < np.pi,
-            camera,
+            aimed,
         )
 
     def clip(self, c: Coordinates, xp: Any) -> Coordinates:
@@ -173,8 +173,8 @@ class Limits:
     ) -> list[Coordinates]:
         """Random coordinates within, one for each row of feet.
 
-        Evenly over discs, heights and rises. Cameras look down by 5° to 40°, LiDARs are level to
-        10°; half of all look within 60° of the centre, half anywhere.
+        Evenly over discs, heights and rises. Sensors that are aimed, as cameras, look down by 5° to
+        40°, others are level to 10°; half of all look within 60° of the centre, half anywhere.
         """
         count = len(base)
 
@@ -186,7 +186,7 @@ class Limits:
             far = radius * np.sqrt(rng.uniform(size=angle.shape))
             return far[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1)
 
-        usual = np.where(self.camera[:, None], _DOWNWARD, _LEVEL)
+        usual = np.where(self.aimed[:, None], _DOWNWARD, _LEVEL)
         low, high = self.pitch.clip(usual[:, 0], np), self.pitch.clip(usual[:, 1], np)
         inward = np.arctan2(*np.moveaxis(-base[:, unit], -1, 0)[::-1])
         anywhere = even(self.yaw)

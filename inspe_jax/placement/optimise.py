@@ -352,7 +352,7 @@ def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
         return problem.space.random(np.random.default_rng([seed, 11]), 1)[0], ()
     placed, given = strategy(problem.cases[0].scene, start), problem.layout
     poses, taken = np.array(given.poses, float), np.zeros(len(given), int)
-    for kind in ("camera", "lidar"):
+    for kind in dict.fromkeys(x.spec.kind for of in (placed, given) for x in of.sensors):
         theirs, ours = ([s for s, x in enumerate(of.sensors) if x.spec.kind == kind]
                         for of in (placed, given))  # fmt: skip
         if len(theirs) != len(ours):

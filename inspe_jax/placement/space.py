@@ -83,7 +83,7 @@ class Space:
             Range(*np.where(span[:, None], options.span_heights, options.heights).T),
             Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
             Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
-            np.array([sensor.spec.kind == "camera" for sensor in sensors]),
+            np.array([sensor.spec.aimed for sensor in sensors]),
         )
 
     def _set_places(self) -> None:

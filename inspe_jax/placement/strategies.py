@@ -265,7 +265,7 @@ def choose(
     return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec))
 
 
-def _device(option: str, of: str | Spec, kind: type[CameraSpec] | type[LidarSpec]) -> Spec:
+def _device(option: str, of: str | Spec, kind: type[Spec]) -> Spec:
     spec = device(of).spec if isinstance(of, str) else of
     if not isinstance(spec, kind):
         raise InspeError(f"{option} '{spec.name}' is a {spec.kind}: name a {kind.kind} device")

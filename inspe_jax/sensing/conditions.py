@@ -14,6 +14,7 @@ and reliability together lean to the pessimistic side.
 """
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -25,7 +26,7 @@ from scipy.special import lambertw
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.sensing.sensors import Spec
 
 CLEAR = "clear"
 """The weather that takes nothing."""
@@ -99,45 +100,49 @@ class Conditions:
         return dict(light=self.light, weather=self.weather_text)
 
     def spec(self, spec: Spec) -> Spec:
-        """A sensor as it is in these conditions: its depth or reach [m] and its reliability."""
-        camera = isinstance(spec, CameraSpec)
-        depth, share = spec.grid.reach, 1.0
-        if camera:
-            light = _figures()["light"][self.light]
-            depth, share = depth * light["camera_depth"], light["camera_reliability"]
-        if self.intensity is not None:
-            weather = _figures()["weather"][self.weather]
-            row = weather[spec.kind]
+        """A sensor as it is in these conditions: its depth or reach [m] and its reliability.
+
+        Light or weather without figures for its kind takes nothing from it.
+        """
+        light = _figures()["light"][self.light]
+        depth = spec.grid.reach * light.get(f"{spec.kind}_depth", 1.0)
+        share = light.get(f"{spec.kind}_reliability", 1.0)
+        weather = _figures()["weather"].get(self.weather, {})
+        row = weather.get(spec.kind)
+        if self.intensity is not None and row is not None:
             worse = (self.intensity / weather["usual"]) ** row["exponent"]
             depth = effective_depth(depth, row["factor"] * self.intensity ** row["exponent"])
             share *= row["reliability"] ** worse
-        reach = {"depth" if camera else "reach": depth}
-        return replace(spec, **reach, reliability=spec.reliability * share)  # type: ignore[arg-type]
+        return spec.with_performance(spec.reliability * share, depth)
 
     def layout(self, layout: Layout) -> Layout:
         """The same sensors as they are in these conditions."""
         if self == FAIR:
             return layout
-        seen = {sensor.spec: self.spec(sensor.spec) for sensor in layout.sensors}
-        sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in layout.sensors)
-        return replace(layout, sensors=tuple(sensors))
+        return _with_specs(layout, self.spec)
 
 
 def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
-    """The sensors as they perceive on a scene in these conditions: reliability is a device's own,
-    times what the scene's profile says of its kind, times what the conditions leave."""
+    """The sensors of a layout as they perceive on a scene in these conditions.
+
+    Reliability is the device's own, times what the scene's profile says of its kind (1 where it
+    says nothing), times what the conditions leave.
+    """
     share = scene.profile.reliability
     there = conditions.layout(layout)
     if set(share.values()) == {1.0}:
         return there
-    seen = {
-        sensor.spec: replace(
-            sensor.spec, reliability=sensor.spec.reliability * share[sensor.spec.kind]
-        )
-        for sensor in there.sensors
-    }
-    sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in there.sensors)
-    return replace(there, sensors=tuple(sensors))
+    return _with_specs(
+        there,
+        lambda spec: spec.with_performance(spec.reliability * share.get(spec.kind, 1.0)),
+    )
+
+
+def _with_specs(layout: Layout, change: Callable[[Spec], Spec]) -> Layout:
+    """The same sensors with each device changed, once for all sensors that have it."""
+    changed = {spec: change(spec) for spec in {sensor.spec for sensor in layout.sensors}}
+    sensors = (replace(sensor, spec=changed[sensor.spec]) for sensor in layout.sensors)
+    return replace(layout, sensors=tuple(sensors))
 
 
 def effective_depth(depth: float, extinction: float) -> float:

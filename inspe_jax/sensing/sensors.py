@@ -1,13 +1,13 @@
 """What you buy (CameraSpec, LidarSpec), apart from where you put it (a pose).
 
-Both kinds of sensor are a grid of rays, rows × columns: a camera's downsampled
-pixels in the plane of tangents, a LiDAR's channels × azimuths on the sphere.
-All in the body frame: x forward, y left, z up.
+Every sensor is a grid of rays, rows × columns: a camera's downsampled pixels in the
+plane of tangents, a LiDAR's channels × azimuths on the sphere. All in the body frame:
+x forward, y left, z up.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -138,8 +138,64 @@ class PinholeGrid(RayGrid):
     _rays = PinholeRays
 
 
+class Spec:
+    """What you buy: the base of every kind of sensor.
+
+    A kind is a frozen dataclass derived from this class, with fields for ``name``, ``reliability``
+    and whatever else its grid of rays needs. It has a row in
+    :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`. ``reliability`` is the chance that what is in
+    view is perceived. Below are the facts of a kind, with the values for a sensor that looks level
+    or all round.
+    """
+
+    name: str
+    reliability: float
+
+    kind: ClassVar[str]
+    """Name of the kind in files and reports."""
+    title: ClassVar[str]
+    """Name of the kind for people."""
+    reach_field: ClassVar[str] = "reach"
+    """The field that holds how far it perceives [m]."""
+    aimed: ClassVar[bool] = False
+    """Whether it is usually aimed down at a place, as a camera, or mounted level, as a LiDAR."""
+    pitch_limits_deg: ClassVar[tuple[float, float]] = (-30.0, 30.0)
+    """Pitches that a mount allows where a user sets no others [degrees, positive nose-up]."""
+    candidate_pitches_deg: ClassVar[tuple[float, ...]] = (0.0,)
+    """Pitches that searches try first [degrees]."""
+
+    @property
+    def grid(self) -> RayGrid:
+        """Its rays in the body frame."""
+        raise NotImplementedError
+
+    @property
+    def azimuth_limits(self) -> tuple[float, float]:
+        """Right and left edge of its view [rad], counter-clockwise from straight ahead."""
+        right, left = self.grid.column_limits
+        return right, left
+
+    @property
+    def resolution(self) -> str:
+        """What a table of devices says about its rays: as of a LiDAR, the number of rows."""
+        return f"{len(self.grid.rows)}"
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """Angle from edge to edge, horizontal and vertical [rad]."""
+        right, left = self.azimuth_limits
+        return left - right, self.grid.rows[-1] - self.grid.rows[0]
+
+    def with_performance(self, reliability: float, reach: float | None = None) -> Self:
+        """The same sensor with another reliability, and with another reach [m] if one is given."""
+        changed: dict[str, float] = {"reliability": reliability}
+        if reach is not None:
+            changed[self.reach_field] = reach
+        return replace(self, **changed)  # type: ignore[type-var]  # every kind is a dataclass
+
+
 @dataclass(frozen=True)
-class CameraSpec:
+class CameraSpec(Spec):
     """A pinhole camera: one ray per downsampled pixel, to its effective depth.
 
     ``width``, ``height`` [pixel]; ``focal`` length and ``principal`` point
@@ -158,6 +214,11 @@ class CameraSpec:
     reliability: float = 1.0
 
     kind = "camera"
+    title = "camera"
+    reach_field = "depth"
+    aimed = True
+    pitch_limits_deg = (-80.0, 10.0)
+    candidate_pitches_deg = (-25.0, -10.0)
 
     @cached_property
     def grid(self) -> RayGrid:
@@ -170,9 +231,29 @@ class CameraSpec:
         leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
         return PinholeGrid(tuple(tangents), leftmost, pitch, columns, False, self.depth)
 
+    @property
+    def azimuth_limits(self) -> tuple[float, float]:
+        """Right and left edge of the picture [rad]."""
+        middle, focal = self.principal[0], self.focal
+        return float(np.arctan2(middle - self.width, focal)), float(np.arctan2(middle, focal))
+
+    @property
+    def resolution(self) -> str:
+        """Pixels of the picture."""
+        return f"{self.width} × {self.height}"
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """Angle from edge to edge of the picture, horizontal and vertical [rad]."""
+        wide, tall = (
+            float(np.arctan2(middle, self.focal) + np.arctan2(side - middle, self.focal))
+            for side, middle in zip((self.width, self.height), self.principal, strict=True)
+        )
+        return wide, tall
+
 
 @dataclass(frozen=True)
-class LidarSpec:
+class LidarSpec(Spec):
     """A LiDAR: channels at the elevations of a table, each fired at even azimuths.
 
     ``elevations`` ascend [rad]; ``azimuth_count`` is J; ``azimuth_fov`` is θ₀
@@ -188,6 +269,7 @@ class LidarSpec:
     reliability: float = 1.0
 
     kind = "lidar"
+    title = "LiDAR"
 
     @cached_property
     def grid(self) -> RayGrid:
@@ -201,5 +283,7 @@ class LidarSpec:
             self.reach,
         )
 
-
-Spec = CameraSpec | LidarSpec
+    @property
+    def azimuth_limits(self) -> tuple[float, float]:
+        """Right and left end of the sweep [rad]."""
+        return -self.azimuth_fov / 2, self.azimuth_fov / 2

@@ -22,13 +22,11 @@ from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, 
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames
-from inspe_jax.scene.traffic.waypoint.generate import waypoint_traffic
+from inspe_jax.scene.traffic.registry import traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 2"
 SCENE_SUFFIXES = (".npz",)
-TRAFFIC = ("waypoints", "sumo")
-"""Where traffic can come from, beside the logs of CARLA's recorder."""
 AS_RECORDED = "as recorded"
 # What reading a file that is something else can raise; a scene raises none of them.
 _NOT_A_SCENE = (
@@ -113,7 +111,7 @@ def build_scene(
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
         settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
     else:
-        found = traffic_source(str(traffic))(
+        found = traffic_model(str(traffic)).make(
             intersection,
             radius=radius,
             count=density_count(density),
@@ -126,20 +124,6 @@ def build_scene(
         settings |= dict(density=str(density), frames=str(frames), step=f"{step:g}")
         settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
     return Scene(voxels, found, intersection, tuple(settings.items()))
-
-
-def traffic_source(name: str) -> Callable[..., TrafficFrames]:
-    """What makes traffic, by its name in :data:`TRAFFIC`. Raises InspeError for another."""
-    if name == "waypoints":
-        return waypoint_traffic
-    if name == "sumo":
-        from inspe_jax.scene.traffic.sumo.generate import sumo_traffic
-
-        return sumo_traffic
-    raise InspeError(
-        f"traffic '{name}': {', '.join(TRAFFIC)}, or a log of CARLA's recorder (.log)"
-        + nearest(name, TRAFFIC)
-    )
 
 
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:

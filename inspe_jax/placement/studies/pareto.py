@@ -106,9 +106,7 @@ def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
     views = []
     for (_, spec), at in zip(wanted, order, strict=False):
         post, foot = posts[at], feet[at]
-        view = (
-            site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
-        )
+        view = site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
         views.append((view, spec))
     return replace(join(called(counts), scene.intersection, views), profile=scene.profile.name)
 

@@ -12,7 +12,6 @@ from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scoring.evaluate import check_options
-from inspe_jax.scoring.metrics import WEIGHTS
 from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import load_layout, save_layout
@@ -37,7 +36,7 @@ def test_every_value_has_a_reason_and_can_be_had(name):
     given = {f.name for f in fields(Profile)} - words
     assert set(profile.reasons) == {key for key in given if getattr(profile, key) is not None}
     assert all(len(reason) > 10 for reason in profile.reasons.values())
-    check_options(WEIGHTS, profile.occlusion_reference, profile.visibility)
+    check_options(None, profile.occlusion_reference, profile.visibility)
     assert device(profile.camera).kind == "camera"
     for beams, lidar in ((32, profile.lidar_32), (64, profile.lidar_64)):
         assert len(device(lidar).spec.elevations) == beams

@@ -220,7 +220,7 @@ def _follow(start: Any, direction: str, middle: np.ndarray, radius: float) -> li
 def _pavements(
     lane_strips: list[LaneStrip], middle: np.ndarray, radius: float
 ) -> Iterator[np.ndarray]:
-    """The middle lines of sidewalks (N, 2), joined where they continue each other; 5 m or longer."""
+    """The middle lines of sidewalks (N, 2), joined where one continues another; 5 m or longer."""
     walks = [s for s in lane_strips if s.kind in SIDEWALK]
     near = [run for s in walks for run in s.runs(distance_from(s.center, middle) <= radius)]
     return joined_lines([s.center[:, :2] for s in near])

@@ -22,7 +22,7 @@ from inspe_jax.scene.maps.parts import CLUSTER, clean, valid
 from inspe_jax.scene.regions import Region
 
 ISLAND = 3.0
-"""A gap between a junction's lanes counts as paved unless a circle of this radius fits in it [m]."""
+"""A gap between a junction's lanes is paved unless a circle of this radius fits in it [m]."""
 
 
 def interior_of(town: TownMap, members: set[int]) -> set[int]:
@@ -174,7 +174,7 @@ def _pockets(shape: BaseGeometry) -> list[Polygon]:
 
 
 def _corners(approaches: list[Approach], kinds: set[str]) -> Iterator[Polygon]:
-    """Areas round the corners between neighbouring approaches that both have lanes of some kinds."""
+    """Areas round the corners between neighbouring approaches that both have such lanes."""
     if len(approaches) < 2:
         return
     mouths = np.array([approach.point(sum(approach.kerbs) / 2) for approach in approaches])

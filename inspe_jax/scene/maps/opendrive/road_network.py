@@ -58,7 +58,7 @@ class TownMap:
     signals: Float[np.ndarray, "P 3"]
 
     def at(self, road: int, lane: int, s: float) -> Any:
-        """CARLA's waypoint in the middle of a lane, s metres along the road; None beyond its ends."""
+        """CARLA's waypoint in the middle of a lane, s [m] along the road; None beyond its ends."""
         return self.carla.get_waypoint_xodr(road, lane, s)
 
     def box(self, junction: int) -> tuple[np.ndarray, float]:

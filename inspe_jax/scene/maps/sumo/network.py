@@ -64,7 +64,7 @@ class RoadNet:
     shift: Float[np.ndarray, "2"]
 
     def to_world(self, points: Any) -> np.ndarray:
-        """Points (N, 2 or 3) of the network in world coordinates (N, 3); without a height it is 0."""
+        """Points (N, 2 or 3) of the network in world coordinates (N, 3); height 0 if not given."""
         at = np.array([(*p, 0.0)[:3] for p in points], float).reshape(-1, 3)
         return at - [*self.shift, 0.0]
 

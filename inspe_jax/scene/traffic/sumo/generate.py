@@ -125,7 +125,10 @@ def sumo_traffic(
 
 
 def _small_step(step: float) -> float:
-    """The longest step of SUMO [s] that divides the step of frames: 20 to 200 whole milliseconds."""
+    """The longest step of SUMO [s] that divides the step of frames, 20 to 200 ms.
+
+    Raises InspeError if there is none.
+    """
     time = round(step * 1000)
     parts = [n for n in range(1, time + 1) if time % n == 0 and 20 <= time / n <= 1000 * STEP]
     if abs(step * 1000 - time) > 1e-6 or not parts:

@@ -109,7 +109,7 @@ class WaypointModel:
         self.arc[who], self.speed[who] = 0.0, 0.0
 
     def _has_room(self, who: int | np.intp) -> bool:
-        """Whether nobody is where the user would be, or within :data:`ENTRY_ROOM` along the path."""
+        """Whether the user's place and :data:`ENTRY_ROOM` along its path are free."""
         self._place(np.array([who]))
         others = np.flatnonzero(self.active)
         if not len(others):
@@ -181,7 +181,7 @@ class WaypointModel:
         return (self.granted[on] & (until > self._ends(on)[1][:, None])).any(-1)
 
     def _pressed(self, on: np.ndarray, leader: np.ndarray) -> np.ndarray:
-        """Whether each user has long stood while one of the six behind it in its queue holds a block.
+        """Whether each user has stood long while one of the six behind it holds a block.
 
         If it gave way to others, that block would stay held, perhaps against the same others.
         """

@@ -1,8 +1,8 @@
 """Named devices: ``catalogue.toml``, and catalogues that users write in the same format.
 
-Files give degrees, metres and US dollars under keys that say so; specs hold radians.
-A device is its spec together with where its figures come from. The keys are described
-at the head of ``catalogue.toml``.
+Files are in degrees, metres and US dollars, with the unit in each key; specs are in radians.
+A device is a spec with the source of its figures. The head of ``catalogue.toml`` describes
+the keys.
 """
 
 import os
@@ -23,10 +23,10 @@ from inspe_jax.sensing.sensors import Spec
 
 @dataclass(frozen=True)
 class Device:
-    """One row of a catalogue: a spec, and what a buyer asks next.
+    """One row of a catalogue: a spec, its maker and its price.
 
-    ``price_usd`` is a list price [US$] of the year in ``note``, None where none is
-    public; ``source`` says where the figures come from, ``note`` what was assumed.
+    ``price_usd`` is a list price [US$] of the year in ``note``, None if none is public.
+    ``source`` says where the figures come from, ``note`` what was assumed.
     """
 
     name: str
@@ -45,7 +45,7 @@ def devices() -> dict[str, Device]:
 
 
 def device(name: str) -> Device:
-    """A built-in device by name. Raises InspeError that names the nearest ones."""
+    """A built-in device by name. Raises InspeError with the most similar names."""
     known = _built_in()
     if name not in known:
         hint = nearest(name, list(known))
@@ -54,9 +54,9 @@ def device(name: str) -> Device:
 
 
 def load_devices(path: str | os.PathLike[str]) -> dict[str, Device]:
-    """Read a catalogue file (TOML, as ``catalogue.toml``): its devices by name.
+    """Read a catalogue file (TOML, as ``catalogue.toml``) and return its devices by name.
 
-    Raises InspeError that names the file, the device, the key and what is allowed.
+    Raises InspeError with the file, the device, the key and what is allowed.
     """
     path = Path(path)
     check_input(path)
@@ -116,9 +116,9 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
 
 
 def table_of(spec: Spec) -> dict[str, Any]:
-    """The keys of a catalogue that make a spec: those that :func:`spec_of` reads back.
+    """The catalogue keys of a spec, which :func:`spec_of` reads back.
 
-    Python's own numbers, also where the spec was made with NumPy's.
+    They are Python's numbers, also if the spec has NumPy's.
     """
     return SENSOR_KINDS[spec.kind].table(spec)
 

@@ -16,7 +16,7 @@ from inspe_jax.core.arrays import wide_bucket
 from inspe_jax.sensing.rays import Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
-"""Least lengths of a grid's tables of rows; if they are longer, four times that."""
+"""Smallest lengths of a grid's tables of rows. Longer tables have 4, 16, … times that."""
 
 
 class Pose(NamedTuple):
@@ -36,10 +36,10 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class RayGrid:
-    """Rows at given coordinates and evenly spaced columns, each crossing one ray.
+    """Rows at given coordinates and evenly spaced columns, with a ray at each crossing.
 
-    ``rows`` ascend; column j lies at ``first_column + j · column_step``; with
-    ``wraps`` the last column is followed by the first. ``reach`` in metres.
+    ``rows`` ascend. Column j lies at ``first_column + j · column_step``. If ``wraps``,
+    the first column follows the last. ``reach`` is in metres.
     """
 
     rows: tuple[float, ...]
@@ -63,19 +63,19 @@ class RayGrid:
 
     @property
     def kind(self) -> Kind:
-        """What is compiled for: grids of one kind differ in numbers alone."""
+        """The kind that code is compiled for; grids of one kind differ only in numbers."""
         return Kind(self._rays, self.wraps)
 
     @property
     def rays(self) -> Rays:
-        """The grid as scores work with it."""
+        """The grid in the form that scores use."""
         return self.kind.rays(self.table)
 
     _rays: ClassVar[type[Rays]]
 
     @cached_property
     def table(self) -> RayTable:
-        """The grid's numbers, in tables of a few lengths."""
+        """The grid's numbers, in tables of a few fixed lengths."""
         rows, (first, last) = np.asarray(self.rows, float), self.column_limits
         nearest, steps = self._nearest
         ends, sides = np.array([rows[0], rows[-1]]), np.array([first, last])
@@ -110,12 +110,12 @@ class RayGrid:
         steps = int(min(4 * STEPS - 1, np.ceil(8 * span / np.diff(rows).min())))
         at = rows[0] + np.arange(steps + 1) * span / steps
         nearest = np.abs(at[:, None] - rows).argmin(1)
-        # Loops copy the table, so it is to be small.
+        # Loops copy the table, so it is kept small.
         return nearest.astype(np.uint8 if len(rows) <= 2**8 else np.uint16), steps / span
 
 
 def _filled(x: np.ndarray, least: int) -> np.ndarray:
-    """A table in one of a few lengths: ``least``, or four times as long, or four times that."""
+    """A table padded to one of a few lengths: ``least`` × (1, 4, 16, …)."""
     return longer(x, wide_bucket(len(x), least))
 
 
@@ -126,14 +126,14 @@ def longer(x: Any, length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SphericalGrid(RayGrid):
-    """A LiDAR's grid."""
+    """A grid on the sphere, as a LiDAR's: rows are elevations, columns azimuths [rad]."""
 
     _rays = SphericalRays
 
 
 @dataclass(frozen=True)
 class PinholeGrid(RayGrid):
-    """A camera's grid."""
+    """A grid on the plane of tangents, as a camera's."""
 
     _rays = PinholeRays
 
@@ -198,10 +198,10 @@ class Spec:
 class CameraSpec(Spec):
     """A pinhole camera: one ray per downsampled pixel, to its effective depth.
 
-    ``width``, ``height`` [pixel]; ``focal`` length and ``principal`` point
-    [pixel]; ``downsample`` is λ, so the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass
-    through the centres of the enlarged pixels; ``depth`` [m], measured along the
-    ray; ``reliability`` is the chance that what is in view is perceived.
+    ``width``, ``height``, the ``focal`` length and the ``principal`` point are in
+    pixels. ``downsample`` is λ: the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass through
+    the centres of the enlarged pixels. ``depth`` [m] is measured along the ray.
+    ``reliability`` is the chance that what is in view is perceived.
     """
 
     name: str
@@ -254,11 +254,11 @@ class CameraSpec(Spec):
 
 @dataclass(frozen=True)
 class LidarSpec(Spec):
-    """A LiDAR: channels at the elevations of a table, each fired at even azimuths.
+    """A LiDAR: channels at given elevations, each fired at evenly spaced azimuths.
 
     ``elevations`` ascend [rad]; ``azimuth_count`` is J; ``azimuth_fov`` is θ₀
-    [rad], 2π for one that spins; ``reach`` is t_max [m]. Azimuths are
-    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3). ``reliability`` as for a camera.
+    [rad], 2π for a spinning LiDAR; ``reach`` is t_max [m]. Azimuths are
+    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3). ``reliability`` is as for a camera.
     """
 
     name: str

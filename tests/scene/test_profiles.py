@@ -129,9 +129,7 @@ def test_files_say_their_profile(tmp_path, scene, ideal):
     assert load_scene(tmp_path / "before.npz").profile.name == BEFORE_PROFILES
     other = replace(scene, settings=(("profile", "parer"),))
     save_scene(other, tmp_path / "other.npz")
-    with pytest.raises(
-        InspeError, match=r"other.npz: unknown profile 'parer': one of paper"
-    ):
+    with pytest.raises(InspeError, match=r"other.npz: unknown profile 'parer': one of paper"):
         load_scene(tmp_path / "other.npz")
     text = (tmp_path / "layout.yaml").read_text().replace("profile: ideal", "profile: idael")
     (tmp_path / "layout.yaml").write_text(text)

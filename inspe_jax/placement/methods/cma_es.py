@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SPREAD = (0.5, 1.0)
 """Standard deviation of the first generation, in typical steps: from the start, after restarts."""
-PULL = 2e-3
+PENALTY = 2e-3
 """Score that a layout loses for each squared typical step outside the feasible set."""
 LOOK = 10
 """Generations from one exact score to the next."""
@@ -36,16 +36,16 @@ _live: "WeakKeyDictionary[Run, tuple[tuple[int, int], CMA]]" = WeakKeyDictionary
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class CmaState:
-    """What a strategy was told since its last restart, from which it can be made again.
+    """The losses that a strategy was told since its last restart, from which it can be made again.
 
-    ``restart``, its number; ``origin`` (N,), the layout where it began; ``told`` (G, P), the
-    losses of G generations of P; ``best``, its best exact score; ``waited``, the exact scores
+    ``restart``, its number; ``origin`` (N,), the layout where it began; ``losses`` (G, P), those
+    of G generations of P; ``best``, its best exact score; ``waited``, the exact scores
     since then.
     """
 
     restart: int
     origin: Float[np.ndarray, " N"] = field(metadata={KEY: "from"})
-    told: Float[np.ndarray, "G P"]
+    losses: Float[np.ndarray, "G P"] = field(metadata={KEY: "told"})
     best: float = -np.inf
     waited: int = 0
 
@@ -77,17 +77,17 @@ def step(run: Run, state: CmaState) -> CmaState | None:
 
     A restart begins at the best of some random layouts, with twice the population (IPOP).
     """
-    problem, told = run.problem, state.told
+    problem, losses = run.problem, state.losses
     if not len(problem.space.free):
         return None
-    key = (state.restart, len(told))
+    key = (state.restart, len(losses))
     strategy = _strategy(run, state)
-    asked = np.array([strategy.ask() for _ in range(told.shape[1])])
+    asked = np.array([strategy.ask() for _ in range(losses.shape[1])])
     x, away = _layouts(run, state, asked)
     sample = problem.sample(run.rng(0, *key), COLUMNS, FRAMES)
-    loss = PULL * away - run.rough(x, sample)
+    loss = PENALTY * away - run.rough(x, sample)
     strategy.tell(list(zip(asked, loss.tolist(), strict=True)))
-    state = replace(state, told=np.concatenate([told, loss[None]]))
+    state = replace(state, losses=np.concatenate([losses, loss[None]]))
     if (key[1] + 1) % LOOK == 0:
         mean = _layouts(run, state, strategy.mean[None])[0]
         state = _look(run, state, np.concatenate([mean, x[np.argsort(loss)[:FOLLOWED]]]))
@@ -100,7 +100,7 @@ def step(run: Run, state: CmaState) -> CmaState | None:
 
 def _look(run: Run, state: CmaState, x: Float[np.ndarray, "M N"]) -> CmaState:
     """Score exactly the layout that is best on a sample."""
-    sample = run.problem.sample(run.rng(1, state.restart, len(state.told)), COLUMNS, FRAMES)
+    sample = run.problem.sample(run.rng(1, state.restart, len(state.losses)), COLUMNS, FRAMES)
     value = run.offer(x[np.argmax(run.rough(x, sample))])
     waited = 0 if value > state.best else state.waited + 1
     return replace(state, best=max(value, state.best), waited=waited)
@@ -110,7 +110,7 @@ def _begin_again(run: Run, state: CmaState) -> CmaState:
     count = state.restart + 1
     x = run.problem.space.random(run.rng(2, count), SCREENED)
     sample = run.problem.sample(run.rng(3, count), COLUMNS, FRAMES)
-    return _restart(x[np.argmax(run.rough(x, sample))], count, 2 * state.told.shape[1])
+    return _restart(x[np.argmax(run.rough(x, sample))], count, 2 * state.losses.shape[1])
 
 
 def _layouts(
@@ -134,19 +134,19 @@ def _strategy(run: Run, state: CmaState) -> "CMA":
     """
     from cmaes import CMA  # only here: its import takes a third as long as all others
 
-    told, restart = state.told, state.restart
+    losses, restart = state.losses, state.restart
     at, strategy = _live.pop(run, ((-1, -1), None))
-    if strategy is not None and at == (restart, len(told)):
+    if strategy is not None and at == (restart, len(losses)):
         return strategy
     strategy = CMA(
         mean=np.zeros(len(run.problem.space.free)),
         sigma=SPREAD[min(restart, 1)],
-        population_size=told.shape[1],
+        population_size=losses.shape[1],
         seed=int(run.rng(4, restart).integers(2**31)),
     )
-    for losses in told:
-        asked = [strategy.ask() for _ in losses]
-        strategy.tell(list(zip(asked, losses.tolist(), strict=True)))
+    for generation in losses:
+        asked = [strategy.ask() for _ in generation]
+        strategy.tell(list(zip(asked, generation.tolist(), strict=True)))
     return strategy
 
 

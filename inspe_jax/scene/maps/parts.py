@@ -19,6 +19,7 @@ from inspe_jax.scene.intersection import (
     corner_islands,
     mouth_crosswalks,
 )
+from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.regions import Region
 
 STEP = 1.0
@@ -100,14 +101,6 @@ def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return np.hypot(*(points[:, :2] - middle[:2]).T)
 
 
-def resample(line: np.ndarray) -> np.ndarray:
-    """Points evenly spaced in plan, about :data:`STEP` apart."""
-    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
-    even = np.linspace(0, arc[-1], max(2, round(arc[-1] / STEP) + 1))
-    return np.column_stack([np.interp(even, arc, column) for column in line.T])
-
-
 def valid(shape: BaseGeometry) -> BaseGeometry:
     """The shape, repaired if its outline crosses itself."""
     return shape if shape.is_valid else shape.buffer(0)
@@ -160,7 +153,7 @@ def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
         along = sides[np.argmax(np.hypot(*sides.T))]
         reach = along / 2 + 3.0 * along / np.linalg.norm(along)
         middle = corners.mean(0)
-        yield resample(np.array([middle - reach, middle + reach]))
+        yield resampled(np.array([middle - reach, middle + reach]))
 
 
 def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
@@ -180,7 +173,7 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
                 if grown:
                     break
         if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
-            yield resample(line)
+            yield resampled(line)
 
 
 def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:

@@ -7,6 +7,8 @@ direction.
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.scene.lines import distinct
+
 _ARC_STEP = np.radians(3.0)  # largest step of an arc: an error of 3 mm at a radius of 8 m
 _CHORD = 1.0  # longest step of an arc [m]
 _STRAIGHT = np.radians(5.0)  # a bend that turns less is one cubic curve
@@ -15,9 +17,7 @@ _HANDLE = 0.4  # distance of the cubic curve's inner control points, as a share 
 
 def joined(*parts: Float[np.ndarray, "..."]) -> Float[np.ndarray, "N 2"]:
     """Lines and points joined to one line, without repeated points."""
-    line = np.concatenate([np.reshape(part, (-1, 2)) for part in parts])
-    apart = np.hypot(*np.diff(line, axis=0).T) > 1e-6
-    return line[np.concatenate([[True], apart])]
+    return distinct(np.concatenate([np.reshape(part, (-1, 2)) for part in parts]))
 
 
 def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N 2"]:
@@ -105,13 +105,6 @@ def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 
 def length(line: Float[np.ndarray, "N 2"]) -> float:
     """Length of a line [m]."""
     return float(np.hypot(*np.diff(line, axis=0).T).sum())
-
-
-def resampled(line: Float[np.ndarray, "N 2"], spacing: float = 1.0) -> Float[np.ndarray, "M 2"]:
-    """The same line with evenly spaced points, about ``spacing`` metres apart."""
-    arc_length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    even = np.linspace(0, arc_length[-1], max(2, round(arc_length[-1] / spacing) + 1))
-    return np.column_stack([np.interp(even, arc_length, axis) for axis in line.T])
 
 
 def at_distance(

@@ -17,7 +17,8 @@ from inspe_jax.scene.intersection import (
     Route,
     mouth_crosswalks,
 )
-from inspe_jax.scene.procedural.curves import bend, fillet, joined, length, offset, resampled
+from inspe_jax.scene.lines import resampled
+from inspe_jax.scene.procedural.curves import bend, fillet, joined, length, offset
 from inspe_jax.scene.regions import Region
 
 LENGTH = 120.0

@@ -1,7 +1,7 @@
-"""The table of traffic models: what moves the road users of a scene, by name.
+"""The table of traffic models, which move the road users of a scene.
 
 To add one, write a module with a function and add its row to :data:`TRAFFIC_MODELS`. Logs of
-CARLA's recorder are not models: a file says what moves (:mod:`~inspe_jax.scene.traffic.carla_log`).
+CARLA's recorder are not models; :mod:`~inspe_jax.scene.traffic.carla_log` reads them.
 """
 
 from dataclasses import dataclass

@@ -13,6 +13,7 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Approach, arms_of
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.opendrive.regions import approaches_of, areas_of, interior_of
@@ -36,7 +37,6 @@ from inspe_jax.scene.maps.parts import (
     joined_lines,
     junctions_at,
     mounting_of,
-    resample,
     walking_routes,
 )
 from inspe_jax.scene.regions import Region
@@ -173,7 +173,7 @@ def _vehicle_routes(
                 if exit_arm in (entry_arm, -1):
                     continue
                 line = [*upstream, *path, *_follow(last, "next", middle, radius)]
-                points = resample(np.array([position(w.transform.location) for w in line]))
+                points = resampled(np.array([position(w.transform.location) for w in line]))
                 yield Route(points, mouth.lane_width, "vehicle", (entry_arm, exit_arm))
 
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Polygon
 
+from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.lane_strips import LaneStrip
-from inspe_jax.scene.maps.parts import resample, valid
+from inspe_jax.scene.maps.parts import valid
 from inspe_jax.scene.maps.sumo.network import RoadNet
 
 MOTORS = {"passenger", "private", "taxi", "bus", "truck", "delivery", "hov", "evehicle"}
@@ -86,15 +87,9 @@ def streets_of(road: RoadNet) -> Streets:
     return Streets(road, numbers, lane_strips, follows, leads, tuple(crossings), tuple(walks))
 
 
-def distinct(line: np.ndarray) -> np.ndarray:
-    """A line without points that lie on the one before."""
-    apart = np.hypot(*np.diff(line[:, :2], axis=0).T) > 1e-6
-    return line[np.concatenate([[True], apart])]
-
-
 def _lane_strip(number: int, lane: Any, line: np.ndarray, inside: bool) -> LaneStrip:
     """A lane's middle line at evenly spaced stations, and its edges."""
-    center = resample(line)
+    center = resampled(line)
     along = np.gradient(center[:, :2], axis=0)
     along /= np.hypot(*along.T)[:, None]
     across = np.column_stack([-along[:, 1], along[:, 0]]) * lane.getWidth() / 2

@@ -15,6 +15,7 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.parts import (
@@ -29,11 +30,10 @@ from inspe_jax.scene.maps.parts import (
     joined_lines,
     junctions_at,
     mounting_of,
-    resample,
     valid,
     walking_routes,
 )
-from inspe_jax.scene.maps.sumo.lanes import Streets, distinct, kind_of, streets_of
+from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import load_net
 from inspe_jax.scene.regions import Region
 
@@ -294,7 +294,7 @@ def _vehicle_routes(
                 line = _about(line, distance_from(line, strip.center[-1]).argmin(), middle, radius)
                 if len(line) > 1:
                     through = (arm_of[approach.road, "end"], exit_arm)
-                    yield Route(resample(line), lane.getWidth(), "vehicle", through)
+                    yield Route(resampled(line), lane.getWidth(), "vehicle", through)
 
 
 def _lane_paths(streets: Streets, start: str, interior: set[int]) -> Iterator[list[str]]:

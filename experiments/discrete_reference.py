@@ -11,7 +11,6 @@ between: they can come to more than 100 %, as the optimum is only that of the ca
 """
 
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
     given = inspe_jax.strategy(scene, "Cam-d1")
     first = [members[0] for members in given.members()]
     sensors = [
-        Sensor(f"camera {u}", replace(given.sensors[s].spec, reliability=1.0), u)
+        Sensor(f"camera {u}", given.sensors[s].spec.with_performance(1.0), u)
         for u, s in enumerate(first)
     ]
     poses = np.asarray(given.poses)[first]

@@ -32,8 +32,8 @@ import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.core.compiling import compiled
 from inspe_jax.core.files import write_text
-from inspe_jax.placement.methods.gradient import GRADIENTS
-from inspe_jax.placement.optimise import METHODS, warming
+from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
+from inspe_jax.placement.optimise import warming
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
 from inspe_jax.placement.studies.pareto import around

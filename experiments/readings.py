@@ -350,7 +350,7 @@ class Variants:
 
 def grid_of(spec: Spec, reach: float, camera: str = "given") -> RayGrid:
     """The rays of a device, to a reach; of a camera as :data:`CAMERAS` has it."""
-    if isinstance(spec, LidarSpec) or camera == "given":
+    if not isinstance(spec, CameraSpec) or camera == "given":
         return replace(spec.grid, reach=reach)
     across, down, part = CAMERAS[camera]
     wide, tall = (replace(spec, downsample=share).grid for share in (across, down))
@@ -376,7 +376,7 @@ def gather(
         if isinstance(sensor.spec, kind)
     }
     specs, poses = [spec for spec, _ in members], np.array([pose for _, pose in members])
-    number = {member: s for s, member in enumerate(members)}
+    number: dict[tuple[Spec, tuple[float, ...]], int] = {m: s for s, m in enumerate(members)}
     own = np.zeros((len(NAMES), len(members)), bool)
     for p, name in enumerate(NAMES):
         layout = layouts[name]

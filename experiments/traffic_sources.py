@@ -21,7 +21,7 @@ import inspe_jax
 from inspe_jax import STRATEGIES, Intersection, Scene
 from inspe_jax.report.figures import column_raster
 from inspe_jax.scene.maps.registry import read_map
-from inspe_jax.scene.scene import TRAFFIC
+from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
 from inspe_jax.scoring.viewshed import viewshed
 
 console = Console()
@@ -61,7 +61,7 @@ def main() -> None:
 
     rows: list[dict[str, Any]] = []
     drawn: dict[str, tuple[Scene, np.ndarray]] = {}
-    runs = [(source, seed) for seed in seeds for source in TRAFFIC]
+    runs = [(source, seed) for seed in seeds for source in TRAFFIC_MODELS]
     for source, seed in track(runs, "scoring", console=console, transient=True):
         scene = inspe_jax.build_scene(place, **settings, traffic=source, seed=seed)
         share, bits = occupancy(scene)
@@ -89,11 +89,11 @@ def main() -> None:
         cells = [
             mean(rows, source, name, key)
             for key in ("occlusion", "information_gain", "surrogate")
-            for source in TRAFFIC
+            for source in TRAFFIC_MODELS
         ]
         table.add_row(name, *(f"{x:.3f}" for x in cells), f"{cells[5] - cells[4]:+.3f}")
     console.print(table)
-    for source in TRAFFIC:
+    for source in TRAFFIC_MODELS:
         own = [r for r in rows if r["traffic"] == source and r["layout"] == layouts[0]]
         console.print(
             f"{NAMES[source]}: {np.mean([r['objects'] for r in own]):.1f} objects, "
@@ -133,7 +133,7 @@ def draw(
     bar.set_label(label)
     axes, at = panels[2], np.arange(len(layouts))
     for key, marker, label in (("information_gain", "s", "IG"), ("surrogate", "o", "P_sm")):
-        for shift, source in zip((-0.12, 0.12), TRAFFIC, strict=True):
+        for shift, source in zip((-0.12, 0.12), TRAFFIC_MODELS, strict=True):
             for k, name in enumerate(layouts):
                 own = [r[key] for r in rows if (r["traffic"], r["layout"]) == (source, name)]
                 axes.plot(

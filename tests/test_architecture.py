@@ -35,7 +35,7 @@ ROOMS = {
     "embreex": ("simulation/embedded/embree.py",),
     "sumolib": ("scene/maps/sumo/", "scene/traffic/sumo/"),
     "sumo": ("scene/maps/sumo/", "scene/traffic/sumo/"),
-    "jaxopt": ("placement/methods/rounds.py",),
+    "jaxopt": ("placement/methods/solver_rounds.py",),
     "optax": ("placement/methods/adam.py",),
     "PIL": ("dataset/formats/", "simulation/"),
     "matplotlib": ("report/",),

@@ -122,9 +122,9 @@ def scene(
         build_scene,
         load_scene,
         save_scene,
-        traffic_source,
     )
     from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES
+    from inspe_jax.scene.traffic.registry import traffic_model
 
     if list_:
         _list_places(source)
@@ -166,7 +166,7 @@ def scene(
                     + ", ".join(f"--{name}" for name in own)
                 )
         elif traffic is not None:
-            traffic_source(traffic)
+            traffic_model(traffic)
         if is_map(path):
             if (junction is None) == (center is None):
                 raise InspeError(

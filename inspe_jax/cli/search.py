@@ -143,7 +143,7 @@ def compare(
     from inspe_jax.report.tables import comparison_table
 
     check_folder(folder)
-    names = [name.strip() for name in methods.split(",") if name.strip()] or list(search.METHODS)
+    names = [name.strip() for name in methods.split(",") if name.strip()] or list(search.methods())
     objective, constraints = options.checked()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)

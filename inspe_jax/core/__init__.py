@@ -1,1 +1,1 @@
-"""What every room uses: errors, margins, geometry, files, cores and devices."""
+"""What all parts of the package use: errors, margins, geometry, files, cores and devices."""

@@ -1,7 +1,7 @@
-"""Arrays made in NumPy: filled up to a few lengths, and handed to the device as they are.
+"""NumPy arrays for compiled code: padded to a few lengths, and put on the device.
 
-What is compiled is compiled for the lengths of its arrays. With a few lengths, scenes and layouts
-of similar size share it.
+A program is compiled for the lengths of its arrays. If there are only a few lengths, scenes and
+layouts of similar size share one program.
 """
 
 from typing import Any
@@ -12,7 +12,10 @@ from jaxtyping import Array
 
 
 def bucket(count: int, least: int) -> int:
-    """The least of ``least`` times 1, 2, 3, 4, 6, 8, 12, 16, … that holds so many; 0 for none."""
+    """The smallest of ``least`` × (1, 2, 3, 4, 6, 8, 12, 16, …) that is ``count`` or more.
+
+    0 if ``count`` is 0.
+    """
     if count <= 0:
         return 0
     length = least
@@ -24,8 +27,11 @@ def bucket(count: int, least: int) -> int:
 
 
 def wide_bucket(count: int, least: int, most: float = np.inf) -> int:
-    """The least of ``least`` times 1, 4, 16, … that holds so many, where what is filled up is
-    skipped; a :func:`bucket` where that would be more than ``most``. 0 for none."""
+    """The smallest of ``least`` × (1, 4, 16, …) that is ``count`` or more; 0 if ``count`` is 0.
+
+    For arrays whose padding costs nothing, because it is skipped. If the length would be more than
+    ``most``, it is that of :func:`bucket`.
+    """
     length = least if count > 0 else 0
     while length < count:
         length *= 4
@@ -33,11 +39,11 @@ def wide_bucket(count: int, least: int, most: float = np.inf) -> int:
 
 
 def on_host(x: Any, kind: Any = None) -> np.ndarray:
-    """In NumPy, in the precision that JAX is set to; ``kind`` is float, or None for that of x."""
+    """``x`` as a NumPy array in JAX's precision. ``kind`` is float, or None for the type of x."""
     x = np.asarray(x, kind)
     return x.astype(jax.dtypes.canonicalize_dtype(x.dtype), copy=False)
 
 
 def on_device(x: Any, kind: Any = None) -> Array:
-    """An array as JAX has it. jnp.asarray compiles a program for each new shape, this none."""
+    """``x`` as a JAX array. Unlike jnp.asarray, this compiles no program for a new shape."""
     return jax.device_put(on_host(x, kind))

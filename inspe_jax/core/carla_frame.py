@@ -1,11 +1,11 @@
-"""Turns ENU, right-handed and in radians, into CARLA's world and back, of poses and points.
+"""Converts poses and points between our world frame and CARLA's.
 
-Maps alone do without: :mod:`inspe_jax.scene.maps.opendrive.road_network` asks for points by the ten
-thousand.
+Ours is ENU, right-handed, in radians; a pose is x, y, z, roll, pitch, yaw. CARLA's is left-handed
+and in degrees, as Unreal's: y and yaw change sign, roll and pitch do not. Its body frame is x
+forward, y right, z up. Its files hold *cords*: x, y, z, roll, yaw, pitch.
 
-CARLA's world is left-handed and in degrees, as Unreal's: y and yaw change sign, roll and pitch
-do not. Its body frame is x forward, y right, z up. Files hold *cords*, six numbers in the order
-x, y, z, roll, yaw, pitch; a pose of ours is x, y, z, roll, pitch, yaw.
+Only :mod:`inspe_jax.scene.maps.opendrive.road_network` converts points by itself, because it reads
+tens of thousands of them.
 """
 
 from typing import Any
@@ -29,10 +29,7 @@ def from_carla(cords: Any) -> Float[np.ndarray, "*n 6"]:
 
 
 def flip(points: Any) -> Any:
-    """Points whose first three columns are x, y, z, from one body frame into the other.
-
-    Either way: only y changes sign.
-    """
+    """Points (…, 3 or more) from one body frame to the other: the second column changes sign."""
     flipped = np.array(points)
     flipped[..., 1] = -flipped[..., 1]
     return flipped

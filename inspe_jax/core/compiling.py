@@ -1,6 +1,7 @@
 """What XLA compiles in this process: how many programs, for how long, and whether it does now.
 
-A user waits for it, so who shows progress says so. From the events that JAX records.
+Progress displays use it to tell users what they are waiting for. It is measured from the events
+that JAX records.
 """
 
 import contextlib
@@ -22,18 +23,18 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
-"""Recorded when a function has been traced,"""
+"""Event that JAX records when a function has been traced."""
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-"""when its program goes to XLA,"""
+"""Event when its program goes to XLA."""
 COMPILED = "/jax/core/compile/backend_compile_duration"
-"""and when that is compiled, or read from what was kept of an earlier run."""
+"""Event when the program is compiled, or read from the cache on disk."""
 
 
 @dataclass(frozen=True)
 class Compiled:
-    """What was compiled so far: ``programs``, in ``seconds`` of wall time, tracing included.
+    """Number of ``programs`` compiled so far, in ``seconds`` of wall time with tracing.
 
-    ``now`` says whether one is being compiled at this moment.
+    ``now`` tells whether one is being compiled at this moment.
     """
 
     programs: int
@@ -42,19 +43,19 @@ class Compiled:
 
 
 class _Watch:
-    """Counts what is compiled, from when it is made."""
+    """Counts the programs that are compiled since it was created."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._programs = 0
-        # When something was traced or compiled: stretches of time that do not overlap, in order.
+        # Times at which something was traced or compiled, in order and without overlaps.
         self._stretches: list[tuple[float, float]] = []
-        self._seconds = 0.0  # of all of them
+        self._seconds = 0.0  # sum of all stretches
         self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
-        self._whole: set[int] = set()  # threads of which all counts
+        self._whole: set[int] = set()  # threads whose whole time counts
 
     def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
-        """Both events of one program are recorded by the thread that waits for it."""
+        """Listens to JAX's events. The thread that waits for a program records its events."""
         if event not in (TRACED, LOWERED, COMPILED):
             return
         thread, now = threading.get_ident(), time.monotonic()
@@ -70,7 +71,7 @@ class _Watch:
 
     @contextlib.contextmanager
     def whole(self) -> Iterator[None]:
-        """All that this thread does meanwhile counts, tracing from its beginning on."""
+        """Count all time of this thread in the block, with tracing from its beginning on."""
         thread, began = threading.get_ident(), time.monotonic()
         with self._lock:
             self._whole.add(thread)
@@ -84,7 +85,7 @@ class _Watch:
                 self._add(began, time.monotonic())
 
     def _add(self, begin: float, end: float) -> None:
-        """One more stretch, no earlier in its end than the others: within it there may be some."""
+        """Add a stretch of time that ends last; it may contain earlier stretches."""
         while self._stretches and self._stretches[-1][1] >= begin:
             first, last = self._stretches.pop()
             self._seconds -= last - first
@@ -117,20 +118,20 @@ def compiled() -> Compiled:
 
 
 def counts_as_compiling() -> contextlib.AbstractContextManager[None]:
-    """All that this thread does meanwhile counts as compiling: for one that does nothing else."""
+    """Count all time of this thread in the block as compiling: for a thread that only compiles."""
     return _watch.whole()
 
 
 # ── About how long it takes ─────────────────────────────────────────────────
 
 TIMES = "compile_times.json"
-"""Beside what JAX keeps compiled: how long it took the last time, by what it was for [s]."""
+"""File in JAX's cache folder: seconds that compiling took the last time, by purpose."""
 NOTICED = 1.0
-"""What compiles faster, as when it was kept, says nothing of how long it takes [s]."""
+"""Faster compiling is not remembered, because the program was read from the cache [s]."""
 
 
 def usual_seconds(what: str, default: float) -> float:
-    """About how long it takes to compile something: as long as the last time on this machine."""
+    """Seconds that compiling ``what`` took last time on this machine; ``default`` if unknown."""
     try:
         return float(_times()[what])
     except (KeyError, TypeError, ValueError):
@@ -138,7 +139,7 @@ def usual_seconds(what: str, default: float) -> float:
 
 
 def remember_seconds(what: str, seconds: float) -> None:
-    """Keep how long it took to compile something, if JAX keeps what it compiles."""
+    """Remember the seconds that compiling ``what`` took, if JAX has a cache on disk."""
     path = _times_file()
     if path is None or seconds < NOTICED:
         return
@@ -147,7 +148,7 @@ def remember_seconds(what: str, seconds: float) -> None:
 
 
 def waiting_words(seconds: float, usual: float) -> str:
-    """What to tell somebody who waits for what compiles, for so long by now [s]."""
+    """The message to a user who has waited ``seconds`` for compiling that takes ``usual`` [s]."""
     if seconds < usual:
         return f"compiling: {seconds:.0f} s of about {usual:.0f} s"
     return f"compiling: {seconds:.0f} s, longer than the usual {usual:.0f} s"
@@ -167,18 +168,18 @@ def _times_file() -> Path | None:
     return None if folder is None else Path(folder) / TIMES
 
 
-# ── Leaving while something is compiled ─────────────────────────────────────
+# ── Ending the process while something is compiled ──────────────────────────
 
 CACHE = "lru_cache.py"
-"""Where JAX writes what it keeps."""
+"""The file of JAX's code that writes its cache."""
 WRITING = 0.3
-"""How long that may take at the end [s]."""
+"""Longest time to wait for a write to the cache at the end [s]."""
 
 
 def leave(status: int) -> NoReturn:
-    """End the process now, unless JAX keeps something compiled on disk just then.
+    """End the process now, but wait briefly while JAX writes to its cache on disk.
 
-    It writes such a file in place, and never again: cut short, it would be of no use for ever.
+    JAX writes a cache file in place, and never again: an incomplete file would stay unusable.
     """
     deadline = time.monotonic() + WRITING
     while time.monotonic() < deadline and any(map(_is_writing, sys._current_frames().values())):
@@ -187,7 +188,7 @@ def leave(status: int) -> NoReturn:
 
 
 def _is_writing(frame: FrameType | None) -> bool:
-    """Whether a thread is within JAX's cache of what is compiled."""
+    """Whether a thread is writing to JAX's cache."""
     while frame is not None:
         if frame.f_code.co_filename.endswith(CACHE) and frame.f_code.co_name == "put":
             return True

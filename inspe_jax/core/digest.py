@@ -1,4 +1,8 @@
-"""Digests of content: the same text for the same arrays, shapes and records of them."""
+"""Digests of content: the same text for the same arrays, shapes and records of them.
+
+Libraries that hash objects hash their pickles, which change with versions and with caches inside
+objects. This module hashes fields alone, so a checkpoint fits the same search in a later version.
+"""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -11,9 +15,10 @@ import numpy as np
 
 
 def digest(thing: Any) -> str:
-    """A text that is the same for the same content: of arrays, shapes, records of them.
+    """The SHA-256 of the content of ``thing``, as hexadecimal text.
 
-    Raises TypeError for what has no content of its own, as a function.
+    ``thing`` may be an array, number, text, enumeration, polygon or dataclass, or a mapping or
+    sequence of these. Raises TypeError for anything else, as a function.
     """
     found = hashlib.sha256()
     _feed(found, thing)
@@ -21,7 +26,7 @@ def digest(thing: Any) -> str:
 
 
 def _feed(found: "hashlib._Hash", thing: Any) -> None:
-    """Every part with its kind and size before it, so that no two contents read alike."""
+    """Add every part with its kind and size before it, so that two contents never look the same."""
     if isinstance(thing, np.ndarray | np.generic | jax.Array):
         array = np.asarray(thing)
         found.update(f"array {array.dtype.str} {array.shape};".encode())

@@ -1,4 +1,4 @@
-"""The one exception a user can cause."""
+"""The exception for errors of the user, and hints for misspelt names."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -13,7 +13,7 @@ class InspeError(ValueError):
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """``'; did you mean X?'`` with the known names nearest to ``name``, or ``''``."""
+    """``'; did you mean X?'`` with the known names most similar to ``name``, or ``''``."""
     lowered = {k.lower(): k for k in known}
     close = get_close_matches(name.lower(), list(lowered), n=3, cutoff=0.5)
     return f"; did you mean {' or '.join(lowered[c] for c in close)}?" if close else ""

@@ -1,4 +1,4 @@
-"""Files of people's are checked key by key; files of ours appear whole or not at all."""
+"""Reading files that users write, key by key, and writing files whole or not at all."""
 
 import os
 import tempfile
@@ -16,18 +16,18 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-"""For models of what people write: a quoted number is a mistake to report, not to convert."""
+"""For models of what users write. A quoted number is reported as a mistake, not converted."""
 
 
 def check_model(model: type[Model], content: Any, where: str) -> Model:
-    """Read ``content`` as a pydantic ``model``; its first fault becomes one InspeError.
+    """Read ``content`` as a pydantic ``model``. Raises InspeError with the first fault.
 
-    The message gives the path of the key, as ``layout.yaml: units[0].base: …``.
+    The message begins with the path of the key, as ``layout.yaml: units[0].base: …``.
     """
     try:
         return model.model_validate(content)
     except ValidationError as e:
-        # A misspelt key is also a missing one: the first that is unknown says what was meant.
+        # A misspelt key is also a missing key. The unknown key is reported: it shows the mistake.
         fault = max(e.errors(), key=lambda f: f["type"] == "extra_forbidden")
         key = "".join(
             f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
@@ -54,7 +54,7 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
 
 
 def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:
-    """Names of the keys allowed at a path inside a model."""
+    """The names of the keys that are allowed at a path inside a model."""
     current: Any = model
     for part in path:
         if isinstance(part, str) and part in current.model_fields:
@@ -74,7 +74,7 @@ def _inner_model(annotation: Any) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML, in which the same key twice is an error and not the last one's win."""
+    """A YAML loader for which a key given twice is an error; YAML itself would keep the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """The mapping; raises YAMLError on a key given twice."""
@@ -86,13 +86,13 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file holds. Raises InspeError where it is missing, or is not YAML."""
+    """The content of a YAML file. Raises InspeError if it is missing or is not YAML."""
     check_input(path)
     return parse_yaml(path.read_bytes(), str(path))
 
 
 def parse_yaml(text: str | bytes, where: str) -> Any:
-    """What a YAML text holds. Raises InspeError, which names ``where``, on any other text."""
+    """The content of a YAML text. Raises InspeError, which names ``where``, if it is not YAML."""
     try:
         return yaml.load(text if isinstance(text, str) else text.decode("utf-8"), _Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as e:
@@ -100,15 +100,15 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
 
 
 def check_input(path: Path) -> None:
-    """Raise InspeError where there is no such file to read."""
+    """Raise InspeError if there is no such file."""
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
 
 
 def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] = ()) -> None:
-    """Raise InspeError where a file could not be written, before any work is done for it.
+    """Raise InspeError if a file could not be written: to be called before the work for it.
 
-    None passes. ``suffixes`` are those allowed; none given means any.
+    A ``path`` of None is accepted. ``suffixes`` are the allowed ones; if empty, any is.
     """
     if path is None:
         return
@@ -123,7 +123,10 @@ def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] 
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """A binary file to write; it takes its name when complete, and vanishes on any error."""
+    """A binary file to write. It gets its name when it is complete, and is deleted on any error.
+
+    Raises InspeError if it cannot be written.
+    """
     check_output(path)
     path = Path(path)
     try:
@@ -141,7 +144,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 
 
 def prepare_folder(folder: str | os.PathLike[str]) -> Path:
-    """A folder to write to, made where it is missing. Raises InspeError where that cannot be."""
+    """A folder to write to, which is created if missing. Raises InspeError if that fails."""
     folder = Path(folder)
     check_folder(folder)
     folder.mkdir(exist_ok=True)
@@ -149,7 +152,7 @@ def prepare_folder(folder: str | os.PathLike[str]) -> Path:
 
 
 def check_folder(folder: str | os.PathLike[str]) -> None:
-    """Raise InspeError where a folder could not be made or written to, before any work for it."""
+    """Raise InspeError if a folder could not be created or written: call it before the work."""
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InspeError(f"{folder}: is a file; name a folder")

@@ -1,4 +1,4 @@
-"""Modules that have moved: their old names work for now, and say what the new one is."""
+"""Modules that have moved: their old names still work, with a warning that gives the new name."""
 
 import warnings
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def moved(old: str, new: str) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a module ``old`` whose content is in ``new``."""
+    """The ``__getattr__`` of a module ``old`` whose content is now in ``new``."""
 
     def get(name: str) -> Any:
         if name.startswith("__"):

@@ -1,7 +1,7 @@
-"""Work shared out among this machine's cores.
+"""Runs work on all cores of this machine.
 
-XLA runs the body of a loop on one core, and what one thread sends to a CPU in turn. Threads
-that each send a part of their own are run side by side.
+XLA runs the body of a loop on one core. It also runs the programs that one thread sends to a CPU
+one after the other. Programs from several threads run at the same time.
 """
 
 import os
@@ -18,15 +18,15 @@ import numpy as np
 Result = TypeVar("Result")
 
 Job = tuple[Hashable, Callable[[], Any]]
-"""A job, and what tells the code it needs compiled: jobs of one key need the same."""
+"""A key and a function. Jobs with the same key need the same compiled code."""
 
 compiled: set[Hashable] = set()
-"""Keys whose code is compiled, of functions that live as long as the process."""
+"""Keys whose code is already compiled, of functions that live as long as the process."""
 
 
 @cache
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # not on macOS or Windows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -38,23 +38,23 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def parts_of(rows: np.ndarray, size: int) -> list[np.ndarray]:
-    """Rows in parts of one size, for which code is compiled once; the last is filled up."""
+    """Rows in parts of one size, so that code is compiled once. The last part is padded."""
     filled = np.concatenate([rows, np.repeat(rows[-1:], -len(rows) % size, 0)])
     return list(filled.reshape(-1, size, *rows.shape[1:]))
 
 
 def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
-    """The jobs' results, finished, worked out on all cores.
+    """Run jobs on all cores and return their finished results, in order.
 
-    Of jobs whose key is not ``known`` one goes first, so that its code is compiled once; then it
-    is. Jobs may not call this themselves.
+    For each key that is not ``known``, one job runs first, so that its code is compiled only once.
+    Its key is then added to ``known``. Jobs must not call this function themselves.
     """
 
     def finished(number: int) -> Any:
         return jax.block_until_ready(jobs[number][1]())
 
     def side_by_side(numbers: Sequence[int]) -> list[Any]:
-        # Threads do not inherit JAX's settings of this one: in double precision it stays here.
+        # Threads do not inherit this thread's JAX settings, so double precision stays here.
         double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
         if cores() == 1 or len(numbers) < 2 or double:
             return [finished(n) for n in numbers]
@@ -69,17 +69,17 @@ def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
 
 
 def at_precision(double: bool) -> AbstractContextManager[None]:
-    """Double precision or single, in this thread: threads do not inherit it."""
-    # It moved between versions of JAX.
+    """Set double or single precision in this thread; threads do not inherit it."""
+    # The function is in different places in different versions of JAX.
     switch: Any = jax if hasattr(jax, "enable_x64") else jax.experimental
     found: AbstractContextManager[None] = switch.enable_x64(double)
     return found
 
 
 def untraced(work: Callable[[], Result]) -> Result:
-    """What ``work`` gives, worked out now even where something is being traced.
+    """The result of ``work``, computed now even while a function is being traced.
 
-    In a thread of its own, since nothing is traced there; at the precision of this one.
+    It runs in a thread of its own, where nothing is traced, at this thread's precision.
     """
     double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
 

@@ -1,7 +1,7 @@
-"""Work split among several devices, where JAX has more than one.
+"""Splits work among several devices, if JAX has more than one.
 
-Arrays are split along one axis, each device works on its part by itself, and nothing is sent
-between them: what comes back is counted together afterwards.
+Arrays are split along one axis. Each device works on its part alone and sends nothing to the
+others. The results are added up afterwards.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ _AXIS = "devices"
 
 
 def devices() -> int:
-    """How many devices this process has."""
+    """Number of devices of this process."""
     return jax.local_device_count()
 
 
 def divides(length: int) -> bool:
-    """Whether there are several devices, and their number divides so many rows evenly."""
+    """Whether there are several devices and ``length`` is a multiple of their number."""
     return devices() > 1 and length % devices() == 0
 
 
@@ -31,19 +31,19 @@ def _mesh() -> Mesh:
 
 
 def along(axis: int | None) -> PartitionSpec:
-    """Arrays split along an axis, or whole on every device where it is None."""
+    """The specification of arrays split along an axis; None means whole on every device."""
     return PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, _AXIS)
 
 
 def put(x: Any, axis: int | None) -> Any:
-    """Arrays as :func:`along` has them. The number of devices divides the axis."""
+    """Arrays on the devices, split as by :func:`along`. The axis is a multiple of the devices."""
     return jax.device_put(x, NamedSharding(_mesh(), along(axis)))
 
 
 def split(function: Callable[..., Any], takes: Any, gives: Any) -> Callable[..., Any]:
-    """A function that every device runs on its part of the arguments, compiled.
+    """A compiled function that every device runs on its part of the arguments.
 
-    ``takes`` and ``gives`` are what :func:`along` says of each argument and of each result.
+    ``takes`` and ``gives`` are the :func:`along` of each argument and of each result.
     """
     return jax.jit(
         jax.shard_map(function, mesh=_mesh(), in_specs=takes, out_specs=gives, check_vma=False)

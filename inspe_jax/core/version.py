@@ -1,4 +1,4 @@
-"""Versions: of this package, of Python and of libraries."""
+"""Versions of this package, of Python and of libraries."""
 
 import platform
 from collections.abc import Sequence
@@ -8,6 +8,6 @@ __version__ = "0.1.0"
 
 
 def versions(libraries: Sequence[str]) -> dict[str, str]:
-    """Versions by name: of this package, of Python and of ``libraries``."""
+    """The versions of this package, of Python and of ``libraries``, by name."""
     own = {"inspe_jax": __version__, "python": platform.python_version()}
     return own | {name: metadata.version(name) for name in libraries}

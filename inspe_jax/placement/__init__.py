@@ -1,1 +1,1 @@
-"""Where sensors stand: the strategies and, later, the search."""
+"""Where sensors stand: the paper's strategies, the rules of mounting, and the search."""

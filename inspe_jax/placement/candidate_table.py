@@ -20,8 +20,6 @@ from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
 """Heights and yaws of candidates at each foot."""
-PITCHES = {"camera": (-25.0, -10.0), "lidar": (0.0,)}
-"""… and their pitches [degrees]."""
 CHUNK = 128
 """Candidates looked at in one step."""
 Picks = dict[int, int]
@@ -175,5 +173,5 @@ def _steps(
     yaws = 1 if sensor.spec.grid.wraps and sector is None else YAWS
     begin, end = sector or (0.0, 2 * np.pi)
     yaw = begin + (end - begin) * (np.arange(yaws) + shift[1]) / yaws
-    down = np.radians(np.array(PITCHES[sensor.spec.kind]) + 10 * (shift[2] - 0.5))
+    down = np.radians(np.array(sensor.spec.candidate_pitches_deg) + 10 * (shift[2] - 0.5))
     return height, yaw, np.unique(np.clip(down, *pitches))

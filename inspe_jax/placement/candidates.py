@@ -1,4 +1,4 @@
-"""Layouts and poses to try: what the baselines have in common."""
+"""Layouts and poses to try, for all methods that need no gradient."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -14,30 +14,30 @@ from inspe_jax.placement.coordinates import Coordinates
 from inspe_jax.placement.space import Space
 
 COLUMNS, FRAMES = 768, 6
-"""Size of a sample: that of one gradient of the gradient methods."""
+"""Columns and frames in a sample on which layouts are compared."""
 SPACING = 8.0
-"""Distance of neighbouring feet on the coarsest lattice [m]."""
+"""Distance between neighbouring feet on the coarsest lattice [m]."""
 FEET = 48
-"""Feet on the coarsest lattice, at most."""
+"""Most feet on the coarsest lattice."""
 
-_ROWS = 64  # layouts in one compiled call of what costs next to nothing
-_FEW = 2  # layouts that are done sooner without
+_ROWS = 64  # layouts in one compiled call
+_FEW = 2  # so few layouts are faster without a compiled call
 _FAR = 1e3  # beyond any limit [m]
 
 
 def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N"]:
-    """The nearest feasible layout to each."""
+    """The feasible layout nearest to each."""
     if len(x) <= _FEW:
         return np.stack([space.project(row, np) for row in np.asarray(x, float)])
     return _in_parts(_mapped(space)[0], x)
 
 
 def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S 6"]:
-    """Poses about the scene's centre."""
+    """The poses of each layout, about the scene's centre [m, rad]."""
     return _in_parts(_mapped(space)[1], x)
 
 
-@lru_cache(maxsize=4)  # a space lives on in its own compiled functions: keep few
+@lru_cache(maxsize=4)  # compiled functions keep their space in memory, so only a few are kept
 def _mapped(space: Space) -> tuple[Any, Any]:
     compiled = (jax.jit(jax.vmap(space.project)), jax.jit(jax.vmap(space.poses)))
     project, poses = (lambda x, f=f: f(jnp.asarray(x, float)) for f in compiled)
@@ -45,20 +45,21 @@ def _mapped(space: Space) -> tuple[Any, Any]:
 
 
 def _in_parts(function: Any, x: np.ndarray) -> np.ndarray:
-    """A function of M layouts by parts of one shape, so that it is compiled once."""
+    """A function of M layouts, called on parts of one shape so that it compiles once."""
     done = [np.asarray(function(part), float) for part in parts_of(x, _ROWS)]
     return np.concatenate(done)[: len(x)]
 
 
 def coordinates(space: Space) -> Coordinates:
-    """The index of each coordinate, by name."""
+    """The index of each coordinate in a flat array, by name."""
     return space.split(np.arange(space.size))
 
 
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
-    """Feet :data:`SPACING` apart and poles; of more than ``most``, those that are furthest apart.
+    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles.
 
-    Units that can stand on none of them, as on a span wire, have their given feet there too.
+    If there are more than ``most``, those furthest apart are kept. For a unit that can stand on
+    none of them, as on a span wire, its given foot is added.
     """
     feet = space.feet(SPACING)
     away = np.full(len(feet), np.inf)
@@ -79,9 +80,9 @@ def set_heights(
     sensors: Sequence[int],
     above: Float[np.ndarray, "M m"],
 ) -> Float[np.ndarray, "M N"]:
-    """Layouts with all sensors of unit ``u`` at heights ``above`` the ground at its foot [m].
+    """The feasible layouts nearest to ``x`` with unit ``u``'s sensors at heights ``above`` [m].
 
-    Projected, so that they are nearest to that among the feasible ones.
+    Heights are above the ground at the unit's foot.
     """
     index, x = coordinates(space), np.array(x)
     rise = index.rise[list(sensors)]
@@ -100,9 +101,9 @@ def above_ground(space: Space, x: Float[np.ndarray, " N"]) -> Float[np.ndarray, 
 
 
 def limits(space: Space, x: Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest height of each sensor above the ground [m], and pitch [rad]: (S, 2) each.
+    """Lowest and highest height above the ground [m] and pitch [rad] of each sensor: (S, 2) each.
 
-    Found by projecting what is far beyond them.
+    They are found by projecting coordinates far beyond the limits.
     """
     index, ends = coordinates(space), np.tile(x, (2, 1))
     for part in (index.height, index.rise, index.pitch):

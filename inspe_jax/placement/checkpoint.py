@@ -1,8 +1,8 @@
-"""A search on disk: where it stood after a step, and of what search it is.
+"""Checkpoints: the state of a search on disk, from which it can go on.
 
-A checkpoint is an ``.npz`` of plain arrays and one JSON text, written whole or not at all and
-read without pickle. It carries a digest of everything that the search depends on, so that it is
-not taken up on another scene, layout or method.
+A checkpoint is an ``.npz`` file of plain arrays and one JSON text. It is written whole or not at
+all, and read without pickle. It has a digest of everything that the search depends on, so that it
+is not used for another scene, layout or method.
 """
 
 import json
@@ -24,7 +24,7 @@ from inspe_jax.placement.run import Progress, Run, State
 FORMAT = "inspe_jax checkpoint 3"
 SUFFIXES = (".npz",)
 EVERY = 10.0
-"""Time between two checkpoints of a search [s]."""
+"""Time between two writes of a search's checkpoint [s]."""
 _NOT_A_CHECKPOINT = (
     AttributeError,
     EOFError,
@@ -35,16 +35,17 @@ _NOT_A_CHECKPOINT = (
     zipfile.BadZipFile,
     zlib.error,
 )
-_ARRAY, _VALUE = "array: ", "value: "  # how a state's arrays, and its numbers and texts, are named
+_ARRAY, _VALUE = "array: ", "value: "  # before the names of a state's arrays, and of its values
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Checkpoint:
     """A search after a step.
 
-    ``of``: what the search depends on, by name, as digests or words; ``state`` of the method;
-    ``path`` (K, N), every best so far; ``seconds`` and ``evaluations`` spent; ``limits``, its
-    budget of both; ``status`` is "" while it runs, or how it ended.
+    ``of`` has what the search depends on, by name, as digests or words; ``state`` is the method's.
+    ``path`` (K, N) has the coordinates of every layout that was the best so far. ``seconds`` and
+    ``evaluations`` are spent, ``limits`` is the budget of both. ``status`` is "" while the search
+    runs, then how it ended.
     """
 
     of: dict[str, str]
@@ -58,7 +59,7 @@ class Checkpoint:
 
 
 def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
-    """Write a checkpoint in place of the one there was; whole, or the old one stays."""
+    """Write a checkpoint over the old one; if that fails, the old one stays."""
     record = {
         "format": FORMAT,
         "of": kept.of,
@@ -79,14 +80,14 @@ def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
         elif isinstance(value, bool | int | float | str | np.generic):
             arrays[_VALUE + name] = np.array(value)
         else:
-            # A fault of a method, not of its user.
+            # An error of the method, not of the user.
             raise TypeError(f"state '{name}': a {type(value).__name__} cannot be kept")
     with whole_file(path) as f:
         np.savez(f, **arrays)  # type: ignore[arg-type]  # names are ours
 
 
 def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
-    """Read a checkpoint. Raises InspeError where the file is missing or is something else."""
+    """Read a checkpoint. Raises InspeError if the file is missing or is not a checkpoint."""
     path = Path(path)
     check_input(path)
     try:
@@ -104,7 +105,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Checkpoint:
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
-            raise InspeError("written by another version of inspe_jax; delete it to begin anew")
+            raise InspeError("written by another version of inspe_jax; delete it to start again")
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
     state: State = {
         name.removeprefix(_ARRAY): value for name, value in data.items() if name.startswith(_ARRAY)
@@ -128,7 +129,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Checkpoint:
 
 
 def check_same(kept: Checkpoint, of: Mapping[str, str], path: str | os.PathLike[str]) -> None:
-    """Raise InspeError, naming what differs, where a checkpoint is of another search."""
+    """Raise InspeError if a checkpoint is of another search; the message names what differs."""
     other = []
     for name, value in of.items():
         was = kept.of.get(name)
@@ -138,16 +139,16 @@ def check_same(kept: Checkpoint, of: Mapping[str, str], path: str | os.PathLike[
     if other:
         raise InspeError(
             f"{path}: a checkpoint of another search, with another {', another '.join(other)}; "
-            "name another file, or delete it to begin anew"
+            "name another file, or delete it to start again"
         )
 
 
 class CheckpointWriter:
-    """Writes where a search stands to its checkpoint now and then, and takes it up again.
+    """Writes the state of a search to its checkpoint from time to time, and restores it.
 
-    What is written is how things were before a step. A step that was cut short is done again when
-    the search is taken up, and so ends as it would have. ``ended`` is the status of a search that
-    had ended already, else "".
+    The state before a step is written. A step that was cut short is done again when the search is
+    restored, so the search ends as it would have without the stop. ``ended`` is the status of a
+    search that had already ended, otherwise "".
     """
 
     def __init__(self, path: str | os.PathLike[str], of: dict[str, str], run: Run) -> None:
@@ -156,7 +157,10 @@ class CheckpointWriter:
         self._kept = self._now(run, {})
 
     def take_up(self, run: Run) -> State:
-        """Bring the run to where the file has it, and give the state; an empty one to begin."""
+        """Restore a run from the file and return the method's state, which is empty at the start.
+
+        Raises InspeError if the file is not a checkpoint of this search.
+        """
         if not self.path.exists():
             return {}
         kept = load_checkpoint(self.path)
@@ -167,21 +171,21 @@ class CheckpointWriter:
         if over or run.left <= 0:
             self.ended = kept.status or "budget spent"
             run.notes.append(
-                f"{self.path} holds a search that has ended ({self.ended}); delete it to begin "
-                "anew" + (", or give a larger budget" if self.ended == "budget spent" else "")
+                f"{self.path} has a search that has ended ({self.ended}); delete it to start "
+                "again" + (", or give a larger budget" if self.ended == "budget spent" else "")
             )
         else:
             run.notes.append(f"went on from {self.path}, after {kept.seconds:.0f} s of search")
         return kept.state
 
     def mark(self, run: Run, state: State) -> None:
-        """Note where the search stands before a step, and write it if it is time to."""
+        """Keep the state of the search before a step, and write it if it is time."""
         self._kept = self._now(run, state)
         if time.monotonic() - self._last >= EVERY:
             self._write()
 
     def end(self, run: Run, state: State, status: str) -> None:
-        """Write how the search ended; one that was interrupted, as before its last step."""
+        """Write how the search ended; if interrupted, the state before its last step is kept."""
         if status != "interrupted":
             self._kept = self._now(run, state, status)
         self._write()

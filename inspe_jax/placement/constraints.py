@@ -1,5 +1,4 @@
-"""What mounting allows: heights, clearance over lanes, angles, places, and how far units may
-move."""
+"""What mounting allows: heights, clearance over lanes, angles, places and distances to move."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,6 +8,7 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.placement.site import CENTRAL_HEIGHTS, POLE_HEIGHTS
+from inspe_jax.sensing.kinds import SENSOR_KINDS
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 PLACES = {
@@ -20,38 +20,44 @@ PLACES = {
 """Where units may stand: whether in mounting areas, and whether on poles."""
 
 
+def default_pitch() -> dict[str, tuple[float, float]]:
+    """Lowest and highest pitch [rad] that a mount allows, by kind of sensor."""
+    limits = {kind: keys.spec_type.pitch_limits_deg for kind, keys in SENSOR_KINDS.items()}
+    return {
+        kind: (float(np.radians(low)), float(np.radians(high)))
+        for kind, (low, high) in limits.items()
+    }
+
+
 @dataclass(frozen=True)
 class Constraints:
-    """What mounting allows. Metres and radians.
+    """What mounting allows, in metres and radians.
 
-    ``heights`` of a sensor above the ground at its unit's foot; ``span_heights`` of those of a
-    unit on a span wire: one whose foot lies in the middle of the junction, where it stays.
-    A sensor lower than ``clearance`` may not hang over a lane; the search keeps 0.3 m more beside
-    it. ``pitch`` by kind of sensor.
-    ``yaw`` by name of sensor: (from, to) counter-clockwise, or any direction where it is not named.
-    ``places``, one of :data:`PLACES`, for all units or by name of unit, "any" where it is not
-    named: with "poles" a unit is tied to the poles and chooses among them, with "areas" free in
-    the mounting areas, with "keep" it stays on its foot. ``area``, a shapely polygon in world
-    metres, replaces the map's mounting area. ``move``: how far at most a
-    unit's foot may go from where the given layout has it.
+    ``heights`` are the lowest and highest height of a sensor above the ground at its unit's foot.
+    ``span_heights`` are those of sensors on a span wire: the unit's foot is then in the middle of
+    the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; the
+    search keeps a further 0.3 m beside the lane. ``pitch`` gives (from, to) by kind of sensor.
+    ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not named may
+    look in any direction.
+
+    ``places`` is one of :data:`PLACES`, for all units or by name of unit; a unit that is not named
+    has "any". With "poles" a unit stands on one of the poles, with "areas" anywhere in the mounting
+    areas, with "keep" where it is. ``area``, a shapely polygon in world metres, replaces the map's
+    mounting area. ``move`` is the largest distance of a unit's foot from where the given layout has
+    it.
     """
 
     heights: tuple[float, float] = POLE_HEIGHTS
     span_heights: tuple[float, float] = CENTRAL_HEIGHTS
     clearance: float = 5.0
-    pitch: Mapping[str, tuple[float, float]] = field(
-        default_factory=lambda: {
-            kind: (float(np.radians(low)), float(np.radians(high)))
-            for kind, low, high in (("camera", -80, 10), ("lidar", -30, 30))
-        }
-    )
+    pitch: Mapping[str, tuple[float, float]] = field(default_factory=default_pitch)
     yaw: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     places: str | Mapping[str, str] = "any"
     area: BaseGeometry | None = None
     move: float | None = None
 
     def check(self) -> None:
-        """Raise InspeError where a value is unknown, out of range or at odds with another."""
+        """Raise InspeError if a value is unknown, out of range or contradicts another."""
         for places in [self.places] if isinstance(self.places, str) else self.places.values():
             if places not in PLACES:
                 raise InspeError(
@@ -61,30 +67,32 @@ class Constraints:
         for name in ("heights", "span_heights"):
             low, high = getattr(self, name)
             if not 0 <= low <= high < np.inf:
-                raise InspeError(f"{name} {low:g} to {high:g} m: 0 or more, the lower first")
-            # Else a sensor could not be raised over a lane within the unit rule; see _heights.
+                raise InspeError(f"{name} {low:g} to {high:g} m: give 0 or more, the lower first")
+            # Otherwise raising a sensor over a lane could break the unit rule; see Space._sensors.
             most = min(high, low + UNIT_HEIGHT)
             if not 0 <= self.clearance <= most:
                 raise InspeError(
-                    f"clearance {self.clearance:g} m: 0 to {most:g} m with {name} of "
+                    f"clearance {self.clearance:g} m: 0 to {most:g} m is allowed with {name} of "
                     f"{low:g} to {high:g} m"
                 )
-        if set(self.pitch) != {"camera", "lidar"}:
-            raise InspeError(f"pitch of {', '.join(self.pitch)}: needs camera and lidar, no other")
+        if set(self.pitch) != (kinds := set(SENSOR_KINDS)):
+            raise InspeError(
+                f"pitch of {', '.join(self.pitch)}: needs {' and '.join(sorted(kinds))}, no other"
+            )
         for kind, (low, high) in self.pitch.items():
             if not -np.pi / 2 <= low <= high <= np.pi / 2:
                 raise InspeError(
                     f"pitch of {kind} {np.degrees(low):g}° to {np.degrees(high):g}°: "
-                    "from −90° or more, up to 90°"
+                    "give the lower first, within −90° to 90°"
                 )
         for name, (low, high) in self.yaw.items():
             if not 0 <= high - low <= 2 * np.pi or abs(low) > 2 * np.pi:
                 raise InspeError(
-                    f"yaw of '{name}' {np.degrees(low):g}° to {np.degrees(high):g}°: "
-                    "counter-clockwise, by at most one turn, from −360° to 360°"
+                    f"yaw of '{name}' {np.degrees(low):g}° to {np.degrees(high):g}°: give a start "
+                    "within −360° to 360° and an end up to one turn counter-clockwise of it"
                 )
         if self.move is not None and not 0 <= self.move < np.inf:
-            raise InspeError(f"move {self.move:g} m: 0 or more")
+            raise InspeError(f"move {self.move:g} m: give 0 or more")
         if self.area is not None and (not self.area.is_valid or self.area.area <= 0):
             raise InspeError("area: not a valid polygon with an area")
 

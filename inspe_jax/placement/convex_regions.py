@@ -1,7 +1,7 @@
 """Convex pieces of ground: the nearest point of their union, and a smooth chart of each.
 
-A single point, as the foot of a pole, is a piece of its own. Everything here is plan
-geometry in metres, in NumPy or JAX alike (``xp``); JAX can differentiate it.
+A single point, as the foot of a pole, is a piece too. All is plan geometry in metres. Functions
+work with NumPy or JAX, given as ``xp``; JAX can differentiate them.
 """
 
 from dataclasses import dataclass
@@ -13,45 +13,45 @@ from jaxtyping import Bool, Float, Int
 LEAST_AREA = 0.05
 """Regions smaller than this are left out [m²]."""
 
-_STEEP = 0.05  # an edge this nearly across a piece, as a share of its length, ends the piece
-_FURTHEST = 1e4  # chart coordinates beyond this many radii go round and round anyway [–]
-_INSIDE = 0.99  # what the inverses of the charts take for the edge: there the slope is still 0.14
+_STEEP = 0.05  # an edge with a smaller share of its length along the axis ends the piece's chart
+_FURTHEST = 1e4  # chart coordinates are cut at this many radii, after many turns [–]
+_INSIDE = 0.99  # the inverses of the charts map the edge to here, where the slope is still 0.14
 
 
 # ── Bounded coordinates from unbounded ones ─────────────────────────────────
 
 
 def to_bounded(v: Any, radius: Any, xp: Any) -> Any:
-    """r·sin(v/r): any v to −r … r, where v counts metres (or radians) in the middle.
+    """r·sin(v/r), which maps any v to −r … r; near 0, v counts metres (or radians).
 
-    A sine and not the usual v/√(1 + v²): that one's slope is 0.0075 where 98 % of the way is
-    done, and what has gone there hardly comes back; a sine's is 0.2, and steps that overshoot
-    the end come back. A radius of 0 gives 0.
+    It is a sine and not the usual v/√(1 + v²). At 98 % of the range, the slope of the latter is
+    only 0.0075, so a search hardly leaves that place. The slope of the sine is 0.2 there, and a
+    step beyond the end comes back. A radius of 0 gives 0.
     """
     return radius * xp.sin(_turn(v, radius, xp))
 
 
 def _turn(v: Any, radius: Any, xp: Any) -> Any:
-    """v/r, for a sine; 0 in place of r leaves v."""
+    """v/r, cut at a large number; v itself where r is 0."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
     return xp.clip(v / safe, -_FURTHEST, _FURTHEST)
 
 
 def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
-    """The inverse of :func:`to_bounded`; an end is taken to lie slightly inside."""
+    """The inverse of :func:`to_bounded`; an end counts as slightly inside."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
     return radius * xp.arcsin(xp.clip(x / safe, -_INSIDE, _INSIDE))
 
 
 def to_disc(v: Any, radius: Any, xp: Any) -> Any:
-    """Any v (…, 2) to the disc of ``radius`` (…), as :func:`to_bounded` does along each ray."""
+    """Any v (…, 2) mapped to the disc of ``radius`` (…), along each ray as :func:`to_bounded`."""
     w = _turn(v, radius[..., None], xp)
     length = _length(w, xp)
     return radius[..., None] * w * xp.sin(length) / length
 
 
 def from_disc(x: Any, radius: Any, xp: Any) -> Any:
-    """The inverse of :func:`to_disc`; the rim is taken to lie slightly inside."""
+    """The inverse of :func:`to_disc`; the rim counts as slightly inside."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))[..., None]
     w = x / safe
     length = _length(w, xp)
@@ -64,7 +64,7 @@ def into_disc(x: Any, radius: Any, xp: Any) -> Any:
 
 
 def _length(x: Any, xp: Any) -> Any:
-    # Kept off 0, where a norm has no gradient; the ratios taken with it are right at 0.
+    # Never 0, where a norm has no gradient. The ratios formed with it are right at 0.
     return xp.sqrt(xp.maximum((x * x).sum(-1, keepdims=True), 1e-12))
 
 
@@ -75,11 +75,11 @@ def _length(x: Any, xp: Any) -> Any:
 class ConvexRegions:
     """K convex pieces, made by :func:`make_regions`.
 
-    ``corners`` counter-clockwise, the last one repeated as padding; ``area`` [m²], 0 for a single
-    point. The chart of a piece has its long side along ``axis``, through ``middle``, and is
-    ``half`` long to each side of it. There, across the axis, the piece lies between the highest of
-    the lines ``lower`` and the lowest of ``upper`` (slope, height), at most ``across`` to each side
-    of their mean [m].
+    ``corners`` are counter-clockwise, with the last one repeated as padding. ``area`` [m²] is 0 for
+    a single point. The chart of a piece has its long side along ``axis`` through ``middle``, and
+    extends by ``half`` to each side of it. Across the axis the piece lies between the highest of
+    the lines ``lower`` and the lowest of the lines ``upper`` (slope, height), at most ``across`` to
+    each side of their mean [m].
     """
 
     corners: Float[np.ndarray, "K E 2"]
@@ -97,25 +97,25 @@ class ConvexRegions:
     def nearest(
         self, p: Float[Any, "U 2"], allowed: Bool[np.ndarray, "U K"], xp: Any = np
     ) -> tuple[Float[Any, "U 2"], Int[Any, " U"], Float[Any, "U K"]]:
-        """The point of the allowed pieces nearest to each given one.
+        """The point of the allowed pieces that is nearest to each given point.
 
-        Returns it, the piece it is of, and the squared distance to every piece [m²], infinite
-        where it is not allowed.
+        Returns that point, the index of its piece, and the squared distance to every piece [m²],
+        which is infinite for pieces that are not allowed.
         """
         start = xp.asarray(self.corners, p.dtype)  # (K, E, 2)
         edge = xp.roll(start, -1, axis=1) - start
-        way = p[:, None, None] - start[None]  # (U, K, E, 2)
-        share = _share(way, edge[None], xp)
-        off = way - share[..., None] * edge[None]
+        to = p[:, None, None] - start[None]  # (U, K, E, 2)
+        share = _share(to, edge[None], xp)
+        off = to - share[..., None] * edge[None]
         squared = (off * off).sum(-1)  # (U, K, E)
-        left = edge[None, ..., 0] * way[..., 1] - edge[None, ..., 1] * way[..., 0] >= 0
+        left = edge[None, ..., 0] * to[..., 1] - edge[None, ..., 1] * to[..., 0] >= 0
         inside = left.all(-1) & xp.asarray(self.area > 0)[None]  # (U, K)
         far = xp.where(inside, xp.zeros_like(squared[..., 0]), squared.min(-1))
         far = xp.where(xp.asarray(allowed), far, xp.full_like(far, xp.inf))
         which = far.argmin(-1)  # (U,)
         u = xp.arange(len(p))
         e = squared[u, which].argmin(-1)
-        # Once more, for the winning edge alone: the only one whose gradient matters.
+        # Again, only for the nearest edge: no other edge's gradient matters.
         start, edge = start[which, e], edge[which, e]
         foot = start + _share(p - start, edge, xp)[..., None] * edge
         return xp.where(inside[u, which][:, None], p, foot), which, far
@@ -130,7 +130,7 @@ class ConvexRegions:
         return middle + along[:, None] * axis + aside[:, None] * normal
 
     def chart(self, p: Float[Any, "U 2"], which: Int[Any, " U"], xp: Any) -> Float[Any, "U 2"]:
-        """The inverse of :meth:`at`; the edge of a piece is taken to lie slightly inside."""
+        """The inverse of :meth:`at`; the edge of a piece counts as slightly inside."""
         axis, middle, half, across = self._frame(which, p.dtype, xp)
         normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
         v = from_bounded(((p - middle) * axis).sum(-1), half, xp)
@@ -163,10 +163,13 @@ class ConvexRegions:
         return self.corners[k, 0] + s * a[k, e] + t * b[k, e]
 
 
-def _share(way: Any, edge: Any, xp: Any) -> Any:
-    """How far along an edge from its start the nearest point lies, 0 to 1; 0 on an edge of none."""
+def _share(to: Any, edge: Any, xp: Any) -> Any:
+    """How far along an edge its nearest point to a given point is, from 0 to 1.
+
+    ``to`` leads from the edge's start to the given point. 0 on an edge without length.
+    """
     squared = xp.maximum((edge * edge).sum(-1), 1e-12)
-    return xp.clip((way * edge).sum(-1) / squared, 0.0, 1.0)
+    return xp.clip((to * edge).sum(-1) / squared, 0.0, 1.0)
 
 
 def make_regions(outlines: list[Float[np.ndarray, "N 2"]]) -> ConvexRegions:
@@ -188,7 +191,7 @@ def _chart_of(outline: np.ndarray, room: int) -> tuple[Any, ...]:
     edge = np.roll(outline, -1, 0) - outline
     area = float((outline[:, 0] * np.roll(outline, -1, 0)[:, 1]).sum()) / 2
     area -= float((outline[:, 1] * np.roll(outline, -1, 0)[:, 0]).sum()) / 2
-    # The long axis: that of least width among those along an edge, as of the narrowest rectangle.
+    # The long axis is along an edge: that of the narrowest rectangle round the piece.
     directions = edge / np.linalg.norm(edge, axis=1, keepdims=True)
     normals = np.stack([-directions[:, 1], directions[:, 0]], 1)
     axis = directions[np.ptp(outline @ normals.T, axis=0).argmin()]
@@ -198,8 +201,8 @@ def _chart_of(outline: np.ndarray, room: int) -> tuple[Any, ...]:
     step = np.roll(at, -1, 0) - at
     slant = step[:, 0] / np.linalg.norm(step, axis=1)
     first, last = at[:, 0].min(), at[:, 0].max()
-    # An edge nearly across the axis would be a line too steep to compute with: the piece's chart
-    # stops short of it, which leaves out a sliver.
+    # An edge nearly across the axis would be a line that is too steep to compute with. The chart
+    # ends before it, which leaves out a sliver.
     for k in np.flatnonzero(np.abs(slant) < _STEEP):
         ends = at[k, 0], at[(k + 1) % len(at), 0]
         if step[k, 1] > 0:
@@ -227,9 +230,9 @@ Corner = tuple[float, float]
 def merge(triangles: Float[np.ndarray, "N 3 2"]) -> list[Float[np.ndarray, "M 2"]]:
     """Convex outlines, counter-clockwise, that together cover the triangles exactly.
 
-    Neighbours are joined while their union stays convex, over the longest sides first; that
-    leaves at most four times as many as could be (Hertel and Mehlhorn, 1983). Pieces of less than
-    :data:`LEAST_AREA` are left out.
+    Neighbours are joined over their longest sides first, as long as the union is convex. The number
+    of pieces is at most four times the smallest possible (Hertel and Mehlhorn, 1983). Pieces of
+    less than :data:`LEAST_AREA` are left out.
     """
     pieces: dict[int, list[Corner]] = {}
     owner: dict[tuple[Corner, Corner], int] = {}
@@ -265,7 +268,7 @@ def _from(outline: list[Corner], first: Corner) -> list[Corner]:
 
 
 def _cross(a: Corner, b: Corner, c: Corner) -> float:
-    """Twice the area of a triangle, positive where it turns left at b."""
+    """Twice the area of a triangle, positive if it turns left at b."""
     return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
 
 

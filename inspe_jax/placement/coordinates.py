@@ -1,7 +1,7 @@
 """The coordinates of a search, and their limits: discs about feet and mast heads, and intervals.
 
-Where a foot may stand is apart, in :mod:`inspe_jax.placement.constraints`; the limits leave
-``base`` as it is. In NumPy or JAX alike (``xp``).
+The limits do not change ``base``; :mod:`inspe_jax.placement.space` decides where a foot may stand.
+Functions work with NumPy or JAX, given as ``xp``.
 """
 
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4,
 PLANE = ("base", "arm", "offset")
 """Coordinates that come in pairs, x and y."""
 
-_TOWARDS = np.radians(60.0)  # half of the random directions are this near to the centre's
-_DOWNWARD = np.radians([-40.0, -5.0])  # random pitch of cameras
-_LEVEL = np.radians([-10.0, 10.0])  # … and of LiDARs
+_TOWARDS = np.radians(60.0)  # half of the random yaws are this near to the centre's direction
+_DOWNWARD = np.radians([-40.0, -5.0])  # random pitch of sensors that are aimed
+_LEVEL = np.radians([-10.0, 10.0])  # … and of the others
 
 
 class Coordinates(NamedTuple):
-    """What is searched, in plan metres about the scene's centre and radians.
+    """The variables of a search, in metres about the scene's centre and radians.
 
-    ``base``: the foot of each unit; ``arm``: from there to its mast head; ``height`` of the head
-    above the ground at the foot; ``offset`` and ``rise``: from the head to each sensor, both 0
-    for a unit's only sensor; ``yaw``; ``pitch``. Roll is not searched.
+    ``base`` is the foot of each unit, ``arm`` the offset from there to its mast head, and
+    ``height`` the height of the head above the ground at the foot. ``offset`` and ``rise`` lead
+    from the head to each sensor; both are 0 for a unit's only sensor. Roll is not searched.
     """
 
     base: Float[Any, "U 2"]
@@ -46,12 +46,12 @@ class Coordinates(NamedTuple):
     pitch: Float[Any, " S"]
 
     def flat(self, xp: Any = np) -> Float[Any, " N"]:
-        """One after the other, in the order of the fields."""
+        """All coordinates in one array, in the order of the fields."""
         return xp.concatenate([part.reshape(-1) for part in self])
 
     @classmethod
     def split(cls, x: Float[Any, " N"], units: int, sensors: int) -> "Coordinates":
-        """From a flat array of 5·(units + sensors) numbers."""
+        """The coordinates in a flat array of 5·(units + sensors) numbers."""
         sizes = [2 * units, 2 * units, units, 2 * sensors, sensors, sensors, sensors]
         ends = np.cumsum(sizes).tolist()
         parts = [x[end - n : end] for end, n in zip(ends, sizes, strict=True)]
@@ -60,27 +60,28 @@ class Coordinates(NamedTuple):
 
 
 class Range(NamedTuple):
-    """From ``low`` to ``high``, one interval an element."""
+    """Intervals from ``low`` to ``high``, one for each element."""
 
     low: Float[np.ndarray, " n"]
     high: Float[np.ndarray, " n"]
 
     @property
     def middle(self) -> Float[np.ndarray, " n"]:
-        """Middle of each."""
+        """The middle of each interval."""
         return (self.low + self.high) / 2
 
     @property
     def half(self) -> Float[np.ndarray, " n"]:
-        """Half the length of each."""
+        """Half the length of each interval."""
         return (self.high - self.low) / 2
 
     def clip(self, x: Any, xp: Any) -> Any:
-        """The nearest values within."""
+        """The nearest values within the intervals."""
         return xp.clip(x, xp.asarray(self.low, x.dtype), xp.asarray(self.high, x.dtype))
 
     def to_bounded(self, v: Any, xp: Any) -> Any:
-        """Values within from any; see :func:`inspe_jax.placement.convex_regions.to_bounded`."""
+        """Values within the intervals, from any numbers, as in
+        :func:`inspe_jax.placement.convex_regions.to_bounded`."""
         return xp.asarray(self.middle, v.dtype) + to_bounded(v, xp.asarray(self.half, v.dtype), xp)
 
     def from_bounded(self, x: Any) -> Any:
@@ -92,7 +93,8 @@ class Range(NamedTuple):
 class Limits:
     """Discs for ``arm`` (U,) and ``offset`` (S,) [m] and intervals for the others.
 
-    ``sector`` tells the sensors whose yaw is limited; ``camera`` those that are cameras.
+    ``sector`` (S,) tells whose yaw is limited, ``aimed`` (S,) which sensors are usually aimed down
+    at a place, as cameras.
     """
 
     arm: Float[np.ndarray, " U"]
@@ -102,17 +104,17 @@ class Limits:
     yaw: Range
     pitch: Range
     sector: Bool[np.ndarray, " S"]
-    camera: Bool[np.ndarray, " S"]
+    aimed: Bool[np.ndarray, " S"]
 
     @classmethod
     def of(
-        cls, unit: np.ndarray, above: Range, yaw: Range, pitch: Range, camera: np.ndarray
+        cls, unit: np.ndarray, above: Range, yaw: Range, pitch: Range, aimed: np.ndarray
     ) -> "Limits":
-        """From the ``unit`` (S,) of each sensor and the heights allowed ``above`` (U,) the ground.
+        """Limits from the ``unit`` (S,) of each sensor and the heights ``above`` (U,) the ground.
 
-        Heads keep some way from the ends of the heights and sensors as near to their heads, so
-        that the sensors keep the heights and the unit rule, and can be anywhere within both. A
-        unit's only sensor is its head.
+        A head keeps some distance from the ends of its heights, and sensors stay within the same
+        distance of their head. So sensors keep to the heights and the unit rule, and can be
+        anywhere within both. A unit's only sensor is at its head.
         """
         alone = np.bincount(unit, minlength=len(above.low)) == 1
         spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
@@ -125,11 +127,11 @@ class Limits:
             yaw,
             pitch,
             yaw.half < np.pi,
-            camera,
+            aimed,
         )
 
     def clip(self, c: Coordinates, xp: Any) -> Coordinates:
-        """The nearest coordinates within. A yaw keeps its turns."""
+        """The nearest coordinates within the limits. A yaw keeps its number of turns."""
         turned = nearest_turn(c.yaw, xp.asarray(self.yaw.middle, c.yaw.dtype), xp)
         back = self.yaw.clip(turned, xp) - turned
         return Coordinates(
@@ -143,7 +145,7 @@ class Limits:
         )
 
     def to_bounded(self, v: Coordinates, xp: Any) -> Coordinates:
-        """Coordinates within from any; in the middle they move as ``v`` does."""
+        """Coordinates within the limits, from any ``v``; in the middle they move as ``v`` does."""
         return Coordinates(
             v.base,
             to_disc(v.arm, xp.asarray(self.arm, v.arm.dtype), xp),
@@ -155,8 +157,7 @@ class Limits:
         )
 
     def from_bounded(self, c: Coordinates) -> Coordinates:
-        """The inverse of :meth:`to_bounded`; what lies on a limit is taken to lie slightly
-        inside."""
+        """The inverse of :meth:`to_bounded`; a coordinate on a limit counts as slightly inside."""
         turned = nearest_turn(c.yaw, self.yaw.middle, np)
         return Coordinates(
             c.base,
@@ -171,10 +172,11 @@ class Limits:
     def draw(
         self, rng: np.random.Generator, base: Float[np.ndarray, "M U 2"], unit: np.ndarray
     ) -> list[Coordinates]:
-        """Random coordinates within, one for each row of feet.
+        """Random coordinates within the limits, one for each row of feet.
 
-        Evenly over discs, heights and rises. Cameras look down by 5° to 40°, LiDARs are level to
-        10°; half of all look within 60° of the centre, half anywhere.
+        They are spread evenly over discs, heights and rises. Sensors that are aimed, as cameras,
+        look down by 5° to 40°; others are level to within 10°. Half of all sensors look within 60°
+        of the centre, half in any direction.
         """
         count = len(base)
 
@@ -186,7 +188,7 @@ class Limits:
             far = radius * np.sqrt(rng.uniform(size=angle.shape))
             return far[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1)
 
-        usual = np.where(self.camera[:, None], _DOWNWARD, _LEVEL)
+        usual = np.where(self.aimed[:, None], _DOWNWARD, _LEVEL)
         low, high = self.pitch.clip(usual[:, 0], np), self.pitch.clip(usual[:, 1], np)
         inward = np.arctan2(*np.moveaxis(-base[:, unit], -1, 0)[::-1])
         anywhere = even(self.yaw)
@@ -199,7 +201,7 @@ class Limits:
         return [Coordinates(*row) for row in zip(*parts, yaw, pitch, strict=True)]
 
     def may_change(self) -> dict[str, np.ndarray]:
-        """Which units or sensors each coordinate, but for ``base``, is free for."""
+        """Whether each coordinate, except ``base``, can change, by unit or sensor."""
         return dict(
             arm=self.arm > 0,
             height=self.height.half > 0,
@@ -211,5 +213,5 @@ class Limits:
 
 
 def nearest_turn(angle: Any, about: Any, xp: Any) -> Any:
-    """The same direction by the angle nearest to ``about`` [rad]."""
+    """The angle of the same direction that is nearest to ``about`` [rad]."""
     return angle - 2 * np.pi * xp.round((angle - about) / (2 * np.pi))

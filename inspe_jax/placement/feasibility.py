@@ -1,4 +1,4 @@
-"""Whether a layout can be mounted: looked up on the map, apart from the search's own geometry."""
+"""Whether a layout can be mounted: checked on the map, without the geometry of the search."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from inspe_jax.placement.site import Site
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit
 
 TOLERANCE = 1e-3
-"""What rounding may add to a distance [m] or an angle [rad]."""
+"""Rounding may add this to a distance [m] or an angle [rad]."""
 SPAN = 1.5
-"""A unit this near to the centre [m], and not on a mounting area, hangs on a span wire."""
+"""A unit this near to the centre [m] that is not on a mounting area hangs on a span wire."""
 
 
 def on_span(layout: Layout, site: Site) -> Bool[np.ndarray, " U"]:
-    """Which units hang on a span wire over the middle of the junction."""
+    """Whether each unit hangs on a span wire over the middle of the junction."""
     feet = [np.array(unit.base[:2]) for unit in layout.units]
     return np.array(
         [
@@ -32,16 +32,16 @@ def on_span(layout: Layout, site: Site) -> Bool[np.ndarray, " U"]:
 
 @dataclass(frozen=True)
 class Fault:
-    """A rule of mounting that is broken: by which sensors of the layout, and in words."""
+    """A broken rule of mounting: the sensors that break it, and the rule in words."""
 
     sensors: tuple[int, ...]
     words: str
 
 
 def faults(layout: Layout, given: Layout, site: Site, constraints: Constraints) -> Iterator[Fault]:
-    """What is wrong with a layout of the sensors of ``given``; nothing if it can stand.
+    """The rules that a layout of the sensors of ``given`` breaks; none if it can be mounted.
 
-    Distances and angles may be off by :data:`TOLERANCE`.
+    Distances and angles have a tolerance of :data:`TOLERANCE`.
     """
     poses, hung = np.asarray(layout.poses, float), _about_feet(layout, site)
     span = on_span(given, site)
@@ -94,7 +94,7 @@ def _sensor(
     constraints: Constraints,
     heights: tuple[float, float],
 ) -> Iterator[str]:
-    """``hung``: its pose relative to the ground at the foot of its unit."""
+    """The rules that one sensor breaks; ``hung`` is its pose relative to its unit's foot."""
     reach, above = float(np.hypot(*hung[:2])), float(hung[2])
     if reach > UNIT_PLAN + TOLERANCE:
         yield f"is {reach:.2f} m from its unit's foot in plan, at most {UNIT_PLAN:g} m"
@@ -114,9 +114,10 @@ def _sensor(
 
 
 def differences(before: Layout, after: Layout, site: Site) -> Iterator[str]:
-    """What was changed from one layout of these sensors to another to make it feasible, in words.
+    """What differs between two layouts of the same sensors, in words.
 
-    Sensors are compared about the ground at their units' feet.
+    ``after`` is ``before`` made feasible. Sensors are compared relative to the ground at their
+    units' feet.
     """
     for old, new in zip(before.units, after.units, strict=True):
         foot = np.array(new.base[:2])
@@ -129,7 +130,7 @@ def differences(before: Layout, after: Layout, site: Site) -> Iterator[str]:
     for sensor, was, now in zip(before.sensors, *hung, strict=True):
         name, aside = f"sensor '{sensor.name}'", float(np.hypot(*(now[:2] - was[:2])))
         if aside > TOLERANCE:
-            yield f"{name} drawn {aside:.2f} m nearer to its unit's foot"
+            yield f"{name} moved {aside:.2f} m nearer to its unit's foot"
         if abs(now[2] - was[2]) > TOLERANCE:
             way = "lowered" if now[2] < was[2] else "raised"
             yield f"{name} {way} from {was[2]:.2f} to {now[2]:.2f} m above the ground"

@@ -1,4 +1,4 @@
-"""Find better places for a layout's sensors: the one entry to every method."""
+"""Find better places for a layout's sensors, with any search method."""
 
 import os
 import time
@@ -16,8 +16,7 @@ from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods.gradient import GRADIENTS
-from inspe_jax.placement.methods.search import SEARCHES
+from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget, check_seed
@@ -26,29 +25,28 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.layout import Layout
 
-METHODS: dict[str, Method] = {method.name: method for method in (*GRADIENTS, *SEARCHES)}
-"""The registry; adding a method is adding a row."""
 DEFAULT_METHOD = "greedy-adam"
-"""Candidates find the places, gradients the poses."""
+"""It finds places among candidates, and poses by gradients."""
 DEFAULT_SECONDS = 60.0
-"""Budget where none is given [s]."""
+"""Budget if none is given [s]."""
 STARTS = ("given", "random")
-"""Starts beside the strategies' names."""
+"""Names of starts, in addition to the strategies' names."""
 WARMING, WARMING_SAMPLES = 14.0, 400.0
-"""Budget of the run that compiles a method before it is compared: in evaluations, and in rough
-scores on a sample, whichever is more. Of a small scene a sample costs no less than all of it."""
+"""Budget of the run that compiles a method before it is compared: in evaluations, and in scores of
+one layout on a sample. The larger counts: in a small scene a sample costs as much as an
+evaluation."""
 LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
-"""What a method's outcome depends on; a result says which versions it had."""
+"""Libraries on which the outcome of a method depends; a result has their versions."""
 
 _ENDING = 0.1
-"""A method that stops with no more than this share of the budget left followed it to its end."""
+"""A method that stops with at most this share of the budget left has used its budget."""
 
 Start = tuple[Float[np.ndarray, " N"], tuple[str, ...]]
-"""Feasible coordinates to begin at, and what had to be moved for it."""
+"""Feasible coordinates to begin at, and notes on what was moved to make them feasible."""
 
 
 def methods() -> dict[str, str]:
-    """Every search method and what it does."""
+    """The names of all search methods, each with a line about it."""
     return {name: method.summary for name, method in METHODS.items()}
 
 
@@ -67,27 +65,31 @@ def optimise(
     found: Callable[[Layout, float], None] | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Result:
-    """Better places for the sensors of a layout, under constraints, within a budget.
+    """Search better places for the sensors of a layout, under constraints and within a budget.
 
-    ``scene``: one, or several of one intersection, which ``objective.over`` combines. ``layout``
-    gives the sensors and which units carry them. ``start`` is "given" (where the layout has
-    them), "random", the name of a strategy with as many sensors of each kind, or a layout of the
-    same sensors; where mounting does not allow it, the nearest that it does is the start, and
-    ``notes`` say so. The budget is in ``seconds`` of wall time (60 if none is given), in
-    ``evaluations`` (exact scores and their equivalents), or both; with ``evaluations`` alone a
-    ``seed`` repeats on the same machine. ``progress`` is called with the share of the budget that
-    is spent and the best score so far; ``found`` with every layout that is the best so far, and its
-    score. ``clock`` counts the seconds of the budget.
+    ``scene`` is one scene, or several of one intersection; ``objective.over`` says how their scores
+    are combined. ``layout`` gives the sensors and their units. ``method`` is one of
+    :func:`methods`.
 
-    ``checkpoint`` names an ``.npz`` file that is written every 10 s and at the end. If it is there
-    already, the search goes on from it: to the same end as if it had not been stopped, or further
-    with a larger budget.
+    ``start`` is "given" (the layout itself), "random", the name of a strategy with as many sensors
+    of each kind, or a layout of the same sensors. If mounting does not allow it, the search begins
+    at the nearest layout that it allows, and ``notes`` say so.
 
-    Ctrl-C ends a search with the best so far, and so does a KeyboardInterrupt that ``progress``
-    raises. The result is feasible, which is checked on the
-    map's polygons, and never scores below its start under the exact score. Raises InspeError
-    where an option is unknown or out of range, a unit has nowhere to stand, or the checkpoint is
-    of another search.
+    The budget is in ``seconds`` of wall time (60 if no budget is given), in ``evaluations`` (exact
+    scores, with all other work in their equivalents), or both. With ``evaluations`` alone, the same
+    ``seed`` gives the same result on the same machine. ``clock`` counts the seconds.
+
+    ``progress`` is called with the share of the budget that is spent and the best score so far.
+    ``found`` is called with every layout that is the best so far, and its score.
+
+    ``checkpoint`` names an ``.npz`` file, which is written every 10 s and at the end. If the file
+    exists, the search goes on from it and ends as if it had not been stopped; with a larger budget
+    it goes further.
+
+    Ctrl-C ends a search with the best layout so far; so does a KeyboardInterrupt in ``progress``.
+    The result is feasible, as checked on the map's polygons, and its exact score is never below
+    that of the start. Raises InspeError if an option is unknown or out of range, if a unit has
+    nowhere to stand, or if the checkpoint is of another search.
     """
     began = clock()
     row = _method(method)
@@ -115,14 +117,14 @@ def optimise(
     status = _drive(run, row, keeper)
     try:
         return _result(run, row, status, start)
-    except KeyboardInterrupt:  # the search is over, and what it found is not thrown away
+    except KeyboardInterrupt:  # the search is over; its result is kept
         return _result(run, row, "interrupted", start)
 
 
 def compare(
     scene: Scene | Case | Sequence[Scene | Case],
     layout: Layout,
-    methods: Sequence[str] = tuple(METHODS),
+    methods: Sequence[str] | None = None,
     seconds: float | None = None,
     evaluations: float | None = None,
     seeds: int | Sequence[int] = 3,
@@ -131,23 +133,25 @@ def compare(
     start: str | Layout = "given",
     progress: Callable[[str, int, float, float], None] | None = None,
 ) -> list[Result]:
-    """Searches by several methods on equal terms, each with ``seeds``: how many, from 0, or which.
+    """Search by several methods on equal terms, once for each seed.
 
-    The other options as in :func:`optimise`. All work on the same compiled scores, and every
-    method first runs for a moment, at most for its budget, that is not counted: none pays for
-    what it or another compiles.
-    ``progress`` is called with the method, the seed, the share of its budget spent and its best
-    score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
+    ``methods`` are names of :func:`methods`; None means all. ``seeds`` is a number of seeds, from 0
+    on, or the seeds. The other options are as in :func:`optimise`. All searches use the same
+    compiled scores. Each method first runs briefly, at most for its budget, and that time is not
+    counted, so no method pays for compiling. ``progress`` is called with the method, the seed, the
+    share of its budget spent and its best score. Ctrl-C ends the comparison with the searches so
+    far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
+    methods = tuple(METHODS) if methods is None else methods
     rows = [_method(name) for name in methods]
     if not rows:
-        raise InspeError(f"no method to compare: some of {', '.join(METHODS)}")
+        raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")
     if len(set(methods)) < len(rows):
         raise InspeError(f"methods {', '.join(methods)}: one is named twice")
     seconds = _seconds(seconds, evaluations)
     several = range(seeds) if isinstance(seeds, int) else seeds
     if not several:
-        raise InspeError(f"seeds {seeds}: at least 1")
+        raise InspeError(f"seeds {seeds}: give at least 1")
     for seed in several:
         check_seed(seed)
     _check_start(start)
@@ -186,7 +190,7 @@ def compare(
 
 
 def warming(problem: Problem) -> float:
-    """What a run may spend in which any method comes to each of its parts [evaluations]."""
+    """A budget in which any method comes to each of its parts [evaluations]."""
     drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
     return max(WARMING, WARMING_SAMPLES * problem.share(drawn))
 
@@ -195,7 +199,7 @@ def warming(problem: Problem) -> float:
 
 
 def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str:
-    """Step by step to the end; gives the status."""
+    """Run a method step by step to its end and return the status."""
     state = keeper.take_up(run) if keeper else {}
     if keeper and keeper.ended:
         return keeper.ended
@@ -228,7 +232,7 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
 def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     seconds, problem, objective = run.seconds, run.problem, run.problem.objective
     found, start = problem.space.layout(run.best_x), problem.space.layout(run.start)
-    # Faults of ours, not of the user: never hand on what cannot be mounted, or is no better.
+    # These would be errors of this package: a result must be feasible and no worse than its start.
     wrong = problem.space.violations(found)
     if wrong:
         raise AssertionError(f"{row.name} found a layout that is not feasible: {'; '.join(wrong)}")
@@ -279,12 +283,12 @@ _SUFFIX = ", optimised"
 
 
 def named_optimised(layout: Layout) -> Layout:
-    """A layout that a search found, by a name that says so."""
+    """A layout that a search found, with a name that says so."""
     return replace(layout, name=f"{layout.name.removesuffix(_SUFFIX)}{_SUFFIX}")
 
 
 def _settings(problem: Problem) -> dict[str, Any]:
-    """What a search was asked, for its record: lengths in metres, angles in degrees."""
+    """The settings of a search for its record: lengths in metres, angles in degrees."""
     limits = problem.space.constraints
     return {
         "layout": problem.layout.name,
@@ -316,7 +320,9 @@ def _settings(problem: Problem) -> dict[str, Any]:
 
 def _method(name: str) -> Method:
     if name not in METHODS:
-        raise InspeError(f"no method '{name}': {', '.join(METHODS)}{nearest(name, tuple(METHODS))}")
+        raise InspeError(
+            f"no method '{name}': one of {', '.join(METHODS)}{nearest(name, tuple(METHODS))}"
+        )
     return METHODS[name]
 
 
@@ -340,7 +346,7 @@ def _check_start(start: str | Layout) -> None:
     known = (*STARTS, *STRATEGIES)
     if isinstance(start, str) and start.lower() not in (name.lower() for name in known):
         raise InspeError(
-            f"start '{start}': {', '.join(known)}, or a layout of the same sensors"
+            f"start '{start}': give one of {', '.join(known)}, or a layout of the same sensors"
             f"{nearest(start, known)}"
         )
 
@@ -354,7 +360,7 @@ def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
         return problem.space.random(np.random.default_rng([seed, 11]), 1)[0], ()
     placed, given = strategy(problem.cases[0].scene, start), problem.layout
     poses, taken = np.array(given.poses, float), np.zeros(len(given), int)
-    for kind in ("camera", "lidar"):
+    for kind in dict.fromkeys(x.spec.kind for of in (placed, given) for x in of.sensors):
         theirs, ours = ([s for s, x in enumerate(of.sensors) if x.spec.kind == kind]
                         for of in (placed, given))  # fmt: skip
         if len(theirs) != len(ours):
@@ -363,8 +369,8 @@ def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
                 f"{len(ours)}; name a strategy with as many, or give a layout of the same sensors"
             )
         poses[ours], taken[ours] = np.asarray(placed.poses, float)[theirs], theirs
-    # The k-th camera goes where the k-th camera of the strategy stands, and each unit where its
-    # first sensor does; what that tears apart is drawn together again by the projection.
+    # The k-th camera goes to the k-th camera of the strategy, and each unit to its first sensor. If
+    # that separates a unit's sensors, the projection brings them together again.
     posts = [placed.sensors[taken[members[0]]].unit for members in given.members()]
     units = tuple(
         replace(unit, base=placed.units[post].base)
@@ -374,7 +380,7 @@ def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
 
 
 def _search(problem: Problem, row: Method, seed: int, start: str | Layout) -> dict[str, str]:
-    """What a checkpoint must agree in, by name."""
+    """What a checkpoint must agree with, by name."""
     return {
         "scene": digest(problem.cases),
         "layout": digest(problem.layout),

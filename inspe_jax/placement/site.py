@@ -1,4 +1,4 @@
-"""What a placement rule may ask of an intersection: where poles stand, how a sensor is aimed."""
+"""Where poles may stand at an intersection, and how sensors on them are aimed."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,39 +17,39 @@ from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 
 POLE_HEIGHTS = (3.0, 12.0)
-"""Allowed height of a sensor on a pole [m above the ground]."""
+"""Lowest and highest height of a sensor on a pole [m above the ground]."""
 CENTRAL_HEIGHTS = (5.0, 12.0)
-"""… and of one over the middle of the junction, where lorries pass beneath."""
+"""Lowest and highest height over the middle of the junction, where trucks pass beneath [m]."""
 SMALL = 11.0
-"""A junction whose mouths lie nearer to its centre than this on average is small [m]."""
+"""A junction is small if the mean distance of its mouths from the centre is below this [m]."""
 SETBACK = 8.0
 """A roadside pole stands this far outside the mouth of its arm [m]."""
 CORE = 25.0
-"""Mouths are taken to lie no further than this from the centre [m]."""
+"""Mouths farther than this from the centre are moved in along their arm [m]."""
 MAST = 1.5
 """Length of a mast arm, from the pole towards the junction [m]."""
 WIDE = float(np.radians(135.0))
-"""Between two arms further apart than this each kerb has its own corner [rad]."""
+"""Between two arms farther apart than this, each kerb has a corner of its own [rad]."""
 ASIDE = 7.0
-"""A pole further than this from an arm's kerb line is far beside it [m]."""
+"""A pole farther than this from an arm's kerb line is far beside the arm [m]."""
 
 _CLEARANCE = CENTRAL_HEIGHTS[0]  # a mast arm may reach over a lane only above this [m]
-_POLE_REACH = {"corner": 8.0, "roadside": 3.0}  # a standing pole this near is used [m]
+_POLE_REACH = {"corner": 8.0, "roadside": 3.0}  # an existing pole this near is used [m]
 _INSET = 0.3  # from a mounting area's edge to a new pole [m]
-_CHORD = 0.1  # curved edges become chords this near to them [m]
-_APART = 2.5  # between the poles of two units: more than one unit spans [m]
-_DEPTH_SHARE = 0.6  # aim no further than this share of a camera's depth [–]
-_NEAREST_AIM = 5.0  # aim no nearer, measured in plan [m]
-_AIM_HEIGHT = 1.0  # aim at people and bodywork, not at the asphalt [m]
+_CHORD = 0.1  # largest distance between a curved edge and its chords [m]
+_APART = 2.5  # between the poles of two units: more than the size of one unit [m]
+_DEPTH_SHARE = 0.6  # farthest aim, as a share of a camera's depth [–]
+_NEAREST_AIM = 5.0  # nearest aim, measured in plan [m]
+_AIM_HEIGHT = 1.0  # aim this high above the ground, at people and vehicle bodies [m]
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class View:
     """One sensor of a strategy.
 
-    ``post`` names where it stands and ``foot`` is that place (x, y) [m];
-    ``offset`` (x, y) from there to the sensor [m]; ``height`` above the ground at
-    the foot [m]; ``yaw`` and ``pitch`` [rad].
+    ``post`` names the place where it stands, and ``foot`` is that place (x, y) [m].
+    ``offset`` (x, y) leads from there to the sensor [m]. ``height`` is above the
+    ground at the foot [m]. ``yaw`` and ``pitch`` are in radians.
     """
 
     post: str
@@ -62,11 +62,11 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What a rule may ask of an intersection: its arms in order, and where poles stand.
+    """An intersection as a placement rule sees it: its arms in order, and places for poles.
 
-    ``radius`` bounds the region of interest [m]; ``depth`` is how far the cameras
-    see [m]; ``camera_height`` and ``lidar_height`` [m] and ``camera_pitch`` [rad]
-    are None where the rule chooses.
+    ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective
+    depth [m]. ``camera_height`` and ``lidar_height`` [m] and ``camera_pitch`` [rad]
+    are None if the rule chooses them.
     """
 
     place: Intersection
@@ -83,24 +83,24 @@ class Site:
 
     @cached_property
     def arms(self) -> tuple[Arm, ...]:
-        """The arms, counter-clockwise by the place of their mouths, from the record's first.
+        """The arms, counter-clockwise by the place of their mouths, from the intersection's first.
 
-        A mouth further than :data:`CORE` from the centre, as on a motorway, is
-        drawn in along its arm: from further out cameras would watch the road and
+        A mouth farther than :data:`CORE` from the centre, as on a motorway, is
+        moved in along its arm. From farther out, cameras would watch the road and
         not the junction.
         """
         # By place, not bearing: a ramp and its motorway have nearly the same bearing.
         first, *others = self.place.arms
         start = self.azimuth(first.mouth)
         others.sort(key=lambda arm: (self.azimuth(arm.mouth) - start) % (2 * np.pi))
-        return tuple(self._drawn_in(arm) for arm in (first, *others))
+        return tuple(self._moved_in(arm) for arm in (first, *others))
 
-    def _drawn_in(self, arm: Arm) -> Arm:
+    def _moved_in(self, arm: Arm) -> Arm:
         along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
-        way = np.asarray(arm.mouth) - self.center
-        aside = way - (way @ along) * along
+        out = np.asarray(arm.mouth) - self.center
+        aside = out - (out @ along) * along
         furthest = np.sqrt(max(CORE**2 - aside @ aside, 0.0))
-        x, y = np.asarray(arm.mouth) - max(way @ along - furthest, 0.0) * along
+        x, y = np.asarray(arm.mouth) - max(out @ along - furthest, 0.0) * along
         return replace(arm, mouth=(float(x), float(y)))
 
     def azimuth(self, point: tuple[float, float] | Float[np.ndarray, "2"]) -> float:
@@ -115,7 +115,7 @@ class Site:
         return (np.roll(azimuth, -1) - azimuth) % (2 * np.pi)
 
     def edge(self, yaw: float) -> Float[np.ndarray, "2"]:
-        """Where a line from the centre along ``yaw`` [rad] leaves the junction and its mouths."""
+        """The point where a line from the centre along ``yaw`` [rad] leaves the junction."""
         along = np.array([np.cos(yaw), np.sin(yaw)])
         line = LineString([self.center, self.center + self.radius * along])
         return self.center + line.intersection(self._hull).length * along
@@ -128,16 +128,16 @@ class Site:
 
     @property
     def camera_count(self) -> int:
-        """Eight at junctions of four arms or more; six at three-armed and small ones."""
+        """Cameras of a strategy: 8 at junctions of 4 arms or more, 6 at smaller ones."""
         away = [np.hypot(*(np.asarray(arm.mouth) - self.center)) for arm in self.arms]
         return 8 if len(self.arms) >= 4 and np.mean(away) >= SMALL else 6
 
     @cached_property
     def lanes(self) -> BaseGeometry:
-        """Ground that vehicles' lanes sweep."""
+        """The ground of vehicles' lanes."""
         return unary_union(
             [
-                # Mitred: round joins would turn a layout slightly when the world turns.
+                # Mitred, because round joins would change a layout slightly if the world turns.
                 LineString(route.waypoints[:, :2]).buffer(
                     route.width / 2, cap_style="flat", join_style="mitre"
                 )
@@ -148,19 +148,19 @@ class Site:
 
     @cached_property
     def free(self) -> BaseGeometry:
-        """Mounting area within the radius, off lanes and crosswalks, to its very edge."""
+        """The mounting area within the radius, off lanes and crosswalks, with its rim."""
         crosswalks = self.place.regions.get(Region.CROSSWALK, Polygon())
         near = Point(self.center).buffer(self.radius, quad_segs=64)
         return self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
 
     @cached_property
     def ground(self) -> BaseGeometry:
-        """Where a new pole may be put: the free mounting area less a rim."""
+        """Where a new pole may be put: the free mounting area without its rim."""
         return unary_union([_inset(part) for part in getattr(self.free, "geoms", [self.free])])
 
     @cached_property
     def core(self) -> BaseGeometry:
-        """The ground of new poles with chords for its curved edges; never outside the free area."""
+        """The ground of new poles, with chords for curved edges; never outside the free area."""
         core = self.ground.simplify(_CHORD)
         return core if self.free.covers(core) else core.intersection(self.free)
 
@@ -169,7 +169,7 @@ class Site:
     ) -> list[Float[np.ndarray, "N 2"]]:
         """Outlines of convex pieces that cover the core, about the centre, the largest first.
 
-        Only of what lies within ``reach`` of ``foot`` (x, y) about the centre [m], if given.
+        If ``foot`` (x, y), about the centre, is given, only the part within ``reach`` of it [m].
         """
         core = self.core
         if foot is not None:
@@ -193,21 +193,21 @@ class Site:
     ) -> bool:
         """Whether a unit may stand at ``foot`` (x, y) [m]: on free mounting area or on a pole.
 
-        The rim of an area counts. ``within`` is the rounding allowed [m].
+        The rim of an area counts as area. ``within`` is the tolerance [m].
         """
         away = np.hypot(*(self.poles - foot).T)
         on_pole = poles and len(away) > 0 and away.min() <= within
         return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
 
     def over_lane(self, point: Float[np.ndarray, "2"]) -> bool:
-        """Whether a point (x, y) [m] is over ground that vehicles' lanes sweep."""
+        """Whether a point (x, y) [m] is over a lane of vehicles."""
         return bool(self.lanes.contains(Point(point)))
 
     def lattice(self, spacing: float) -> Float[np.ndarray, "F 2"]:
         """Feet on the core, about the centre [m]: one in each square of a lattice that meets it.
 
-        It is the point nearest to the middle of the square, so that areas narrower than
-        ``spacing`` have their share too.
+        It is the core's point nearest to the middle of the square, so that areas narrower than
+        ``spacing`` also have feet.
         """
         steps = np.arange(-np.ceil(self.radius / spacing), np.ceil(self.radius / spacing) + 1)
         middles = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2) * spacing
@@ -219,11 +219,12 @@ class Site:
         return feet[np.abs(feet - middles).max(1) <= spacing / 2]
 
     def lane_cells(self, reach: float, cell: float) -> Bool[np.ndarray, "G G"]:
-        """Which squares of a raster touch a lane; cell (0, 0) has its corner at −reach, −reach.
+        """Whether each square of a raster touches a lane.
 
-        About the centre [m]; a square within a tenth of its edge of a lane may count too.
+        The raster is about the centre [m]; cell (0, 0) has its corner at (−reach, −reach). A square
+        that is nearer to a lane than a tenth of its edge may count too.
         """
-        # A square touches no lane that its middle is further from than half its diagonal.
+        # A square touches no lane that is farther from its middle than half its diagonal.
         swept = self.lanes.buffer(0.75 * cell).simplify(0.02 * cell)
         shapely.prepare(swept)
         count = int(np.ceil(2 * reach / cell))
@@ -232,7 +233,7 @@ class Site:
 
     @cached_property
     def poles(self) -> Float[np.ndarray, "P 2"]:
-        """Feet of the poles that stand already, within the radius and off the lanes [m]."""
+        """Feet of the existing poles within the radius and off the lanes [m]."""
         feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
         keep = [
             np.hypot(*(foot - self.center)) <= self.radius
@@ -245,8 +246,9 @@ class Site:
     def corners(self) -> Float[np.ndarray, "2N 2"]:
         """Feet of the corner poles [m]: one at the left kerb of each arm, then at the right kerbs.
 
-        The left ones suffice where gaps are narrow: each is the right one of the
-        next arm too. So there the right ones stand back by :data:`SETBACK`.
+        Where the gap between two arms is narrow, one pole serves both: the left one of
+        an arm is the right one of the next. The other right one stands :data:`SETBACK`
+        farther out.
         """
         after = self.arms[1:] + self.arms[:1]
         left = [
@@ -262,12 +264,15 @@ class Site:
 
     @cached_property
     def roadsides(self) -> Float[np.ndarray, "2N 2"]:
-        """Feet of the roadside poles: one at the right kerb of each arm, then at the left ones."""
+        """Feet of the roadside poles [m]: at the right kerb of each arm, then at the left kerbs."""
         wanted = [kerb(arm, side, SETBACK) for side in (-1, +1) for arm in self.arms]
         return self._stand(wanted, "roadside")
 
     def _stand(self, wanted: list[np.ndarray], post: str) -> Float[np.ndarray, "N 2"]:
-        """The nearest place to each wanted one that can carry a pole; no two on one spot."""
+        """The place nearest to each wanted one that can carry a pole; all are different.
+
+        Raises InspeError if there is no such place.
+        """
         feet: list[np.ndarray] = []
         for spot in wanted:
             poles = [p for p in self.poles if all(np.hypot(*(p - f)) > _APART for f in feet)]
@@ -297,20 +302,20 @@ class Site:
     ) -> View:
         """A camera that looks at ``target`` (x, y) [m], or along ``yaw`` [rad] as far as that.
 
-        The optical axis meets the target 1 m above its ground, but no nearer than
-        5 m in plan and no further than 0.6 of the camera's depth, so that the
-        footprint is neither the pole's foot nor beyond what the camera perceives.
-        ``mast`` is how far it hangs from the pole towards the junction [m], where
-        it is high enough to clear the traffic. A site's own ``camera_pitch`` stands instead.
+        The optical axis meets the target 1 m above the ground, but at 5 m or more in
+        plan and at most at 0.6 of the camera's depth. Otherwise the camera would look
+        at the pole's foot, or farther than it perceives. ``mast`` is the distance from
+        the pole to the camera, towards the junction [m]; it is 0 if the camera is too
+        low to hang over traffic. If the site has a ``camera_pitch``, that is the pitch.
         """
         height = self.camera_height or height
         inward = self.center - foot
         reach = min(mast, float(np.hypot(*inward))) if height >= _CLEARANCE else 0.0
         offset = reach * inward / max(float(np.hypot(*inward)), 1e-9)
-        way = target - foot - offset
+        to = target - foot - offset
         if yaw is None:
-            yaw = float(np.arctan2(way[1], way[0]))
-        along = float(way @ [np.cos(yaw), np.sin(yaw)])
+            yaw = float(np.arctan2(to[1], to[0]))
+        along = float(to @ [np.cos(yaw), np.sin(yaw)])
         distance = min(max(along, _NEAREST_AIM), max(_DEPTH_SHARE * self.depth, _NEAREST_AIM))
         here, there = self.place.ground(np.array([foot, target]))
         drop = here + height - there - _AIM_HEIGHT
@@ -319,23 +324,24 @@ class Site:
         return View(post, foot, offset, height, yaw, pitch)
 
     def lidar(self, post: str, foot: Float[np.ndarray, "2"], *, height: float = 5.0) -> View:
-        """A level LiDAR on the pole, its zero azimuth towards the centre of the junction.
+        """A level LiDAR on the pole, with azimuth 0 towards the centre of the junction.
 
-        Level, since it spins: what a tilt gains towards the junction it loses behind.
+        It is level because it spins: a tilt would gain coverage towards the junction and lose it
+        behind.
         """
-        way = self.center - foot
-        yaw = float(np.arctan2(way[1], way[0])) if way.any() else self.arms[0].bearing
+        to = self.center - foot
+        yaw = float(np.arctan2(to[1], to[0])) if to.any() else self.arms[0].bearing
         return View(post, foot, np.zeros(2), self.lidar_height or height, yaw, 0.0)
 
 
 def _inset(part: BaseGeometry) -> BaseGeometry:
-    """The part less a rim, a thinner rim where it is narrow; nothing of a sliver."""
+    """A part of an area without its rim, or a thinner rim if it is narrow; empty for a sliver."""
     wide = part.buffer(-_INSET, join_style="mitre")
     return part.buffer(-_INSET / 3, join_style="mitre") if wide.is_empty else wide
 
 
 def kerb(arm: Arm, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
-    """An arm's kerb, ``outward`` [m] of its mouth; side +1 is left looking outward, −1 right."""
+    """An arm's kerb point ``outward`` [m] of its mouth; ``side`` +1 is left looking outward."""
     along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
     across = np.array([-along[1], along[0]])
     return np.asarray(arm.mouth) + outward * along + side * arm.width / 2 * across
@@ -344,8 +350,8 @@ def kerb(arm: Arm, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
 def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:
     """Indices of the ``count`` ≥ 1 directions [rad] that lie most evenly round the circle.
 
-    The largest angle between neighbours is as small as it can be, then the smallest
-    as large; the first of equals wins.
+    They have the smallest possible largest angle between neighbours; among equals, the
+    largest smallest angle; among equals again, they come first.
     """
     if count >= len(azimuths):
         return list(range(len(azimuths)))

@@ -1,10 +1,10 @@
-"""The feasible set of one layout on one intersection: what a search moves in.
+"""The feasible set of one layout on one intersection: the space of a search.
 
-A point of the set is a flat array of :class:`Coordinates`. The set is a product, of the places
-where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs and
-of intervals. It comes in two forms: :meth:`Space.project` gives the nearest point of it, and
-:meth:`Space.chart` and :meth:`Space.from_chart` go to coordinates without bounds and back.
-:meth:`Space.faults` knows neither: it looks at a layout and at the map.
+A point of the set is a flat array of :class:`Coordinates`. The set is a product of the places
+where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs, and
+of intervals. There are two ways to stay in it. :meth:`Space.project` gives its nearest point.
+:meth:`Space.chart` and :meth:`Space.from_chart` convert to coordinates without bounds and back.
+:meth:`Space.faults` uses neither: it checks a layout on the map.
 """
 
 from dataclasses import replace
@@ -35,14 +35,15 @@ _GROUND_CELL = 1.0  # of the raster of the ground's height [m]
 class Space:
     """The feasible set of one layout's units and sensors on one intersection.
 
-    ``given`` is that layout; ``names`` (N,) of the coordinates; ``scale`` (N,) a typical step of
-    each [m or rad], 0 where it may not change; ``free`` the indices of those that may.
+    ``given`` is that layout. ``names`` (N,) are those of the coordinates. ``scale`` (N,) is a
+    typical step of each [m or rad], 0 for those that may not change. ``free`` has the indices of
+    those that may.
     """
 
     def __init__(
         self, scene: Scene, layout: Layout, constraints: Constraints | None = None
     ) -> None:
-        """Raises InspeError where a constraint is bad, or a unit has nowhere to stand."""
+        """Raises InspeError if a constraint is wrong or a unit has nowhere to stand."""
         self.given, self.constraints = layout, constraints or Constraints()
         self.constraints.check()
         self.center = np.asarray(scene.voxels.center, float)
@@ -83,7 +84,7 @@ class Space:
             Range(*np.where(span[:, None], options.span_heights, options.heights).T),
             Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
             Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
-            np.array([sensor.spec.kind == "camera" for sensor in sensors]),
+            np.array([sensor.spec.aimed for sensor in sensors]),
         )
 
     def _set_places(self) -> None:
@@ -105,7 +106,7 @@ class Space:
                     own = self.site.convex(foot, move)
                     row += range(len(pool), len(pool) + len(own))
                     pool += own
-            # A given foot that may stay, as one in the rim of an area, is a place for its unit.
+            # A given foot that may stay is a place for its unit, also in the rim of an area.
             at = foot + self.center[:2]
             if self._kept[u] or self.site.carries(at, areas=areas, poles=poles, within=TOLERANCE):
                 row.append(len(pool))
@@ -122,7 +123,7 @@ class Space:
         if away > self.site.radius + TOLERANCE:
             raise InspeError(
                 f"unit '{unit.name}' stands {away:.1f} m from the centre, beyond the radius of "
-                f"{self.site.radius:g} m: it cannot be kept there"
+                f"{self.site.radius:g} m: it cannot stay there"
             )
 
     def _nowhere(self, u: int) -> str:
@@ -147,7 +148,7 @@ class Space:
     def _describe(self) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
         units, sensors = ([i.name for i in part] for part in (self.given.units, self.given.sensors))
         owners = dict.fromkeys(("base", "arm", "height"), units)
-        # A unit that may stand on one point only does not move.
+        # A unit that may stand on only one point does not move.
         wide = (self._allowed & (self._pieces.area > 0)).any(1)
         spots = [len(np.unique(self._pieces.corners[row, 0], axis=0)) for row in self._allowed]
         may = {"base": wide | (np.array(spots) > 1), **self._limits.may_change()}
@@ -166,9 +167,9 @@ class Space:
         return Coordinates.split(x, len(self._feet), len(self._unit))
 
     def poses(self, x: Float[Array, " N"]) -> Float[Array, "S 6"]:
-        """World poses less the scene's centre, as the scoring takes them; differentiable in x.
+        """Poses relative to the scene's centre, as the scores take them; differentiable in x.
 
-        The ground at a foot is interpolated between points 1 m apart.
+        The height of the ground at a foot is interpolated between points 1 m apart.
         """
         c = self.split(x)
         table = jnp.asarray(self._ground, x.dtype)
@@ -182,10 +183,10 @@ class Space:
     def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
         at = c.base[self._unit] + c.arm[self._unit] + c.offset
         above = c.height[self._unit] + c.rise
-        # Over a lane at least the clearance. That keeps the unit rule: of two sensors 4 m apart or
-        # less, raising both to it, or one to no more than the other, does not part them; and one
-        # that is raised past the other is at the clearance, the other at the lowest height or
-        # above, and these are no more than 4 m apart (Constraints.check).
+        # A sensor over a lane is raised to the clearance. Two sensors of a unit that are up to 4 m
+        # apart stay so. If both are raised, or one up to at most the other, they come no further
+        # apart. If one is raised past the other, it is at the clearance and the other at the lowest
+        # height or above, and Constraints.check ensures that these are at most 4 m apart.
         cell = xp.floor((at + self._reach) / _CELL).astype(int)
         i, j = xp.clip(cell, 0, len(self._lane) - 1).T
         raised = xp.maximum(above, self.constraints.clearance)
@@ -195,10 +196,10 @@ class Space:
         return xp.stack([at[:, 0], at[:, 1], z, roll, c.pitch, c.yaw], -1)
 
     def layout(self, x: Float[Any, " N"]) -> Layout:
-        """The layout at feasible coordinates, with world poses and exact ground.
+        """The layout at feasible coordinates, with world poses and the exact ground.
 
-        Raises InspeError where they are not feasible by more than :data:`TOLERANCE`; less, as of
-        single precision, is mended.
+        Raises InspeError if a coordinate is outside the set by more than :data:`TOLERANCE`. Smaller
+        errors, as from single precision, are corrected.
         """
         x = np.asarray(x, float)
         if x.shape != (self.size,) or not np.isfinite(x).all():
@@ -207,8 +208,8 @@ class Space:
         worst = int(np.abs(inside - x).argmax())
         if abs(inside[worst] - x[worst]) > TOLERANCE:
             raise InspeError(
-                f"not feasible: '{self.names[worst]}' is {x[worst]:.3f}, and {inside[worst]:.3f} "
-                "would be; project the coordinates first"
+                f"not feasible: '{self.names[worst]}' is {x[worst]:.3f}; the nearest feasible "
+                f"value is {inside[worst]:.3f}; project the coordinates first"
             )
         c = self.split(inside)
         feet = c.base + self.center[:2]
@@ -220,21 +221,22 @@ class Space:
         units = [replace(unit, base=(px, py, pz)) for unit, (px, py, pz) in bases]
         return make_layout(list(self.given.sensors), units, poses, self.given.name)
 
-    # ── The set in two forms ──
+    # ── Two ways to stay in the set ──
 
     def project(self, x: Float[Any, " N"], xp: Any = jnp) -> Float[Any, " N"]:
-        """The nearest feasible coordinates, by JAX or NumPy. A yaw keeps its turns."""
+        """The nearest feasible coordinates, by JAX or NumPy. A yaw keeps its full turns."""
         c = self.split(x)
         base = self._pieces.nearest(c.base, self._allowed, xp)[0]
         return self._limits.clip(c, xp)._replace(base=base).flat(xp)
 
     def chart(self, x: Float[Any, " N"]) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
-        """Feasible coordinates without bounds, and the piece of ground or the pole of each unit.
+        """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit.
 
-        In the middle of its range a coordinate moves as its chart does: both count metres or
-        radians, and ``scale`` is a typical step of both. A unit on a pole that stands on, or
-        within 0.5 m of, an area it may be in is charted there. What lies on a bound is taken to
-        lie slightly inside, by 1 % of the way to the middle.
+        A region is a piece of ground or a pole. In the middle of its range, a coordinate without
+        bounds moves as the coordinate itself, in metres or radians; ``scale`` is a typical step of
+        both. If a unit's pole is on an area where the unit may stand, or within 0.5 m of it, the
+        area is its region. A coordinate on a bound counts as slightly inside, by 1 % of the way to
+        the middle.
         """
         c = self.split(np.asarray(x, float))
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
@@ -254,15 +256,16 @@ class Space:
     # ── Starts, random layouts, candidates ──
 
     def start(self, layout: Layout) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
-        """The feasible coordinates nearest to a layout of these sensors, and what had to be moved.
+        """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
 
-        A unit's sensors go where its foot goes, at their heights above the ground. Raises
-        InspeError where the layout has other sensors.
+        A unit's sensors move with its foot and keep their heights above the ground. Raises
+        InspeError if the layout has other sensors.
         """
         ours, theirs = ([(s.spec, s.unit) for s in of.sensors] for of in (self.given, layout))
         if ours != theirs:
             raise InspeError(
-                f"{layout.name}: no start for {self.given.name}: it has other sensors or units"
+                f"{layout.name} cannot be the start for {self.given.name}: it has other sensors or "
+                "units"
             )
         poses = np.asarray(layout.poses, float)
         feet = np.array([unit.base[:2] for unit in layout.units])
@@ -270,8 +273,8 @@ class Space:
         out = poses[:, :2] - feet[self._unit]
         arm, height = np.zeros_like(feet), np.zeros(len(feet))
         for u, members in enumerate(map(list, layout.members())):
-            # The middle of the smallest circle round the foot and its sensors: if any head is
-            # near enough to the foot and to every sensor, that one is.
+            # The head is the middle of the smallest circle round the foot and its sensors. If any
+            # point is near enough to the foot and to every sensor, this one is.
             circle = minimum_bounding_circle(MultiPoint([(0.0, 0.0), *out[members]]))
             one_spot = len(members) == 1 or circle.area == 0
             arm[u] = out[members[0]] if one_spot else circle.centroid.coords[0]
@@ -291,10 +294,10 @@ class Space:
         return x, tuple(differences(layout, self.layout(x), self.site))
 
     def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
-        """Feasible coordinates at random, one layout a row.
+        """Random feasible coordinates, one layout in each row.
 
-        Feet evenly over the areas; half of the units on poles, where there are both; units 2.5 m
-        apart where there is room. The rest as in :meth:`Limits.draw`.
+        Feet are spread evenly over the areas. If there are areas and poles, half of the units stand
+        on poles. Units are 2.5 m apart if there is room. The rest is as in :meth:`Limits.draw`.
         """
         base = np.zeros((count, len(self._feet), 2))
         for u in range(len(self._feet)):
@@ -318,7 +321,8 @@ class Space:
         return np.where(rng.uniform(size=(count, 1)) < 0.5, on_pole, on_area)
 
     def feet(self, spacing: float) -> Float[np.ndarray, "F 2"]:
-        """Candidate feet: a lattice over the areas, all poles, and given feet that may stay [m]."""
+        """Candidate feet [m]: a lattice over the areas, all poles, and the given feet that may
+        stay."""
         single = self._pieces.corners[self._pieces.area == 0, 0]
         areas = any(PLACES[name][0] for name in self._places)
         lattice = self.site.lattice(spacing) if areas else np.zeros((0, 2))
@@ -331,12 +335,12 @@ class Space:
         return np.any(on[None] & self._allowed[:, None], axis=-1)
 
     def faults(self, layout: Layout) -> list[Fault]:
-        """What keeps a layout of these sensors from being mounted; empty where it is feasible.
+        """The rules of mounting that a layout of these sensors breaks; empty if it is feasible.
 
-        Found on the map's own polygons, to :data:`TOLERANCE`, and not by this class's geometry.
+        They are checked on the map's polygons, to :data:`TOLERANCE`, not by this class's geometry.
         """
         return list(faults(layout, self.given, self.site, self.constraints))
 
     def violations(self, layout: Layout) -> list[str]:
-        """The same in words."""
+        """The same rules in words."""
         return [fault.words for fault in self.faults(layout)]

@@ -1,22 +1,22 @@
 """The paper's placements by name, generated for any intersection.
 
 A strategy is a row of :data:`STRATEGIES`: a rule that aims cameras, a rule that
-places LiDARs, or both. A rule reads a :class:`Site` and returns :class:`View`\\ s;
-what stands together is then joined into units. After InSPE (arXiv 2504.08240),
-section 4, which names the placements and counts their devices; where exactly they
-stand is this module's reading of it, written for the engineer who has to mount it:
+places LiDARs, or both. A rule takes a :class:`Site` and returns :class:`View`\\ s.
+Sensors that stand together are then joined into units. The strategies are those of
+InSPE (arXiv 2504.08240), section 4, which names the placements and counts their
+devices. It does not say exactly where they stand; this module decides that:
 
-- *corner*: a signal pole that stands near, else the nearest mounting area, where
-  the left kerb of an arm (looking outward) meets the right kerb of the next.
-  Where the gap between two arms is wide, as on the far side of a T, each kerb has
-  a corner of its own.
+- *corner*: where the left kerb of an arm (looking outward) meets the right kerb of
+  the next. The sensors use a signal pole that stands near, or the nearest mounting
+  area. Where the gap between two arms is wide, as on the far side of a T, each kerb
+  has a corner of its own.
 - *roadside*: a pole at the right kerb of an arm, :data:`SETBACK` outside the mouth.
-- *centre*: on a span wire over the middle of the junction: the one unit whose
-  ``base`` may lie in a driving lane, since it hangs above the traffic. At a
-  roundabout that base is on the central island.
+- *centre*: a span wire over the middle of the junction. Only there may a unit's
+  ``base`` lie in a driving lane, because the unit hangs above the traffic. At a
+  roundabout the base is on the central island.
 
-Everything is laid out relative to the intersection's first arm, so a layout turns
-with its intersection.
+Everything is relative to the intersection's first arm, so a layout turns with its
+intersection.
 """
 
 from collections.abc import Callable
@@ -50,9 +50,9 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 
 def central_cameras(site: Site) -> list[View]:
-    """Cameras all round over the centre, each aimed at where its line leaves the junction.
+    """Cameras over the centre in all directions, each aimed at where its line leaves the junction.
 
-    The first looks along the widest arm.
+    The first camera looks along the widest arm.
     """
     main = max(site.arms, key=lambda arm: arm.width).bearing
     views = []
@@ -63,11 +63,11 @@ def central_cameras(site: Site) -> list[View]:
 
 
 def corner_cameras(site: Site) -> list[View]:
-    """Each arm's corner pole looks out along the arm, then back along it over the junction.
+    """A camera on each arm's corner pole looks out along the arm; a second one looks back.
 
-    A pole far beside its arm, as at a roundabout, looks out at the arm instead:
-    along it there would be no road to see. With two arms only, the poles at their
-    other kerbs look out as well.
+    The second looks along the arm over the junction. From a pole far beside its arm, as at a
+    roundabout, the first camera looks at the arm instead, because along the arm's direction there
+    is no road. With only two arms, cameras on the poles at their other kerbs look out as well.
     """
     arms = site.arms
     left, right = np.split(site.corners, 2)
@@ -91,9 +91,10 @@ def corner_cameras(site: Site) -> list[View]:
 
 
 def roadside_cameras(site: Site) -> list[View]:
-    """Each arm's roadside pole watches its crosswalk and the junction, then its driveway.
+    """A camera on each arm's roadside pole looks at the crosswalk and junction, a second outward.
 
-    With two arms only, poles at their other kerbs watch the crosswalks as well.
+    The second looks at the arm's driveway. With only two arms, cameras on the poles at their other
+    kerbs look at the crosswalks as well.
     """
     arms = site.arms
     right, left = np.split(site.roadsides, 2)
@@ -114,7 +115,7 @@ def roadside_cameras(site: Site) -> list[View]:
 
 
 def _fill(site: Site, *tiers: Callable[[int], View]) -> list[View]:
-    """The site's number of cameras: one an arm, tier by tier; a part of a tier is spread."""
+    """The site's number of cameras: one for each arm in each tier, spread evenly in the last."""
     azimuths = np.array([site.azimuth(arm.mouth) for arm in site.arms])
     views: list[View] = []
     for tier in tiers:
@@ -130,9 +131,9 @@ def central_lidar(site: Site) -> list[View]:
 
 
 def corner_lidars(site: Site) -> list[View]:
-    """The four corners that lie most evenly round the junction, one LiDAR each.
+    """A LiDAR at each of the four corners that lie most evenly round the junction.
 
-    A wide gap offers two; with fewer than four arms the widest gaps do.
+    A wide gap has two corners. With fewer than four arms, the widest gaps have two.
     """
     left, right = np.split(site.corners, 2)
     feet = {f"corner {i + 1}": foot for i, foot in enumerate(left)}
@@ -157,7 +158,7 @@ Rule = Callable[[Site], list[View]]
 
 @dataclass(frozen=True)
 class Strategy:
-    """A named placement: its rules, how many beams its LiDARs have, and the heights allowed [m]."""
+    """A named placement: its rules, the beams of its LiDARs, and the allowed heights [m]."""
 
     cameras: Rule | None = None
     lidars: Rule | None = None
@@ -176,7 +177,7 @@ STRATEGIES: dict[str, Strategy] = {
     "Cam-d1/L-d1": Strategy(corner_cameras, corner_lidars, 32),
     "Cam-d2/L-d2": Strategy(roadside_cameras, roadside_lidars),
 }
-"""The nine placements of the paper's Table 2. Adding one is adding a row."""
+"""The nine placements of the paper's Table 2. To add one, add a row."""
 
 
 def strategy(
@@ -191,16 +192,17 @@ def strategy(
 ) -> Layout:
     """The layout that a strategy of :data:`STRATEGIES` gives on a scene.
 
-    ``name`` in any case. ``camera`` and ``lidar`` name devices of the catalogue, or are specs.
-    ``camera_height`` and ``lidar_height`` [m above the ground], and ``camera_pitch_deg``
-    [degrees, negative is down]. What is not given is as the scene's profile has it; where that
-    leaves it open, cameras hang at 6 m and LiDARs at 5 m, at the centre at 7 and 6.5 m, and each
-    camera is aimed at what it is for. The paper's discussion of L-d2 has the 32-beam LiDAR:
-    ``lidar="paper-lidar-32"``. What the strategy has no sensor for is checked and has no effect.
+    ``name`` may be in lower or upper case. ``camera`` and ``lidar`` are names of devices in the
+    catalogue, or specs. ``camera_height`` and ``lidar_height`` are in metres above the ground,
+    ``camera_pitch_deg`` in degrees (negative is down). Options that are None are those of the
+    scene's profile. If the profile has None too, cameras are at 6 m and LiDARs at 5 m, at the
+    centre at 7 and 6.5 m, and each camera is aimed at its target. The paper's discussion of L-d2
+    uses the 32-beam LiDAR: ``lidar="paper-lidar-32"``. An option for a kind of sensor that the
+    strategy does not have is checked, but has no effect.
 
-    Raises InspeError on an unknown name or device, a device of the other kind, a
-    height or pitch out of range, and where the intersection has fewer than two
-    arms or nowhere to put a pole.
+    Raises InspeError if a name or device is unknown, if a device is of another kind, if a height
+    or pitch is out of range, or if the intersection has fewer than two arms or no place for a
+    pole.
     """
     own, place = scene.profile, scene.intersection
     camera_height = own.camera_height if camera_height is None else camera_height
@@ -212,7 +214,7 @@ def strategy(
     if len(place.arms) < 2:
         raise InspeError(
             f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
-            "at least 2 roads that meet"
+            "at least 2"
         )
     pitch = None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg))
     depth = chosen.camera.grid.reach
@@ -224,7 +226,7 @@ def strategy(
 
 
 class Chosen(NamedTuple):
-    """A strategy by its own name, and the devices for it."""
+    """A strategy's name and its devices."""
 
     name: str
     camera: Spec
@@ -240,8 +242,11 @@ def choose(
     camera_pitch_deg: float | None = None,
     profile: Profile | None = None,
 ) -> Chosen:
-    """What the options of :func:`strategy` mean on any scene of a profile, the default one if
-    None; raises InspeError as that does."""
+    """The strategy and devices that the options of :func:`strategy` mean under a profile.
+
+    A ``profile`` of None is the default one. Raises InspeError as :func:`strategy` does for its
+    options.
+    """
     own = profile or profile_of(DEFAULT_PROFILE)
     known = {key.lower(): key for key in STRATEGIES}
     key = known.get(name.strip().lower())
@@ -265,7 +270,7 @@ def choose(
     return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec))
 
 
-def _device(option: str, of: str | Spec, kind: type[CameraSpec] | type[LidarSpec]) -> Spec:
+def _device(option: str, of: str | Spec, kind: type[Spec]) -> Spec:
     spec = device(of).spec if isinstance(of, str) else of
     if not isinstance(spec, kind):
         raise InspeError(f"{option} '{spec.name}' is a {spec.kind}: name a {kind.kind} device")
@@ -273,7 +278,7 @@ def _device(option: str, of: str | Spec, kind: type[CameraSpec] | type[LidarSpec
 
 
 def join(name: str, place: Intersection, views: list[tuple[View, Spec]]) -> Layout:
-    """One layout of all views: a view joins the first unit that it stands near enough to."""
+    """One layout of all views. A view joins the first unit that is near enough."""
     units: list[Unit] = []
     sensors: list[Sensor] = []
     poses: list[np.ndarray] = []

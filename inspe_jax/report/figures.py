@@ -4,6 +4,7 @@ Colours are of Okabe and
 Ito's palette and of cividis, which readers with any colour vision can tell apart.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -49,8 +50,11 @@ REGION_COLORS: dict[Region, str] = dict(
 CLASS_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#000000")
 """Blue, vermilion, reddish purple and black, in the order of the road-user classes."""
 
-SENSOR_COLORS: dict[str, str] = {"camera": "#c04a00", "lidar": "#8a2f74"}
-"""Vermilion and reddish purple, dark enough to carry white figures."""
+SENSOR_COLORS: defaultdict[str, str] = defaultdict(
+    lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
+)
+"""Vermilion, reddish purple and, for other kinds of sensor, dark green: dark enough to carry white
+figures."""
 
 _LINE: dict[str, Any] = dict(ec="#707070", lw=0.3)
 OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
@@ -60,7 +64,7 @@ _LANE: dict[str, Any] = dict(color="#303030", lw=0.4)
 _WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
 KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
-_MARKERS = {"camera": "o", "lidar": "s"}
+_MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s"})
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
@@ -155,13 +159,9 @@ def view_outline(spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, 
 
     A camera's horizontal field of view to its depth, a LiDAR's azimuths to its
     reach: a sector about yaw that begins and ends at the sensor, or a circle
-    where the LiDAR looks all round.
+    where the sensor looks all round.
     """
-    if isinstance(spec, CameraSpec):
-        right = np.arctan2(spec.principal[0] - spec.width, spec.focal)
-        left, whole = np.arctan2(spec.principal[0], spec.focal), False
-    else:
-        right, left, whole = -spec.azimuth_fov / 2, spec.azimuth_fov / 2, spec.grid.wraps
+    (right, left), whole = spec.azimuth_limits, spec.grid.wraps
     count = max(2, int(np.ceil((left - right) / np.radians(2)))) + 1
     angle = pose[5] + np.linspace(right, left, count)
     arc = pose[:2] + spec.grid.reach * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -219,11 +219,12 @@ def _scene_keys(scene: Scene) -> list[Any]:
 def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
     """Keys of a plan view; they say how far each kind of sensor looks, also beyond the map."""
     keys: list[Any] = []
-    for kind, name in (("camera", "camera, view to {} m"), ("lidar", "LiDAR, reach {} m")):
+    kinds = {sensor.spec.kind for sensor in layout.sensors}
+    for kind in sorted(kinds):
         specs = [sensor.spec for sensor in layout.sensors if sensor.spec.kind == kind]
-        if specs:
-            far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
-            keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=name.format(far)))
+        far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
+        words = f"{specs[0].title}, {'view to' if specs[0].aimed else 'reach'} {far} m"
+        keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=words))
     if scene.traffic.valid.any():
         keys.append(Patch(**USER, label="road user"))
     keys.append(Line2D([], [], color=OUTLINE["ec"], lw=0.8, label="region outlined"))

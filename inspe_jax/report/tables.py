@@ -25,7 +25,7 @@ from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.catalogue import Device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.sensing.sensors import Spec
 
 if TYPE_CHECKING:
     from inspe_jax.scene.maps.opendrive.reader import JunctionInfo
@@ -404,18 +404,8 @@ def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
 
 def _resolution(spec: Spec) -> tuple[str, str]:
     """Pixels or channels, and the field of view from edge to edge [°]."""
-    if isinstance(spec, CameraSpec):
-        angles = [
-            np.degrees(np.arctan2(middle, spec.focal) + np.arctan2(side - middle, spec.focal))
-            for side, middle in zip((spec.width, spec.height), spec.principal, strict=True)
-        ]
-        return f"{spec.width} × {spec.height}", f"{angles[0]:.0f}° × {angles[1]:.0f}°"
-    low, high = np.degrees([spec.elevations[0], spec.elevations[-1]])
-    around = f"{np.degrees(spec.azimuth_fov):.0f}°"
-    return (
-        f"{len(spec.elevations)}",
-        f"{around} × {high - low:.0f}°",
-    )
+    across, high = np.degrees(spec.field_of_view)
+    return spec.resolution, f"{across:.0f}° × {high:.0f}°"
 
 
 def _position(center: Iterable[float]) -> str:

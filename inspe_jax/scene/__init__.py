@@ -1,1 +1,1 @@
-"""The frozen world: intersection, voxels and traffic."""
+"""Scenes: intersections, voxels and traffic."""

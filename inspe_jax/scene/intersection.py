@@ -1,4 +1,4 @@
-"""An intersection as the rest of the package sees it: labelled ground, routes, mounts, height."""
+"""An intersection: regions of the ground, arms, routes, places to mount poles, and heights."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from shapely.ops import unary_union
 from inspe_jax.scene.regions import Region
 
 CROSSWALK_WIDTH = 3.0
-"""Width [m] of a crosswalk strip laid where a map has none."""
+"""Width of a crosswalk that is added where a map has none [m]."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ class Route:
 class Intersection:
     """A junction and what surrounds it, in world metres (ENU).
 
-    ``regions`` hold one shapely geometry each and may overlap: a column takes
+    ``regions`` have one shapely geometry each. They may overlap: a column takes
     its label by :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is
-    where a pole may be put (sidewalk, shoulder, islands); ``poles`` (P, 3) are
-    feet of those that stand already, as signal poles; ``ground_points`` (G, 3)
-    carry the height of the ground; ``notes`` say what was assumed. ``map`` is the file that it was
-    read from, for as long as it is not saved: SUMO's traffic runs on that.
+    where a pole may be put (sidewalk, shoulder, islands). ``poles`` (P, 3) are
+    the feet of existing poles, as of signals. ``ground_points`` (G, 3) give the
+    height of the ground. ``notes`` say what was assumed. ``map`` is the file that
+    it was read from, which SUMO's traffic needs; a saved scene does not keep it.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Intersection:
         return (weight * height).sum(1) / weight.sum(1)
 
     def on_ground(self, xy: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N 3"]:
-        """Points on the ground [m] at plan points; what they have beyond x and y is left out."""
+        """Points on the ground [m] at plan points; only their x and y are used."""
         return np.column_stack([xy[:, :2], self.ground(xy[:, :2])])
 
 
@@ -122,8 +122,8 @@ def corner_islands(arms: tuple[Arm, ...], size: float = 2.0, setback: float = 1.
     """Square islands of ``size`` metres at the corners between neighbouring arms.
 
     A corner is midway between the facing kerb points of two neighbouring mouths, moved
-    ``setback`` metres outward from the middle of all mouths: on the kerb where the kerb runs
-    straight, behind it where it rounds a corner.
+    ``setback`` metres outward from the middle of all mouths. Where the kerb runs straight, the
+    corner is on it; where the kerb rounds a corner, it is behind it.
     """
     if len(arms) < 2:
         return MultiPolygon()

@@ -1,7 +1,7 @@
-"""Profiles: what scores are made of where the paper leaves it open, from ``profiles.toml``.
+"""Profiles: named choices for what the paper leaves open, from ``profiles.toml``.
 
-A scene is built under one and says so in its settings. From then on it decides: which devices a
-strategy places there and how, what is scored, and how reliably sensors perceive.
+A scene is built under a profile, and its settings name it. The profile decides which devices a
+strategy places on that scene and how, what is scored, and how reliably sensors perceive.
 """
 
 import tomllib
@@ -15,7 +15,7 @@ from inspe_jax.core.errors import InspeError, nearest
 
 DEFAULT_PROFILE = "paper"
 BEFORE_PROFILES = "ideal"
-"""What scenes are of that were made before there were any, or by hand."""
+"""The profile of scenes that name none: made by hand, or saved before there were profiles."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Profile:
     ``radius``, ``voxel`` and ``spacing`` [m], ``density`` and ``mix`` are those of
     :func:`~inspe_jax.scene.scene.build_scene`. ``occlusion_reference`` and ``visibility`` are
     those of :func:`~inspe_jax.scoring.evaluate.evaluate`. ``camera_reliability`` and
-    ``lidar_reliability`` are the chance that what is in view of a sensor is perceived, times the
-    device's own. ``camera``, ``lidar_32`` and ``lidar_64`` are the devices of
+    ``lidar_reliability`` multiply the device's own: the chance that a sensor perceives what is in
+    its view. ``camera``, ``lidar_32`` and ``lidar_64`` are the devices of
     :func:`~inspe_jax.placement.strategies.strategy`; ``camera_height``, ``lidar_height`` [m] and
-    ``camera_pitch_deg`` are its options, None for what it does by itself. ``reasons`` has one for
+    ``camera_pitch_deg`` are its options, None for its own defaults. ``reasons`` has a reason for
     every value.
     """
 
@@ -53,14 +53,14 @@ class Profile:
 
     @property
     def reliability(self) -> dict[str, float]:
-        """Of each kind of sensor."""
+        """Reliability by kind of sensor; 1 for kinds that are not named."""
         return {"camera": self.camera_reliability, "lidar": self.lidar_reliability}
 
     def of_scene(self, **given: Any) -> dict[str, Any]:
-        """What a scene is built with: what is given, and the profile's where that is None.
+        """The options to build a scene with: the given ones, or the profile's where they are None.
 
-        The spacing is for voxels of the profile's size; others are all there unless a ``spacing``
-        is given too.
+        The profile's spacing is only for voxels of the profile's size. With another ``voxel`` and
+        no ``spacing``, all voxels are used.
         """
         own = {key: getattr(self, key) for key in ("radius", "voxel", "spacing", "density", "mix")}
         if given.get("voxel") not in (None, self.voxel):
@@ -74,7 +74,7 @@ def profiles() -> dict[str, Profile]:
 
 
 def profile_of(name: str) -> Profile:
-    """A profile by name. Raises InspeError that names those there are."""
+    """A profile by name. Raises InspeError with the known names."""
     known = _built_in()
     if name not in known:
         raise InspeError(f"no profile '{name}': {', '.join(known)}{nearest(name, tuple(known))}")

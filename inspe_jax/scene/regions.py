@@ -1,10 +1,10 @@
-"""The five regions of the vector map and the paper's weights."""
+"""The five regions of the ground and the paper's weights for them."""
 
 from enum import IntEnum
 
 
 class Region(IntEnum):
-    """What a piece of ground is for; the value is the label stored per column."""
+    """What a piece of ground is for. The value is the label of a column."""
 
     DRIVEWAY = 0
     JUNCTION = 1
@@ -34,4 +34,4 @@ PRECEDENCE: tuple[Region, ...] = (
     Region.SHOULDER,
     Region.SIDEWALK,
 )
-"""Where regions overlap the first of these names the column."""
+"""Where regions overlap, a column gets the label that comes first here."""

@@ -1,4 +1,4 @@
-"""Scene = intersection + voxels + traffic: build it, save it, load it."""
+"""A scene: an intersection, its voxels and its traffic. Build, save and load it."""
 
 import json
 import operator
@@ -22,15 +22,13 @@ from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, 
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames
-from inspe_jax.scene.traffic.waypoint.generate import waypoint_traffic
+from inspe_jax.scene.traffic.registry import traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 2"
 SCENE_SUFFIXES = (".npz",)
-TRAFFIC = ("waypoints", "sumo")
-"""Where traffic can come from, beside the logs of CARLA's recorder."""
 AS_RECORDED = "as recorded"
-# What reading a file that is something else can raise; a scene raises none of them.
+# What NumPy, shapely and the code below may raise on a file that is not a scene.
 _NOT_A_SCENE = (
     AttributeError,
     EOFError,
@@ -46,16 +44,16 @@ _NOT_A_SCENE = (
 
 
 class _Earlier(Exception):
-    """A scene saved in a form that is no longer read."""
+    """The file is a scene in an older format that is no longer read."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the sensors look at. Frozen; arrays in world metres and radians; equal only to itself.
+    """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
-    ``settings`` say how it was made (profile, radius, voxel, spacing, density, frames, step, mix,
-    traffic, seed).
+    ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
+    traffic, seed.
     """
 
     voxels: VoxelGrid
@@ -70,7 +68,7 @@ class Scene:
 
     @property
     def profile(self) -> Profile:
-        """What it was built under, and what is scored on it."""
+        """The profile that it was built under, which decides how it is scored."""
         return profile_of(dict(self.settings).get("profile", BEFORE_PROFILES))
 
 
@@ -91,15 +89,19 @@ def build_scene(
 ) -> Scene:
     """Voxelise an intersection and fill it with traffic.
 
-    ``profile`` names what else is open, one of :func:`~inspe_jax.scene.profiles.profiles`; values
-    that are not given are its own. ``radius``, ``voxel`` and ``spacing`` in metres, as
-    :func:`~inspe_jax.scene.voxels.build_voxels` has them; ``density`` is ``none``, ``low``,
-    ``medium``, ``high`` or a mean number of objects; ``mix`` as in
-    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`; frames are ``step`` seconds
-    apart. ``traffic`` is where it comes from: ``waypoints``, the paper's model; ``sumo``, for an
-    intersection read from a map; or a log of CARLA's recorder (.log), which has its own density and
-    mix. ``progress`` is called with (steps done, steps). Raises InspeError on a value out of range,
-    and as the source of the traffic does.
+    ``profile`` is one of :func:`~inspe_jax.scene.profiles.profiles`; it gives the values that are
+    None. ``radius``, ``voxel`` and ``spacing`` [m] are those of
+    :func:`~inspe_jax.scene.voxels.build_voxels`. ``density`` is ``none``, ``low``, ``medium``,
+    ``high`` or a mean number of objects. ``mix`` is as in
+    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. There are ``frames`` frames
+    ``step`` seconds apart.
+
+    ``traffic`` is ``waypoints``, the paper's model; ``sumo``, for an intersection that was read
+    from a map; another name of :data:`~inspe_jax.scene.traffic.registry.TRAFFIC_MODELS`; or a log
+    of CARLA's recorder (.log), which has its own density and mix. ``progress`` is called with
+    (steps done, steps).
+
+    Raises InspeError if a value is out of range, and as the model of the traffic does.
     """
     given = dict(radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix)
     own = profile_of(profile).of_scene(**given)
@@ -113,7 +115,7 @@ def build_scene(
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
         settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
     else:
-        found = traffic_source(str(traffic))(
+        found = traffic_model(str(traffic)).make(
             intersection,
             radius=radius,
             count=density_count(density),
@@ -128,25 +130,11 @@ def build_scene(
     return Scene(voxels, found, intersection, tuple(settings.items()))
 
 
-def traffic_source(name: str) -> Callable[..., TrafficFrames]:
-    """What makes traffic, by its name in :data:`TRAFFIC`. Raises InspeError for another."""
-    if name == "waypoints":
-        return waypoint_traffic
-    if name == "sumo":
-        from inspe_jax.scene.traffic.sumo.generate import sumo_traffic
-
-        return sumo_traffic
-    raise InspeError(
-        f"traffic '{name}': {', '.join(TRAFFIC)}, or a log of CARLA's recorder (.log)"
-        + nearest(name, TRAFFIC)
-    )
-
-
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:
-    """A built-in intersection by name, as a profile has it, or a saved ``.npz`` scene.
+    """A saved ``.npz`` scene, or a built-in intersection by name, built under a profile.
 
-    Needs no map reader. Raises InspeError where there is no such built-in, profile or
-    file, the file is not a scene, or one of another ``profile`` than is asked for.
+    It needs no map reader. Raises InspeError if there is no such built-in, profile or file, if the
+    file is not a scene, or if the scene was built under another ``profile`` than the given one.
     """
     if profile is not None:
         profile_of(profile)
@@ -176,24 +164,24 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             raise InspeError(f"{path}: not a scene saved by this package") from e
     own = dict(scene.settings).get("profile", BEFORE_PROFILES)
     if own not in profiles():
-        raise InspeError(f"{path}: its profile '{own}' is none of {', '.join(profiles())}")
+        raise InspeError(f"{path}: unknown profile '{own}': one of {', '.join(profiles())}")
     if profile not in (None, own):
         raise InspeError(
-            f"{path}: was built under the profile {own}, not {profile}; build it again: "
+            f"{path}: built under the profile {own}, not {profile}; build it again: "
             f"inspe scene … --profile {profile}"
         )
     return scene
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene to a compressed ``.npz``; the file appears whole or not at all."""
+    """Write a scene to a compressed ``.npz`` file, whole or not at all."""
     check_output(path, SCENE_SUFFIXES)
     with whole_file(path) as f:
         np.savez_compressed(f, **_pack(scene))  # type: ignore[arg-type]  # names are ours
 
 
 def density_count(density: str | int) -> int:
-    """Mean number of objects that a density means, by name or number.
+    """The mean number of objects of a density, which is a name or a number.
 
     Raises InspeError for anything else.
     """
@@ -215,7 +203,7 @@ _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 
 def _pack(scene: Scene) -> dict[str, np.ndarray]:
-    """Plain arrays and one JSON text; polygons as WKB."""
+    """A scene as plain arrays and one JSON text, with polygons as WKB."""
     place, grid = scene.intersection, scene.voxels
     record = {
         "format": FORMAT,

@@ -20,9 +20,9 @@ RADIUS_LIMITS = (10.0, 200.0)
 VOXEL_LIMITS = (0.05, 2.0)
 """Allowed edge of a voxel [m]."""
 SPACING_LIMIT = 4.0
-"""Widest spacing of voxels [m]; it is the voxel's edge at least."""
+"""Largest spacing of voxels [m]; the smallest is the voxel's edge."""
 BYTES_PER_VOXEL = 50
-"""Peak memory of scoring, per voxel and sensor (and once more for all): what is checked."""
+"""Peak memory of scoring, for each voxel and sensor, and once more for all sensors [bytes]."""
 
 
 @jax.tree_util.register_dataclass
@@ -31,10 +31,10 @@ class VoxelGrid:
     """Voxels as columns × levels, in world metres.
 
     ``columns`` (L, 2) are plan centres on a lattice of ``spacing`` [m] that has a corner
-    at ``center``; ``ground`` (L,) is the ground's height under each; ``region`` (L,) its
-    label. Level k has its centre at ground + (k + ½)·spacing. Every voxel is a cube of
-    edge ``size`` [m] in the middle of its cell of the lattice: with a wider spacing, a
-    sample of all voxels of that size. Voxel number v is column v // Z, level v % Z.
+    at ``center``. ``ground`` (L,) is the height of the ground under each, ``region`` (L,)
+    its label. Level k has its centre at ground + (k + ½)·spacing. Every voxel is a cube
+    of edge ``size`` [m] in the middle of its lattice cell. If the spacing is wider than
+    that, the voxels are a sample. Voxel number v is column v // Z, level v % Z.
     """
 
     columns: Float[np.ndarray, "L 2"]
@@ -48,7 +48,7 @@ class VoxelGrid:
 
     @property
     def words(self) -> str:
-        """How large voxels are, and how far apart if that is more."""
+        """The size of voxels in words, and their spacing if it is wider."""
         apart = f", one every {self.spacing:g} m" if self.spacing > self.size else ""
         return f"voxel {self.size:g} m{apart}"
 
@@ -90,12 +90,13 @@ def build_voxels(
 ) -> VoxelGrid:
     """Voxelise an intersection: every column within ``radius`` [m] that lies in some region.
 
-    ``voxel`` is the edge of a cube [m]; the column is labelled by its centre. The
-    levels come as near to 4 m as whole cells of the lattice can. ``spacing`` [m], if wider
-    than a voxel, leaves one voxel in each cell of that edge: a sample of all, for
-    (voxel / spacing)³ of the work.
-    Raises InspeError where a value is out of range, the grid would not fit in
-    memory, or no region lies within the radius.
+    ``voxel`` is the edge of a voxel [m]. A column has the label of its centre. The levels
+    together are as near to 4 m high as whole lattice cells allow. If ``spacing`` [m] is
+    wider than a voxel, there is one voxel in each cell of that edge. This is a sample of
+    all voxels, with (voxel / spacing)³ of the work.
+
+    Raises InspeError if a value is out of range, if the grid would not fit in memory, or
+    if no region lies within the radius.
     """
     _check_range("radius", radius, RADIUS_LIMITS)
     _check_range("voxel", voxel, VOXEL_LIMITS)
@@ -145,7 +146,7 @@ def _check_range(name: str, value: float, limits: tuple[float, float]) -> None:
 
 
 def check_memory(voxels: float, sensors: int) -> None:
-    """Raise InspeError where scoring so many voxels does not fit in this machine's memory."""
+    """Raise InspeError if scoring so many voxels does not fit in this machine's memory."""
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not on Windows

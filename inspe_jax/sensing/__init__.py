@@ -1,1 +1,1 @@
-"""The sensors and what they see."""
+"""Sensors: devices, their grids of rays, layouts, and the effects of light and weather."""

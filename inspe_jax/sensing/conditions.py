@@ -1,19 +1,21 @@
-"""Light and weather: how far a sensor then perceives, and how reliably.
+"""Light and weather: how they change a sensor's effective depth and its reliability.
 
-A catalogue's depth z₀ is meant for midday and clear air. Light scales a camera's. Weather
-weakens what comes back: with extinction k [1/m], what clear air leaves at z₀ is left at the
-effective depth z where
+A catalogue's depth z₀ holds for midday and clear air. Light scales the depth of a camera. Weather
+weakens the signal. With extinction k [1/m], the signal is as weak at the effective depth z as it
+is in clear air at z₀, so
 
-    z · exp(k z) = z₀,    so    z = W(k z₀) / k,
+    z · exp(k z) = z₀,    z = W(k z₀) / k,
 
-W being Lambert's function. For a LiDAR that is its range equation, power ∝ exp(−2 k z) / z²; for
-a camera, contrast exp(−k z) times the size of an object in its image, ∝ 1/z. Reliability is
-multiplied by a share of its own, which falls as extinction grows. The figures and their sources
-are in ``conditions.toml``; published losses of detectors hold a loss of range as well, so depth
-and reliability together lean to the pessimistic side.
+where W is Lambert's function. For a LiDAR this is the range equation, power ∝ exp(−2 k z) / z².
+For a camera it is contrast exp(−k z) times the size of an object in the image, ∝ 1/z. Light and
+weather also multiply reliability by a share, which falls as extinction grows.
+
+The figures and their sources are in ``conditions.toml``. Published losses of detectors include a
+loss of range, so depth and reliability together are somewhat pessimistic.
 """
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -25,26 +27,26 @@ from scipy.special import lambertw
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.sensing.sensors import Spec
 
 CLEAR = "clear"
-"""The weather that takes nothing."""
+"""The weather without any loss."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Light midday, dusk or night; weather clear, rain or fog.
+    """Light (midday, dusk or night) and weather (clear, rain or fog).
 
-    ``intensity`` is the rain's rate [mm/h] or the meteorological optical range in fog [m]; None is
-    the usual one, and clear weather has none. Raises InspeError on an unknown name, or an
-    intensity out of range.
+    ``intensity`` is the rate of rain [mm/h] or the meteorological optical range in fog [m]. None
+    means the usual intensity; clear weather has none. Raises InspeError if a name is unknown or the
+    intensity is out of range.
     """
 
     light: str = "midday"
     weather: str = CLEAR
     intensity: float | None = None
 
-    def __post_init__(self) -> None:  # no pytree, so made by users only
+    def __post_init__(self) -> None:  # safe: it is not a pytree, so only users create it
         for kind, given, known in (
             ("light", self.light, lights()),
             ("weather", self.weather, (CLEAR, *_figures()["weather"])),
@@ -55,7 +57,9 @@ class Conditions:
                 )
         if self.weather == CLEAR:
             if self.intensity is not None:
-                raise InspeError(f"weather clear:{self.intensity:g}: clear has no intensity")
+                raise InspeError(
+                    f"weather clear:{self.intensity:g}: clear weather has no intensity"
+                )
             return
         row = _figures()["weather"][self.weather]
         low, high = row["limits"]
@@ -63,13 +67,13 @@ class Conditions:
             object.__setattr__(self, "intensity", row["usual"])
         elif not low <= self.intensity <= high:
             raise InspeError(
-                f"weather {self.weather_text}: {self.weather}:NUMBER, between {low:g} and "
+                f"weather {self.weather_text}: give {self.weather}:NUMBER, between {low:g} and "
                 f"{high:g} {row['unit']}"
             )
 
     @classmethod
     def of(cls, light: str = "midday", weather: str = CLEAR) -> "Conditions":
-        """Conditions by name, weather with its intensity as "rain:10" or "fog:200", or without.
+        """Conditions by name; weather may have its intensity, as "rain:10" or "fog:200".
 
         Raises InspeError as the constructor does.
         """
@@ -85,59 +89,63 @@ class Conditions:
 
     @property
     def weather_text(self) -> str:
-        """The weather as :meth:`of` reads it."""
+        """The weather with its intensity, as :meth:`of` reads it."""
         return self.weather if self.intensity is None else f"{self.weather}:{self.intensity:.12g}"
 
     @property
     def words(self) -> str:
-        """What a title adds: nothing at midday in clear air."""
+        """What a title adds for them; nothing at midday in clear air."""
         return "" if self == FAIR else f", {self}"
 
     @property
     def record(self) -> dict[str, str]:
-        """The names that :meth:`of` reads, for settings that are kept."""
+        """The names that :meth:`of` reads, for settings that are saved."""
         return dict(light=self.light, weather=self.weather_text)
 
     def spec(self, spec: Spec) -> Spec:
-        """A sensor as it is in these conditions: its depth or reach [m] and its reliability."""
-        camera = isinstance(spec, CameraSpec)
-        depth, share = spec.grid.reach, 1.0
-        if camera:
-            light = _figures()["light"][self.light]
-            depth, share = depth * light["camera_depth"], light["camera_reliability"]
-        if self.intensity is not None:
-            weather = _figures()["weather"][self.weather]
-            row = weather[spec.kind]
+        """A sensor with the reach [m] and the reliability that it has in these conditions.
+
+        Light or weather without figures for its kind changes nothing.
+        """
+        light = _figures()["light"][self.light]
+        depth = spec.grid.reach * light.get(f"{spec.kind}_depth", 1.0)
+        share = light.get(f"{spec.kind}_reliability", 1.0)
+        weather = _figures()["weather"].get(self.weather, {})
+        row = weather.get(spec.kind)
+        if self.intensity is not None and row is not None:
             worse = (self.intensity / weather["usual"]) ** row["exponent"]
             depth = effective_depth(depth, row["factor"] * self.intensity ** row["exponent"])
             share *= row["reliability"] ** worse
-        reach = {"depth" if camera else "reach": depth}
-        return replace(spec, **reach, reliability=spec.reliability * share)  # type: ignore[arg-type]
+        return spec.with_performance(spec.reliability * share, depth)
 
     def layout(self, layout: Layout) -> Layout:
-        """The same sensors as they are in these conditions."""
+        """The same sensors with the reach and reliability that they have in these conditions."""
         if self == FAIR:
             return layout
-        seen = {sensor.spec: self.spec(sensor.spec) for sensor in layout.sensors}
-        sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in layout.sensors)
-        return replace(layout, sensors=tuple(sensors))
+        return _with_specs(layout, self.spec)
 
 
 def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
-    """The sensors as they perceive on a scene in these conditions: reliability is a device's own,
-    times what the scene's profile says of its kind, times what the conditions leave."""
+    """The sensors of a layout as they perceive on a scene in these conditions.
+
+    Reliability is the device's own, times what the scene's profile says of its kind (1 where it
+    says nothing), times what the conditions leave.
+    """
     share = scene.profile.reliability
     there = conditions.layout(layout)
     if set(share.values()) == {1.0}:
         return there
-    seen = {
-        sensor.spec: replace(
-            sensor.spec, reliability=sensor.spec.reliability * share[sensor.spec.kind]
-        )
-        for sensor in there.sensors
-    }
-    sensors = (replace(sensor, spec=seen[sensor.spec]) for sensor in there.sensors)
-    return replace(there, sensors=tuple(sensors))
+    return _with_specs(
+        there,
+        lambda spec: spec.with_performance(spec.reliability * share.get(spec.kind, 1.0)),
+    )
+
+
+def _with_specs(layout: Layout, change: Callable[[Spec], Spec]) -> Layout:
+    """The same sensors with each device changed, once for all sensors that have it."""
+    changed = {spec: change(spec) for spec in {sensor.spec for sensor in layout.sensors}}
+    sensors = (replace(sensor, spec=changed[sensor.spec]) for sensor in layout.sensors)
+    return replace(layout, sensors=tuple(sensors))
 
 
 def effective_depth(depth: float, extinction: float) -> float:
@@ -148,7 +156,7 @@ def effective_depth(depth: float, extinction: float) -> float:
 
 
 def lights() -> tuple[str, ...]:
-    """The lights there are figures for."""
+    """The names of all lights."""
     return tuple(_figures()["light"])
 
 
@@ -159,4 +167,4 @@ def _figures() -> dict[str, Any]:
 
 
 FAIR = Conditions()
-"""Midday and clear air, which catalogues are meant for."""
+"""Midday and clear air, the conditions of a catalogue's figures."""

@@ -1,4 +1,4 @@
-"""A layout: infrastructure units, their sensors, and one pose each. YAML in and out.
+"""A layout: infrastructure units, their sensors and the sensors' poses, and its YAML file.
 
 The file, in metres and degrees of the world frame::
 
@@ -13,13 +13,13 @@ The file, in metres and degrees of the world frame::
             pitch_deg: -15.0         # positive nose-up (0 if left out)
             roll_deg: 0.0            # (0 if left out)
 
-A device that the catalogue has not is described in the file itself, in the catalogue's keys; or
-as one that is like another but for some of them::
+A device that is not in the catalogue is described in the file itself, with the catalogue's keys.
+With ``like`` it has another device's keys where it gives none::
 
     devices:
       my-camera: {like: paper-camera, depth_m: 45}
 
-``profile: paper`` says which profile it was made under.
+``profile: paper`` names the profile that the layout was made under.
 """
 
 import os
@@ -42,18 +42,18 @@ from inspe_jax.sensing.catalogue import device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
 UNIT_PLAN = 2.0
-"""Sensors of one unit lie within this distance of each other in plan [m]."""
+"""Largest distance between sensors of one unit in plan [m]."""
 UNIT_HEIGHT = 4.0
-"""… and within this difference of height [m]."""
+"""Largest difference in height between sensors of one unit [m]."""
 ROUNDING = 1e-6
-"""What a file's decimals may add to a distance [m]."""
+"""Rounding of decimals in a file may add this to a distance [m]."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """An infrastructure unit: its sensors share a processing unit and stand at one base.
+    """An infrastructure unit: sensors that share a processor and stand at one base.
 
-    ``base`` is x, y and the height of the ground there [m], world.
+    ``base`` is x, y and the height of the ground there [m], in the world frame.
     """
 
     name: str
@@ -74,10 +74,9 @@ class Sensor:
 class Layout:
     """Sensors with their poses.
 
-    ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians:
-    the only part that is differentiated. What the sensors are and which unit
-    carries them is static. ``profile`` names the one that it was made under, None
-    where that is not known.
+    ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians. They
+    are the only part that is differentiated; sensors and units are static.
+    ``profile`` names the profile that the layout was made under, None if unknown.
     """
 
     poses: Float[Array | np.ndarray, "S 6"]
@@ -90,7 +89,8 @@ class Layout:
         return len(self.sensors)
 
     def with_poses(self, poses: Float[Array, "S 6"]) -> "Layout":
-        """The same sensors at other world poses, traced or not."""
+        """The same sensors at other world poses, traced or not. Raises InspeError on a wrong
+        shape."""
         if tuple(poses.shape) != (len(self), 6):
             raise InspeError(f"poses have shape {tuple(poses.shape)}, expected ({len(self)}, 6)")
         return replace(self, poses=poses)
@@ -107,7 +107,7 @@ class Layout:
         return Pose(*np.asarray(self.poses[s], float).tolist())
 
     def groups(self) -> tuple[tuple[RayGrid, tuple[int, ...]], ...]:
-        """Sensors with the same grid of rays, as (grid, indices): each compiles once."""
+        """Sensors with the same grid of rays, as (grid, indices), so that each compiles once."""
         found: dict[RayGrid, list[int]] = {}
         for s, sensor in enumerate(self.sensors):
             found.setdefault(sensor.spec.grid, []).append(s)
@@ -135,13 +135,13 @@ def make_layout(
     *,
     unit_rule: bool = True,
 ) -> Layout:
-    """A checked layout; see :class:`Layout`. Messages name ``where``, or the layout.
+    """A checked layout; see :class:`Layout`. Errors name ``where``, or the layout.
 
-    Sensors are put in the order of their units, as a file lists them; ``poses``
-    (S, 6) may be rows of :class:`Pose`.
+    Sensors are sorted by their units, as in a file. ``poses`` (S, 6) may be rows of
+    :class:`Pose`.
 
-    Raises InspeError where it is empty, a pose is not finite, or, by the ``unit_rule``, two
-    sensors of one unit are more than 2 m apart in plan or 4 m in height.
+    Raises InspeError if the layout is empty or a pose is not finite. With ``unit_rule`` it is also
+    an error if two sensors of one unit are more than 2 m apart in plan or 4 m in height.
     """
     where = where or name
     if not sensors:
@@ -151,7 +151,7 @@ def make_layout(
         raise InspeError(f"{where}: poses have shape {poses.shape}, expected ({len(sensors)}, 6)")
     for sensor, pose in zip(sensors, poses, strict=True):
         if not np.isfinite(pose).all():
-            raise InspeError(f"{where}: sensor '{sensor.name}': its pose has a value not finite")
+            raise InspeError(f"{where}: sensor '{sensor.name}': its pose is not finite")
         if not 0 <= sensor.unit < len(units):
             raise InspeError(f"{where}: sensor '{sensor.name}': there is no unit {sensor.unit}")
     for kind, names in (("sensor", [s.name for s in sensors]), ("unit", [u.name for u in units])):
@@ -228,7 +228,7 @@ def load_layout(
 def parse_layout(
     content: Any, where: str, name: str, scene: Scene | None = None, *, unit_rule: bool = True
 ) -> Layout:
-    """A layout from what a layout file holds, as :func:`load_layout`; messages name ``where``."""
+    """A layout from the content of a layout file, as :func:`load_layout`; errors name ``where``."""
     if not content:
         raise InspeError(f"{where}: the layout is empty: it needs 'units', each with 'sensors'")
     entry = check_model(_LayoutFile, content, where)
@@ -272,10 +272,10 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
 
 
 def layout_text(layout: Layout) -> str:
-    """What :func:`save_layout` writes.
+    """The text that :func:`save_layout` writes.
 
-    Devices that the catalogue has not, or has otherwise, go along. Raises InspeError where it
-    could not be read back: two devices of one name, a pitch beyond the vertical.
+    It contains the devices that are not in the catalogue, or differ from it. Raises InspeError if
+    it could not be read back, as with two devices of one name or a pitch beyond the vertical.
     """
     own = _own_devices(layout)
     poses = np.asarray(layout.poses, float)
@@ -307,7 +307,7 @@ def layout_text(layout: Layout) -> str:
 
 
 def _own_devices(layout: Layout) -> dict[str, dict[str, Any]]:
-    """The devices that are not as the catalogue has them, by name."""
+    """The devices that are not in the catalogue, or differ from it, by name."""
     known, found = devices(), {}
     for spec in dict.fromkeys(sensor.spec for sensor in layout.sensors):
         if spec.name in found:

@@ -1,8 +1,8 @@
-"""Grids of rays in what is compiled: their numbers are arrays, and only their kind is fixed.
+"""Grids of rays in compiled code: their numbers are arrays, and only their kind is fixed.
 
-A camera's grid is in the plane of tangents, a LiDAR's on the sphere. The two kinds share one
-interface, which is all that visibility knows of a sensor: where a point lies among the rows and
-columns, and which way ray (i, j) points. All in the body frame: x forward, y left, z up.
+A camera's grid is in the plane of tangents, a LiDAR's on the sphere. Both have one interface, and
+visibility knows nothing else of a sensor: where a point lies among the rows and columns, and the
+direction of ray (i, j). All is in the body frame: x forward, y left, z up.
 """
 
 from collections.abc import Callable
@@ -18,17 +18,17 @@ from inspe_jax.core.geometry import FAR, Point
 from inspe_jax.core.numerics import arctan2
 
 _LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
-_ANGLE = 1e-6  # what an angle in single precision may be off by [rad]
+_ANGLE = 1e-6  # error of an angle in single precision [rad]
 
 
 class RayTable(NamedTuple):
     """The numbers of a grid of rays as arrays, so that one compiled program serves every grid.
 
-    ``rows`` (R,) ascend and end in copies of the last; ``nearest`` (K,) is the row nearest to each
-    of many even steps from the first row on, ``steps`` to the unit. ``row_edges`` and
-    ``column_edges`` (2,) are the coordinates of the first and the last, and of these
-    ``row_turn`` and ``column_turn`` (2, 2) the cosines and the sines, of angles, or of the angles
-    that they are tangents of. ``wide``: columns take up more than half a turn.
+    ``rows`` (R,) ascend, padded with copies of the last. ``nearest`` (K,) is the row nearest to
+    each of many even steps from the first row on, with ``steps`` steps to the unit. ``row_edges``
+    and ``column_edges`` (2,) are the coordinates of the first and the last. ``row_turn`` and
+    ``column_turn`` (2, 2) are the cosines and sines of their angles; if coordinates are tangents,
+    of the angles that they are tangents of. ``wide``: columns span more than half a turn.
     """
 
     rows: Float[Array | np.ndarray, "*S R"]
@@ -47,7 +47,7 @@ class RayTable(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """Kind of a grid: its class of rays, and whether the columns wrap round."""
+    """The kind of a grid: its class of rays, and whether its columns wrap round."""
 
     of: "type[Rays]"
     wraps: bool
@@ -64,9 +64,9 @@ class Kind(NamedTuple):
 
 @dataclass(frozen=True)
 class Rays:
-    """A grid of rays in what is compiled: its numbers are arrays, traced or not.
+    """A grid of rays in compiled code: its numbers are arrays, traced or not.
 
-    What differs by kind is below; each kind has its own coordinates of rows and columns.
+    Each kind has its own coordinates of rows and columns, and defines the methods below.
     """
 
     table: RayTable
@@ -75,7 +75,7 @@ class Rays:
     def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
         """Index of the row nearest to a row coordinate; an end row beyond the ends.
 
-        From a table eight steps finer than the closest rows: a point midway
+        It is read from a table with eight steps between the closest rows. A point midway
         between two rows may get either.
         """
         index = jnp.round((row - self.table.row_edges[0]) * self.table.steps)
@@ -84,17 +84,20 @@ class Rays:
         return found.astype(jnp.int32)
 
     def row_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of row ``index``; of the last one beyond it."""
+        """Coordinate of row ``index``; beyond the last, that of the last row."""
         return jnp.asarray(self.table.rows, float)[index]
 
     def column_index(self, column: Float[Array, "*n"]) -> Int[Array, "*n"]:
-        """Index of the column at or before a column coordinate, not yet within the grid."""
+        """Index of the column at or before a column coordinate; it may lie outside the grid."""
         first = self.table.column_edges[0]
         return jnp.floor((column - first) * self.table.columns_per_unit).astype(jnp.int32)
 
     def column_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of column ``index``, held at the edge column; or wrapped round, of an index
-        less than a turn outside."""
+        """Coordinate of column ``index``.
+
+        An index outside the grid gives the edge column. If columns wrap round, an index less than a
+        turn outside is wrapped.
+        """
         count = self.table.column_count
         if self.wraps:
             index = jnp.where(index < 0, index + count, index)
@@ -104,8 +107,10 @@ class Rays:
         return self.table.column_edges[0] + index.astype(float) * self.table.column_step
 
     def field_margin(self, q: Point) -> Float[Array, "*n"]:
-        """How deep points lie in the field of view [m]: from the nearest edge row, edge column or
-        the end of the reach; negative outside."""
+        """How deep points lie in the field of view [m]; negative outside.
+
+        This is the distance to the nearest edge row, edge column or the end of the reach.
+        """
         table = self.table
         distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _LEAST**2))
         above, below = (self.square_row(q, k) for k in range(2))
@@ -113,13 +118,13 @@ class Rays:
         if self.wraps:
             return margin
         after, before = (self.square_column(q, k) for k in range(2))
-        # A field of more than half a turn is the union of the two sides, else their overlap.
+        # A field of more than half a turn is the union of the two sides, otherwise their overlap.
         both = jnp.minimum(after, -before)
         if not self.slants:
             both = jnp.where(table.wide, jnp.maximum(after, -before), both)
         return jnp.minimum(margin, both)
 
-    # What the kinds define, each for its own coordinates.
+    # Each kind defines the following for its own coordinates.
 
     slants: ClassVar[bool] = False
     """Whether coordinates are tangents, so that :meth:`beyond_row` measures along an axis."""
@@ -138,19 +143,19 @@ class Rays:
         raise NotImplementedError
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
-        """How far points lie beyond a row, in metres across it; linear or nearly so."""
+        """How far points lie beyond a row [m], measured across it; linear or nearly so."""
         raise NotImplementedError
 
     def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first row (0) or the last (1), measured square on [m]."""
+        """How far points lie beyond the first (0) or last (1) row, at right angles to it [m]."""
         raise NotImplementedError
 
     def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first column (0) or the last (1), in metres across it."""
+        """How far points lie beyond the first (0) or last (1) column [m], measured across it."""
         raise NotImplementedError
 
     def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """The same, measured square on [m]."""
+        """The same at right angles to the column [m]."""
         raise NotImplementedError
 
     def row_normal(self, q: Point) -> Point:
@@ -161,24 +166,26 @@ class Rays:
         """A direction in which the column coordinate of points grows."""
         raise NotImplementedError
 
-    # For most voxels the ray nearest to the centre tells already whether any passes through.
+    # For most voxels the ray nearest to the centre decides whether any ray passes through.
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """From points to a point on a ray near each, and how far off that may be [m]: far, where
-        there is none."""
+        """The vector from each point to a point on a near ray, and the possible error of it [m].
+
+        The error is very large if there is no ray.
+        """
         raise NotImplementedError
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Whether cubes about points surely lie between two rows or two columns that follow each
-        other, or beyond an end row, clear of both; false is no answer.
+        """Whether cubes about points surely touch no ray; False decides nothing.
 
-        ``half`` is half a cube's edge [m], ``extent`` how far it reaches along a direction, times
-        the direction's length.
+        Such a cube lies between two neighbouring rows or columns, or beyond an end row, without
+        touching them. ``half`` is half a cube's edge [m]. ``extent`` gives how far the cube reaches
+        along a direction, times the direction's length.
         """
         raise NotImplementedError
 
     def _neighbour(self, row: Float[Array, "*n"]) -> tuple[Any, Any, Any]:
-        """(the nearest row, the next one on the other side, whether there is one)."""
+        """(the nearest row, the next row on the point's other side, whether there is one)."""
         index = self.nearest_row(row)
         nearest = self.row_at(index)
         index = index + jnp.where(row > nearest, 1, -1)
@@ -242,8 +249,8 @@ class SphericalRays(Rays):
     def to_ray(self, q: Point) -> tuple[Point, Any]:
         """Along the meridian to the nearest row and along the parallel to the nearest column.
 
-        Both as if straight: off by no more than the square of the angle, halved, times the range.
-        Right above and below there is no meridian.
+        Both are taken as straight. The error is at most half the square of the angle, times the
+        range. Right above and below the sensor there is no meridian.
         """
         elevation, azimuth = self.row(q), self.column(q)
         up = self.row_at(self.nearest_row(elevation)) - elevation
@@ -255,8 +262,11 @@ class SphericalRays(Rays):
         return to, jnp.where(plan > 2 * _LEAST, distance * (bend + _ANGLE), FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Between two cones. A cube's extent across a cone is that across its tangent plane, and
-        what the cone bends away from it."""
+        """Between two cones.
+
+        A cube's extent across a cone is its extent across the tangent plane, plus the distance by
+        which the cone bends away from that plane.
+        """
         plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
         elevation, span = self.row(q), 3.0**0.5 * half
         across = extent((-q[2] * q[0] / plan, -q[2] * q[1] / plan, plan)) / distance
@@ -286,7 +296,7 @@ class PinholeRays(Rays):
         return scale, column * scale, row * scale
 
     def row(self, q: Point) -> Float[Array, "*n"]:
-        """Tangent of the angle above the optical axis; from behind, as from far aside."""
+        """Tangent of the angle above the optical axis; very large behind the camera."""
         return q[2] / jnp.maximum(q[0], _LEAST)
 
     def column(self, q: Point) -> Float[Array, "*n"]:
@@ -318,7 +328,7 @@ class PinholeRays(Rays):
         return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Within the plane that is as far ahead as the point; none is behind."""
+        """Within the plane at the point's distance ahead; there is no ray behind the camera."""
         row = self.row_at(self.nearest_row(self.row(q)))
         column = self._nearest_column(self.column(q))
         to = jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]

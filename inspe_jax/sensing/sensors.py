@@ -1,13 +1,13 @@
 """What you buy (CameraSpec, LidarSpec), apart from where you put it (a pose).
 
-Both kinds of sensor are a grid of rays, rows × columns: a camera's downsampled
-pixels in the plane of tangents, a LiDAR's channels × azimuths on the sphere.
-All in the body frame: x forward, y left, z up.
+Every sensor is a grid of rays, rows × columns: a camera's downsampled pixels in the
+plane of tangents, a LiDAR's channels × azimuths on the sphere. All in the body frame:
+x forward, y left, z up.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,7 +16,7 @@ from inspe_jax.core.arrays import wide_bucket
 from inspe_jax.sensing.rays import Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
-"""Least lengths of a grid's tables of rows; if they are longer, four times that."""
+"""Smallest lengths of a grid's tables of rows. Longer tables have 4, 16, … times that."""
 
 
 class Pose(NamedTuple):
@@ -36,10 +36,10 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class RayGrid:
-    """Rows at given coordinates and evenly spaced columns, each crossing one ray.
+    """Rows at given coordinates and evenly spaced columns, with a ray at each crossing.
 
-    ``rows`` ascend; column j lies at ``first_column + j · column_step``; with
-    ``wraps`` the last column is followed by the first. ``reach`` in metres.
+    ``rows`` ascend. Column j lies at ``first_column + j · column_step``. If ``wraps``,
+    the first column follows the last. ``reach`` is in metres.
     """
 
     rows: tuple[float, ...]
@@ -63,19 +63,19 @@ class RayGrid:
 
     @property
     def kind(self) -> Kind:
-        """What is compiled for: grids of one kind differ in numbers alone."""
+        """The kind that code is compiled for; grids of one kind differ only in numbers."""
         return Kind(self._rays, self.wraps)
 
     @property
     def rays(self) -> Rays:
-        """The grid as scores work with it."""
+        """The grid in the form that scores use."""
         return self.kind.rays(self.table)
 
     _rays: ClassVar[type[Rays]]
 
     @cached_property
     def table(self) -> RayTable:
-        """The grid's numbers, in tables of a few lengths."""
+        """The grid's numbers, in tables of a few fixed lengths."""
         rows, (first, last) = np.asarray(self.rows, float), self.column_limits
         nearest, steps = self._nearest
         ends, sides = np.array([rows[0], rows[-1]]), np.array([first, last])
@@ -110,12 +110,12 @@ class RayGrid:
         steps = int(min(4 * STEPS - 1, np.ceil(8 * span / np.diff(rows).min())))
         at = rows[0] + np.arange(steps + 1) * span / steps
         nearest = np.abs(at[:, None] - rows).argmin(1)
-        # Loops copy the table, so it is to be small.
+        # Loops copy the table, so it is kept small.
         return nearest.astype(np.uint8 if len(rows) <= 2**8 else np.uint16), steps / span
 
 
 def _filled(x: np.ndarray, least: int) -> np.ndarray:
-    """A table in one of a few lengths: ``least``, or four times as long, or four times that."""
+    """A table padded to one of a few lengths: ``least`` × (1, 4, 16, …)."""
     return longer(x, wide_bucket(len(x), least))
 
 
@@ -126,26 +126,82 @@ def longer(x: Any, length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SphericalGrid(RayGrid):
-    """A LiDAR's grid."""
+    """A grid on the sphere, as a LiDAR's: rows are elevations, columns azimuths [rad]."""
 
     _rays = SphericalRays
 
 
 @dataclass(frozen=True)
 class PinholeGrid(RayGrid):
-    """A camera's grid."""
+    """A grid on the plane of tangents, as a camera's."""
 
     _rays = PinholeRays
 
 
+class Spec:
+    """What you buy: the base of every kind of sensor.
+
+    A kind is a frozen dataclass derived from this class, with fields for ``name``, ``reliability``
+    and whatever else its grid of rays needs. It has a row in
+    :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`. ``reliability`` is the chance that what is in
+    view is perceived. Below are the facts of a kind, with the values for a sensor that looks level
+    or all round.
+    """
+
+    name: str
+    reliability: float
+
+    kind: ClassVar[str]
+    """Name of the kind in files and reports."""
+    title: ClassVar[str]
+    """Name of the kind for people."""
+    reach_field: ClassVar[str] = "reach"
+    """The field that holds how far it perceives [m]."""
+    aimed: ClassVar[bool] = False
+    """Whether it is usually aimed down at a place, as a camera, or mounted level, as a LiDAR."""
+    pitch_limits_deg: ClassVar[tuple[float, float]] = (-30.0, 30.0)
+    """Pitches that a mount allows where a user sets no others [degrees, positive nose-up]."""
+    candidate_pitches_deg: ClassVar[tuple[float, ...]] = (0.0,)
+    """Pitches that searches try first [degrees]."""
+
+    @property
+    def grid(self) -> RayGrid:
+        """Its rays in the body frame."""
+        raise NotImplementedError
+
+    @property
+    def azimuth_limits(self) -> tuple[float, float]:
+        """Right and left edge of its view [rad], counter-clockwise from straight ahead."""
+        right, left = self.grid.column_limits
+        return right, left
+
+    @property
+    def resolution(self) -> str:
+        """What a table of devices says about its rays: as of a LiDAR, the number of rows."""
+        return f"{len(self.grid.rows)}"
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """Angle from edge to edge, horizontal and vertical [rad]."""
+        right, left = self.azimuth_limits
+        return left - right, self.grid.rows[-1] - self.grid.rows[0]
+
+    def with_performance(self, reliability: float, reach: float | None = None) -> Self:
+        """The same sensor with another reliability, and with another reach [m] if one is given."""
+        changed: dict[str, float] = {"reliability": reliability}
+        if reach is not None:
+            changed[self.reach_field] = reach
+        return replace(self, **changed)  # type: ignore[type-var]  # every kind is a dataclass
+
+
 @dataclass(frozen=True)
-class CameraSpec:
+class CameraSpec(Spec):
     """A pinhole camera: one ray per downsampled pixel, to its effective depth.
 
-    ``width``, ``height`` [pixel]; ``focal`` length and ``principal`` point
-    [pixel]; ``downsample`` is λ, so the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass
-    through the centres of the enlarged pixels; ``depth`` [m], measured along the
-    ray; ``reliability`` is the chance that what is in view is perceived.
+    ``width``, ``height``, the ``focal`` length and the ``principal`` point are in
+    pixels. ``downsample`` is λ: the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass through
+    the centres of the enlarged pixels. ``depth`` [m] is measured along the ray.
+    ``reliability`` is the chance that what is in view is perceived.
     """
 
     name: str
@@ -158,6 +214,11 @@ class CameraSpec:
     reliability: float = 1.0
 
     kind = "camera"
+    title = "camera"
+    reach_field = "depth"
+    aimed = True
+    pitch_limits_deg = (-80.0, 10.0)
+    candidate_pitches_deg = (-25.0, -10.0)
 
     @cached_property
     def grid(self) -> RayGrid:
@@ -170,14 +231,34 @@ class CameraSpec:
         leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
         return PinholeGrid(tuple(tangents), leftmost, pitch, columns, False, self.depth)
 
+    @property
+    def azimuth_limits(self) -> tuple[float, float]:
+        """Right and left edge of the picture [rad]."""
+        middle, focal = self.principal[0], self.focal
+        return float(np.arctan2(middle - self.width, focal)), float(np.arctan2(middle, focal))
+
+    @property
+    def resolution(self) -> str:
+        """Pixels of the picture."""
+        return f"{self.width} × {self.height}"
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """Angle from edge to edge of the picture, horizontal and vertical [rad]."""
+        wide, tall = (
+            float(np.arctan2(middle, self.focal) + np.arctan2(side - middle, self.focal))
+            for side, middle in zip((self.width, self.height), self.principal, strict=True)
+        )
+        return wide, tall
+
 
 @dataclass(frozen=True)
-class LidarSpec:
-    """A LiDAR: channels at the elevations of a table, each fired at even azimuths.
+class LidarSpec(Spec):
+    """A LiDAR: channels at given elevations, each fired at evenly spaced azimuths.
 
     ``elevations`` ascend [rad]; ``azimuth_count`` is J; ``azimuth_fov`` is θ₀
-    [rad], 2π for one that spins; ``reach`` is t_max [m]. Azimuths are
-    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3). ``reliability`` as for a camera.
+    [rad], 2π for a spinning LiDAR; ``reach`` is t_max [m]. Azimuths are
+    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3). ``reliability`` is as for a camera.
     """
 
     name: str
@@ -188,6 +269,7 @@ class LidarSpec:
     reliability: float = 1.0
 
     kind = "lidar"
+    title = "LiDAR"
 
     @cached_property
     def grid(self) -> RayGrid:
@@ -201,5 +283,7 @@ class LidarSpec:
             self.reach,
         )
 
-
-Spec = CameraSpec | LidarSpec
+    @property
+    def azimuth_limits(self) -> tuple[float, float]:
+        """Right and left end of the sweep [rad]."""
+        return -self.azimuth_fov / 2, self.azimuth_fov / 2

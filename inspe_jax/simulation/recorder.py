@@ -10,6 +10,7 @@ import numpy as np
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 from inspe_jax.simulation.embedded.lidar import LidarNoise
 from inspe_jax.simulation.frame import Frame, Image, Scan, Station
 
@@ -17,6 +18,15 @@ LAYERS = ("depth", "instance", "semantic")
 """What a camera can record beside its pictures."""
 CONNECTING = 3.0
 """Who listens answers within this time [s]."""
+
+
+def recordable(spec: Spec) -> CameraSpec | LidarSpec:
+    """The spec of a sensor that can be recorded. Raises InspeError on any other kind."""
+    if not isinstance(spec, CameraSpec | LidarSpec):
+        raise InspeError(
+            f"'{spec.name}' is a {spec.title}: only cameras and LiDARs can be recorded"
+        )
+    return spec
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,7 @@ _CHECKS = CHECKS | {
     "weights": lambda value: check_options(tuple(value), "roi", "in_view"),
     "occlusion_reference": lambda value: check_options(None, value, "in_view"),
     "visibility": lambda value: check_options(None, "roi", value),
-    "method": one_of((AS_IT_IS, *METHODS)),
+    "method": lambda value: one_of((AS_IT_IS, *METHODS))(value),
     "seconds": lambda value: check_budget(value, None),
     "evaluations": lambda value: check_budget(None, value),
     "search_seed": check_seed,

@@ -10,8 +10,9 @@ from pydantic import BaseModel, BeforeValidator, Field
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import STRICT
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
-from inspe_jax.scene.scene import TRAFFIC, build_scene, density_count
+from inspe_jax.scene.scene import build_scene, density_count
 from inspe_jax.scene.traffic.frames import MIXES
+from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
 from inspe_jax.sensing.conditions import FAIR, Conditions
 
 T = TypeVar("T")
@@ -87,7 +88,7 @@ CHECKS: dict[str, Callable[[Any], Any]] = {
     "profile": one_of(profiles()),
     "density": density_count,
     "mix": one_of(MIXES),
-    "traffic": one_of(TRAFFIC),
+    "traffic": one_of(TRAFFIC_MODELS),
     "light": Conditions.of,
     "weather": lambda value: Conditions.of("midday", value),
 }

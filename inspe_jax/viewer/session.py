@@ -16,7 +16,6 @@ from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, Sensor, Unit
-from inspe_jax.sensing.sensors import CameraSpec
 
 REMEMBERED = 200
 """Changes that can be taken back."""
@@ -94,8 +93,7 @@ class Session:
         spec, old, foot = device(name).spec, self.layout, np.asarray(at, float)
         ground = self._ground(foot)
         to = self.scene.voxels.center[:2] - foot
-        down = isinstance(spec, CameraSpec)
-        pitch = -np.arctan2(HEIGHT, max(np.hypot(*to), 1.0)) if down else 0.0
+        pitch = -np.arctan2(HEIGHT, max(np.hypot(*to), 1.0)) if spec.aimed else 0.0
         pose = [*foot, ground + HEIGHT, 0.0, pitch, np.arctan2(to[1], to[0])]
         unit = Unit(_free("unit", [u.name for u in old.units]), (*foot.tolist(), ground))
         sensor = Sensor(_free(spec.name, [s.name for s in old.sensors]), spec, len(old.units))
@@ -112,12 +110,7 @@ class Session:
         """A sensor like ``s`` on its unit, turned to the left of it; gives its place."""
         old = self.layout
         sensor, poses = old.sensors[s], np.asarray(old.poses, float)
-        spec = sensor.spec
-        wide = (
-            2 * np.arctan(spec.width / 2 / spec.focal)
-            if isinstance(spec, CameraSpec)
-            else spec.azimuth_fov % (2 * np.pi)  # one that looks all round stays as it is
-        )
+        wide = sensor.spec.field_of_view[0] % (2 * np.pi)  # 0 for one that looks all round
         pose = poses[s] + [0, 0, 0, 0, 0, BESIDE * wide]
         copy = replace(sensor, name=_free(sensor.name, [x.name for x in old.sensors]))
         after = s + 1  # beside its model, so that sensors stay in the order of their units

@@ -220,7 +220,7 @@ def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, file
     assert settings["constraints"]["places"] == "areas"
     assert settings["constraints"]["heights"] == [4, 8]
     assert len(settings["scenes"]) == 2
-    assert "c.npz holds a search that has ended" in inspe("optimise", *arguments, *options)[2]
+    assert "c.npz has a search that has ended" in inspe("optimise", *arguments, *options)[2]
     status, _, error = inspe("optimise", *arguments, "--checkpoint", "c.npz")
     assert status == 2
     assert "c.npz: a checkpoint of another search, with another scene, another" in error
@@ -412,7 +412,7 @@ BAD = [
     (("generate", "none.yaml", "--out", "set", "--backend", "carl"), "did you mean carla"),
     (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),
     (("generate", "none.yaml", "--out", "set"), "none.yaml: the study is empty"),
-    (("optimise", "s.npz", "--method", "adm"), "no method 'adm': adam"),
+    (("optimise", "s.npz", "--method", "adm"), "no method 'adm': one of adam"),
     (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),
     (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
@@ -431,7 +431,7 @@ BAD = [
     (("optimise", "empty.npz"), "information gain needs traffic"),
     (("compare", "s.npz", "--methods", "grid,gird"), "no method 'gird'"),
     (("compare", "s.npz", "--methods", "grid,grid"), "one is named twice"),
-    (("compare", "s.npz", "--seeds", 0), "seeds 0: at least 1"),
+    (("compare", "s.npz", "--seeds", 0), "seeds 0: give at least 1"),
     (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("compare", "nosuch", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("pareto", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),

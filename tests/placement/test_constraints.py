@@ -139,7 +139,7 @@ def test_all_that_the_rules_allow_can_be_reached(hung):
         (dict(foot=(14.0, 5.0)), {}, "'u' moved 2.30 m to the nearest mounting area", (1, 7.3)),
         (dict(z=14.0), {}, "sensor 's0' lowered from 14.00 to 12.00 m above the ground", (2, 12.0)),
         (dict(z=2.0), {}, "sensor 's0' raised from 2.00 to 3.00 m above the ground", (2, 3.0)),
-        (dict(x=3.0), {}, "sensor 's0' drawn 1.00 m nearer to its unit's foot", (0, 16.0)),
+        (dict(x=3.0), {}, "sensor 's0' moved 1.00 m nearer to its unit's foot", (0, 16.0)),
         (dict(pitch=-1.5), {}, "pitch turned from -85.9° to -80.0°", (4, np.radians(-80))),
         ({}, dict(yaw={"s0": (1.0, 2.0)}), "yaw turned from 28.6° to 57.3°", (5, 1.0)),
     ],

@@ -268,7 +268,7 @@ def test_no_mounting_area_says_what_to_do():
 def test_coordinates_that_are_not_feasible_are_refused():
     space = space_of()
     x, _ = space.start(space.given)
-    with pytest.raises(InspeError, match=r"'corner 1: base [xy]' is 0\.000, .*project the coord"):
+    with pytest.raises(InspeError, match=r"'corner 1: base [xy]' is 0\.000; .*project the coord"):
         space.layout(x * (np.arange(space.size) >= 2))
     for bad in (x[:-1], x * np.nan):
         with pytest.raises(InspeError, match="expected 80 finite numbers"):

@@ -18,8 +18,8 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.methods import greedy_adam
 from inspe_jax.placement.methods.adam import annealed, charted_score
-from inspe_jax.placement.methods.gradient import GRADIENTS
-from inspe_jax.placement.methods.rounds import scaled_score
+from inspe_jax.placement.methods.projected_gradient import scaled_score
+from inspe_jax.placement.methods.registry import GRADIENTS
 from inspe_jax.placement.problem import Problem, take
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.strategies import strategy

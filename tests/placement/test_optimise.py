@@ -255,7 +255,7 @@ def test_a_stopped_search_goes_on_to_the_same_end(scene, layout, found, tmp_path
     assert "went on from" in whole.notes[0]
 
     ended = optimise(scene, layout, "greedy", evaluations=EVALUATIONS, checkpoint=path)
-    assert "has ended (budget spent); delete it to begin anew, or give a larger" in ended.notes[0]
+    assert "has ended (budget spent); delete it to start again, or give a larger" in ended.notes[0]
     assert (ended.objective, ended.status) == (found.objective, "budget spent")
     assert ended.history == whole.history
 
@@ -548,7 +548,7 @@ def test_a_larger_budget_goes_further(scene, layout, kept):
     assert "went on from" in more.notes[0]
     done = kept(scene, layout, evaluations=200)
     assert (done.status, len(done.history)) == ("converged", 6)
-    assert done.notes[0].endswith("has ended (converged); delete it to begin anew")
+    assert done.notes[0].endswith("has ended (converged); delete it to start again")
 
 
 def test_a_checkpoint_of_another_search_names_what_differs(scene, layout, kept, quick):
@@ -657,12 +657,12 @@ def test_digests_tell_contents_apart():
 
 
 BAD = [
-    (dict(method="adm"), "no method 'adm': adam, .*did you mean adam"),
+    (dict(method="adm"), "no method 'adm': one of adam, .*did you mean adam"),
     (dict(seconds=0), "seconds 0: a budget must be more than 0"),
     (dict(evaluations=-1.0), "evaluations -1"),
     (dict(seed=-1), "seed -1: a whole number, 0 or more"),
     (dict(seed=0.5), "seed 0.5"),
-    (dict(start="Cam-d3"), "start 'Cam-d3': given, random, Cam-c.*did you mean Cam-d"),
+    (dict(start="Cam-d3"), "start 'Cam-d3': give one of given, random, Cam-c.*did you mean Cam-d"),
     (dict(start="Cam-d1"), "start 'Cam-d1' has 8 of kind camera and two corners has 4"),
     (dict(checkpoint="c.txt"), r"must end in \.npz"),
     (dict(checkpoint="no/such/c.npz"), "no such folder"),
@@ -680,7 +680,7 @@ def test_bad_comparisons_are_refused(scene, layout):
     for options, message in (
         (dict(methods=[]), "no method to compare"),
         (dict(methods=["adam", "adam"]), "named twice"),
-        (dict(methods=["adam"], seeds=0), "seeds 0: at least 1"),
+        (dict(methods=["adam"], seeds=0), "seeds 0: give at least 1"),
         (dict(methods=["adam", "gird"]), "did you mean grid"),
     ):
         with pytest.raises(InspeError, match=message):

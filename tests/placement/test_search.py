@@ -10,7 +10,8 @@ from worlds import CAMERA, LIDAR, random_traffic, slow_but, world
 from inspe_jax.placement import candidate_table as tables
 from inspe_jax.placement import candidate_views, candidates, sampled_scores
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods import greedy, search
+from inspe_jax.placement.methods import batches, cma_es, greedy, grid, random_layouts
+from inspe_jax.placement.methods.registry import SEARCHES
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.sample_score import SampleScore, times
@@ -18,7 +19,7 @@ from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
-METHODS = {method.name: method for method in search.SEARCHES}
+METHODS = {method.name: method for method in SEARCHES}
 
 
 class Heard(Run):
@@ -130,7 +131,7 @@ def test_random_finds_the_summit_as_nearly_as_its_draws_do():
     problem = Bowl(Box(), lambda x: -np.abs(x[:, :4] - summit).max(1))
     run = Heard(problem, np.zeros(5), evaluations=40)
     go(METHODS["random"], run)
-    draws = 0.9 * 40 / (search.CHUNK * 0.02) * search.CHUNK
+    draws = 0.9 * 40 / (batches.CHUNK * 0.02) * batches.CHUNK
     assert -run.best < 2 * 6 * draws**-0.25 / 2
     assert len(run.offers) < 15  # exact scores only for what beats the best so far
 
@@ -170,7 +171,7 @@ def start(problem):
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
     """Small samples and few candidates, so that a test takes a second."""
-    for module in (search, greedy, tables):
+    for module in (cma_es, grid, random_layouts, greedy, tables):
         monkeypatch.setattr(module, "COLUMNS", 96)
         monkeypatch.setattr(module, "FRAMES", 3)
     monkeypatch.setattr(tables, "HEIGHTS", 2)
@@ -178,8 +179,8 @@ def _small(monkeypatch):
     monkeypatch.setattr(greedy, "TRIES", 8)
     monkeypatch.setattr(tables, "CHUNK", 64)
     monkeypatch.setattr(candidates, "SPACING", 12.0)
-    monkeypatch.setattr(search, "LOOK", 3)
-    monkeypatch.setattr(search, "PATIENCE", 2)
+    monkeypatch.setattr(cma_es, "LOOK", 3)
+    monkeypatch.setattr(cma_es, "PATIENCE", 2)
 
 
 BUDGET = {"grid": 30.0, "random": 30.0, "greedy": 80.0, "cma-es": 40.0}
@@ -281,20 +282,20 @@ def test_grid_comes_as_near_to_a_summit_as_its_finest_step(problem, start):
     assert go(METHODS["grid"], run) is None
     assert run.left > 0  # it stopped by itself
     found = space.split(run.best_x)
-    finest = 2.0**-search.FINEST
-    assert np.hypot(*(found.base - c.base).T).max() < 2 * search.SPACING * finest
-    assert np.abs(np.sin((found.yaw - c.yaw) / 2)).max() < 2 * search.STEPS["yaw"] * finest
-    assert np.abs(found.pitch - c.pitch).max() < 2 * search.STEPS["pitch"] * finest
+    finest = 2.0**-grid.FINEST
+    assert np.hypot(*(found.base - c.base).T).max() < 2 * grid.SPACING * finest
+    assert np.abs(np.sin((found.yaw - c.yaw) / 2)).max() < 2 * grid.STEPS["yaw"] * finest
+    assert np.abs(found.pitch - c.pitch).max() < 2 * grid.STEPS["pitch"] * finest
     lifted = candidates.above_ground(space, run.best_x) - above
-    assert np.abs(lifted).max() < 2 * search.STEPS["height"] * finest
+    assert np.abs(lifted).max() < 2 * grid.STEPS["height"] * finest
 
 
 def test_grids_of_a_unit_leave_the_others_alone(problem, start):
     space, members = problem.space, problem.layout.members()
     index = candidates.coordinates(space)
-    for block in search._blocks(members):
+    for block in grid._blocks(members):
         for level in (0, 2):
-            x = search._grid(space, start, block, level)
+            x = grid._grid(space, start, block, level)
             assert np.array_equal(x[0], start)
             assert len(np.unique(x, axis=0)) == len(x) > 10
             others = [s for s in range(len(problem.layout)) if s not in block.sensors]

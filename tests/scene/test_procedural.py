@@ -487,10 +487,10 @@ def test_the_way_onto_a_ring_touches_line_and_ring():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: crossing("odd", (0, 180)), r"odd: arms at 0, 180°: at least three arms"),
+        (lambda: crossing("odd", (0, 180)), r"odd: arms at 0, 180°: give at least three arms"),
         (lambda: crossing("odd", (0, 20, 180)), r"at 0, 20, 180°: .*40° or more apart"),
         (lambda: crossing("odd", (0, 170, 350)), r"40° or more apart"),
-        (lambda: crossing("odd", (0, 120, float("nan"))), r"nan°: at least three arms"),
+        (lambda: crossing("odd", (0, 120, float("nan"))), r"nan°: give at least three arms"),
         (
             lambda: crossing("odd", (0, 120, 240), lanes_in=(1, 0, 1), lanes_out=(1, 0, 1)),
             r"odd: every arm needs a lane, and the one at 120° has none",

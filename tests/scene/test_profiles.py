@@ -12,7 +12,6 @@ from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scoring.evaluate import check_options
-from inspe_jax.scoring.metrics import WEIGHTS
 from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import load_layout, save_layout
@@ -37,7 +36,7 @@ def test_every_value_has_a_reason_and_can_be_had(name):
     given = {f.name for f in fields(Profile)} - words
     assert set(profile.reasons) == {key for key in given if getattr(profile, key) is not None}
     assert all(len(reason) > 10 for reason in profile.reasons.values())
-    check_options(WEIGHTS, profile.occlusion_reference, profile.visibility)
+    check_options(None, profile.occlusion_reference, profile.visibility)
     assert device(profile.camera).kind == "camera"
     for beams, lidar in ((32, profile.lidar_32), (64, profile.lidar_64)):
         assert len(device(lidar).spec.elevations) == beams
@@ -130,7 +129,7 @@ def test_files_say_their_profile(tmp_path, scene, ideal):
     assert load_scene(tmp_path / "before.npz").profile.name == BEFORE_PROFILES
     other = replace(scene, settings=(("profile", "parer"),))
     save_scene(other, tmp_path / "other.npz")
-    with pytest.raises(InspeError, match=r"other.npz: its profile 'parer' is none of paper, ideal"):
+    with pytest.raises(InspeError, match=r"other.npz: unknown profile 'parer': one of paper"):
         load_scene(tmp_path / "other.npz")
     text = (tmp_path / "layout.yaml").read_text().replace("profile: ideal", "profile: idael")
     (tmp_path / "layout.yaml").write_text(text)

@@ -348,7 +348,7 @@ def test_other_bad_input(place, tmp_path):
     with pytest.raises(InspeError, match=r"traffic 'somo': waypoints, sumo.*did you mean sumo"):
         build_scene(place, traffic="somo")
     for step in (0.0001, 0.0333, 0.007):
-        with pytest.raises(InspeError, match="SUMO needs whole milliseconds"):
+        with pytest.raises(InspeError, match="SUMO needs a step of whole milliseconds"):
             sumo_traffic(place, radius=30, count=5, frames=2, step=step)
 
 

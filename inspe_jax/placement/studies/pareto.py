@@ -87,7 +87,7 @@ def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
     wanted = [(name, device(name).spec) for name, n in counts.items() for _ in range(n)]
     if not wanted:
         raise InspeError("a layout needs at least one sensor")
-    wanted.sort(key=lambda row: row[1].kind != "lidar")
+    wanted.sort(key=lambda row: row[1].aimed)
     site = Site(scene.intersection, scene.voxels.radius, depth=30.0)
     feet = np.concatenate([site.corners, site.roadsides])
     posts = [f"corner {i + 1}" for i in range(len(site.corners))]
@@ -106,9 +106,7 @@ def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
     views = []
     for (_, spec), at in zip(wanted, order, strict=False):
         post, foot = posts[at], feet[at]
-        view = (
-            site.lidar(post, foot) if spec.kind == "lidar" else site.camera(post, foot, site.center)
-        )
+        view = site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
         views.append((view, spec))
     return replace(join(called(counts), scene.intersection, views), profile=scene.profile.name)
 

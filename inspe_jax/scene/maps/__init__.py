@@ -1,1 +1,1 @@
-"""Maps into intersections: OpenDRIVE, SUMO and OpenStreetMap."""
+"""Readers of maps: OpenDRIVE, SUMO and OpenStreetMap."""

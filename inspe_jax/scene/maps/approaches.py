@@ -1,4 +1,4 @@
-"""Roads where they meet a junction: cut across, and paired into arms."""
+"""Approaches: the ends of roads at a junction, and how they pair into arms."""
 
 from dataclasses import dataclass
 
@@ -16,8 +16,11 @@ SIDEWALK = {"sidewalk", "walking"}
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
-    """The end of a road at the junction, cut across; offsets run left, looking outward."""
+class Approach:
+    """The end of a road at a junction, as a cut across the road.
+
+    Offsets along the cut run to the left, looking away from the junction [m].
+    """
 
     road: int
     end: str  # 'start' or 'end' of the road
@@ -47,8 +50,9 @@ class Leg:
         ways = {lane[4] for lane in self.lanes if lane[1] in TRAVEL}
         return {frozenset([True]): 1, frozenset([False]): -1}.get(frozenset(ways), 0)
 
-    def strip(self, kinds: set[str], side: int) -> tuple[float, float] | None:
-        """Inner and outer offset of the lanes of some kinds beyond the left (+1) or right kerb."""
+    def lane_range(self, kinds: set[str], side: int) -> tuple[float, float] | None:
+        """Inner and outer offset of the lanes of some kinds beyond the left (+1) or right (−1)
+        kerb; None if there are none."""
         kerb = self.kerbs[1] if side > 0 else self.kerbs[0]
         beyond = [x for x in self.lanes if x[1] in kinds and side * ((x[2] + x[3]) / 2 - kerb) > 0]
         if not beyond:
@@ -57,38 +61,39 @@ class Leg:
         return (low, high) if side > 0 else (high, low)
 
 
-def arms_of(legs: list[Leg]) -> tuple[tuple[Arm, ...], dict[tuple[int, str], int]]:
-    """One arm a leg, or a pair of legs where a divided road leads in on one and out on the other.
+def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int, str], int]]:
+    """The arms of a junction, counter-clockwise by bearing, and the arm of each (road, end).
 
-    Also says to which arm each (road, end) belongs. Arms go counter-clockwise by bearing.
+    Each approach is an arm; but where a divided road leads in on one approach and out on another,
+    the two are one arm.
     """
-    groups = [[leg] for leg in legs]
-    for i, leg in enumerate(legs):
+    groups = [[approach] for approach in approaches]
+    for i, approach in enumerate(approaches):
         partners = [
             other
-            for other in legs[i + 1 :]
-            if leg.one_way * other.one_way == -1
-            and np.cos(leg.bearing - other.bearing) > np.cos(np.radians(40))
-            and _gap(leg, other) <= 20.0
+            for other in approaches[i + 1 :]
+            if approach.one_way * other.one_way == -1
+            and np.cos(approach.bearing - other.bearing) > np.cos(np.radians(40))
+            and _gap(approach, other) <= 20.0
         ]
-        free = [p for p in partners if [p] in groups and [leg] in groups]
+        free = [p for p in partners if [p] in groups and [approach] in groups]
         if free:
-            partner = min(free, key=lambda other: _gap(leg, other))
-            groups.remove([leg])
-            groups[groups.index([partner])].append(leg)
+            partner = min(free, key=lambda other: _gap(approach, other))
+            groups.remove([approach])
+            groups[groups.index([partner])].append(approach)
     made = sorted(((_arm(g), g) for g in groups), key=lambda x: x[0].bearing)
     return (
         tuple(arm for arm, _ in made),
-        {(leg.road, leg.end): i for i, (_, g) in enumerate(made) for leg in g},
+        {(approach.road, approach.end): i for i, (_, g) in enumerate(made) for approach in g},
     )
 
 
-def _gap(a: Leg, b: Leg) -> float:
-    """Distance between the nearest kerbs of two cuts [m]."""
+def _gap(a: Approach, b: Approach) -> float:
+    """Distance between the nearest kerbs of two approaches [m]."""
     return min(float(np.hypot(*(a.point(s) - b.point(t)))) for s in a.kerbs for t in b.kerbs)
 
 
-def _arm(group: list[Leg]) -> Arm:
+def _arm(group: list[Approach]) -> Arm:
     along = np.sum([[np.cos(g.bearing), np.sin(g.bearing)] for g in group], axis=0)
     bearing = float(np.arctan2(along[1], along[0]))
     axes = np.array([[np.cos(bearing), np.sin(bearing)], [-np.sin(bearing), np.cos(bearing)]])

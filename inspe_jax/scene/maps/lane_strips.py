@@ -1,4 +1,4 @@
-"""Lanes as strips of ground, and which of them lie on the junction's own level."""
+"""Lanes as strips of ground, and which of them lie on the same level as the junction."""
 
 import functools
 from collections.abc import Iterator
@@ -17,12 +17,16 @@ from shapely.ops import unary_union
 from inspe_jax.scene.maps.parts import CLEARANCE
 
 GRADE = 0.3
-"""A lane that has climbed more steeply than this is on another level; Town03 has streets of 0.2."""
+"""A lane that climbs more steeply than this is on another level. Town03 has streets of 0.2."""
 
 
 @dataclass(frozen=True, eq=False)
-class Strip:
-    """A run of one lane: middle line and both edges at stations about 1 m apart."""
+class LaneStrip:
+    """A stretch of one lane: its middle line and both edges, at stations about 1 m apart [m].
+
+    ``junction`` is −1 outside junctions; ``kind`` is a word of
+    :mod:`inspe_jax.scene.maps.approaches`.
+    """
 
     road: int
     lane: int
@@ -34,15 +38,15 @@ class Strip:
 
     @functools.cached_property
     def polygon(self) -> BaseGeometry:
-        """The lane's surface; quad by quad where a tight bend folds an edge over."""
+        """The lane's surface. Where a tight bend folds an edge over, it is joined from quads."""
         whole = Polygon(np.concatenate([self.left, self.right[::-1]]))
         if whole.is_valid:
             return whole
         quads = np.stack([self.left[:-1], self.left[1:], self.right[1:], self.right[:-1]], 1)
         return unary_union(shapely.convex_hull(shapely.polygons(quads)))
 
-    def runs(self, keep: np.ndarray) -> "Iterator[Strip]":
-        """The unbroken runs of stations to keep, of two or more."""
+    def runs(self, keep: np.ndarray) -> "Iterator[LaneStrip]":
+        """The unbroken runs of two or more stations where ``keep`` (N,) is true."""
         edges = np.flatnonzero(np.diff(np.concatenate([[0], keep, [0]])))
         for a, b in edges.reshape(-1, 2):
             if b - a > 1:
@@ -52,18 +56,19 @@ class Strip:
                 )
 
 
-def same_level(strips: list[Strip], core: list[bool]) -> list[Strip]:
-    """Leave out what lies above or beneath, station by station.
+def same_level(lane_strips: list[LaneStrip], core: list[bool]) -> list[LaneStrip]:
+    """The parts of lanes that lie on the same level as the core lanes, station by station.
 
-    Two stations are joined within 5 m, height counted thrice, so a deck 2 m up is apart from the
-    road beneath it. Of what is joined to the core, that goes which has climbed beyond the
-    steepest grade, and where two levels overlap the one farther from the core along the roads.
-    What is not joined, as a street behind a verge, stays if level with the nearest that is.
+    Two stations are connected if they are within 5 m. Height counts three times, so a deck 2 m up
+    is not connected to the road beneath it. A station that is connected to the core is left out
+    if it is higher or lower than the steepest grade allows. Where two levels overlap, the one
+    farther from the core along the roads is left out. A station that is not connected, as on a
+    street behind a verge, stays if it is level with the nearest one that stays.
     """
     if not any(core):
         return []
-    points = np.concatenate([s.center for s in strips])  # (N, 3)
-    sizes = [len(s.center) for s in strips]
+    points = np.concatenate([s.center for s in lane_strips])  # (N, 3)
+    sizes = [len(s.center) for s in lane_strips]
     is_core = np.repeat(core, sizes)
     pairs = cKDTree(points * [1, 1, 3]).query_pairs(5.0, output_type="ndarray")
     graph = csr_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
@@ -86,4 +91,4 @@ def same_level(strips: list[Strip], core: list[bool]) -> list[Strip]:
     rise, _ = rise_from(keep)
     keep |= ~joined & (rise <= 2.0)
     cut = np.split(keep, np.cumsum(sizes)[:-1])
-    return [run for strip, mask in zip(strips, cut, strict=True) for run in strip.runs(mask)]
+    return [run for strip, mask in zip(lane_strips, cut, strict=True) for run in strip.runs(mask)]

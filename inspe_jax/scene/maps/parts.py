@@ -1,4 +1,4 @@
-"""What every reader of a map ends with: clean regions, crosswalks, mounts and ways on foot."""
+"""What all map readers share: junctions, clean regions, crosswalks, mounting areas, footpaths."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -19,18 +19,19 @@ from inspe_jax.scene.intersection import (
     corner_islands,
     mouth_crosswalks,
 )
+from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.regions import Region
 
 STEP = 1.0
 """Spacing of the stations sampled along lanes and routes [m]."""
 CLUSTER = 35.0
-"""Around ``center``, junctions whose middle is this near count as one [m]."""
+"""Junctions whose middle is this near to ``center`` count as one [m]."""
 MARGIN = 10.0
 """A map is read this much beyond the radius [m]."""
 CLEARANCE = 2.5
-"""What is higher or lower than the road by more than this is on another level [m]."""
+"""Something that is higher or lower than the road by more than this is on another level [m]."""
 MOST_LISTED = 20
-"""Junctions that an error lists."""
+"""At most this many junctions are listed in an error."""
 
 J = TypeVar("J", bound=int | str)
 """A junction's id."""
@@ -40,8 +41,8 @@ J = TypeVar("J", bound=int | str)
 class JunctionInfo:
     """A junction of a map: its id, middle (x, y, z) [m], arms, size, crosswalks and signals.
 
-    ``size`` is the larger side of its bounding box [m]; ``crosswalks`` and ``signals`` count
-    those that the map itself has near it.
+    ``size`` is the larger side of its bounding box [m]. ``crosswalks`` and ``signals`` count
+    those that the map has near it.
     """
 
     id: int | str
@@ -52,17 +53,18 @@ class JunctionInfo:
     signals: int
 
 
-def chosen(
+def junctions_at(
     source: str,
     ids: Iterable[J],
     middle_of: Callable[[J], np.ndarray],
     junction: str | int | None,
     center: tuple[float, float] | None,
 ) -> tuple[set[J], np.ndarray, str]:
-    """Which of a map's junctions are meant, their middle (3,), and what to call the place.
+    """The junctions of a map that a user names, their middle (3,) [m], and a name for the place.
 
-    The ``junction`` of an id, or all whose middle is within :data:`CLUSTER` of ``center`` (x, y).
-    Raises InspeError where not just one of the two is given, or no junction is there.
+    ``junction`` is the id of one. ``center`` (x, y) [m] means all junctions whose middle is within
+    :data:`CLUSTER` of it. Raises InspeError if both or neither are given, or if there is no such
+    junction.
     """
     if (junction is None) == (center is None):
         raise InspeError("say which place to read: either a junction id or a center (x, y)")
@@ -89,7 +91,7 @@ def chosen(
 
 
 def check_radius(radius: float) -> None:
-    """Raise InspeError where a map cannot be read to such a radius [m]."""
+    """Raise InspeError if a radius [m] is out of range for reading a map."""
     if not 0 < radius <= 500:
         raise InspeError(f"radius {radius:g} m is out of range: between 0 and 500 m")
 
@@ -99,21 +101,16 @@ def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return np.hypot(*(points[:, :2] - middle[:2]).T)
 
 
-def resample(line: np.ndarray) -> np.ndarray:
-    """Points evenly spaced in plan, about :data:`STEP` apart."""
-    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
-    even = np.linspace(0, arc[-1], max(2, round(arc[-1] / STEP) + 1))
-    return np.column_stack([np.interp(even, arc, column) for column in line.T])
-
-
 def valid(shape: BaseGeometry) -> BaseGeometry:
-    """The shape, mended where its outline crosses itself."""
+    """The shape, repaired if its outline crosses itself."""
     return shape if shape.is_valid else shape.buffer(0)
 
 
 def clean(shape: BaseGeometry) -> BaseGeometry:
-    """Close seams and drop slivers of a few centimetres and crumbs; corners stay square."""
+    """A shape without seams and slivers of a few centimetres and without parts below 0.5 m².
+
+    Corners stay square.
+    """
     for step in (0.05, -0.12, 0.07):
         shape = shape.buffer(step, join_style="mitre")
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
@@ -127,8 +124,11 @@ def crosswalks_of(
     disc: Polygon,
     notes: list[str],
 ) -> list[BaseGeometry]:
-    """The map's crosswalks, loops (K, 3) each, within the disc and on the ``ground`` (N, 3); strips
-    across the mouths if it has none here."""
+    """The crosswalks of a map, from outlines (K, 3) each, inside the disc and near the ``ground``.
+
+    ``ground`` (N, 3) are points on the ground. If the map has no crosswalk at the junction, strips
+    across the arms' mouths are added, and a note says so.
+    """
     index = cKDTree(ground[:, :2])
     walks = []
     for loop in loops:
@@ -146,18 +146,18 @@ def crosswalks_of(
 
 
 def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
-    """The middle line of each crosswalk, along its longer side and 3 m beyond (N, 2)."""
+    """The middle line (N, 2) of each crosswalk, along its longer side and 3 m beyond both ends."""
     for walk in walks:
         corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
         sides = np.diff(corners[:3], axis=0)
         along = sides[np.argmax(np.hypot(*sides.T))]
         reach = along / 2 + 3.0 * along / np.linalg.norm(along)
         middle = corners.mean(0)
-        yield resample(np.array([middle - reach, middle + reach]))
+        yield resampled(np.array([middle - reach, middle + reach]))
 
 
 def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Ways on foot (N, 2), joined where one goes on from another; 5 m or more."""
+    """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
     lines = list(lines)
     while lines:
         line = lines.pop()
@@ -173,14 +173,14 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
                 if grown:
                     break
         if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
-            yield resample(line)
+            yield resampled(line)
 
 
 def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:
-    """Ways on foot (N, 2) as routes on the ground of a place, both ways."""
+    """Footpaths (N, 2) as routes on the ground of a place, in both directions."""
     for line in lines:
-        for way in (line, line[::-1]):
-            yield Route(place.on_ground(way), 2.0, "pedestrian")
+        for path in (line, line[::-1]):
+            yield Route(place.on_ground(path), 2.0, "pedestrian")
 
 
 def mounting_of(
@@ -189,14 +189,14 @@ def mounting_of(
     arms: tuple[Arm, ...],
     disc: Polygon,
 ) -> BaseGeometry:
-    """Where a pole may stand: sidewalks, shoulders and medians, clear of traffic and crossings.
+    """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
 
-    Islands at the corners stand in only where there is none of these beside the junction: next
-    to a sidewalk they add nothing, and on a deck they would hang in the air.
+    Islands at the corners are added only if none of these is beside the junction. Beside a sidewalk
+    they would add nothing, and on a deck they would hang in the air.
     """
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
     beside = unary_union(standing).distance(regions[Region.JUNCTION])
-    if not beside <= 5.0:  # not a number where there is none at all
+    if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
         standing.append(corner_islands(arms))
     traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
     free = unary_union(standing).intersection(disc).difference(unary_union(traffic))

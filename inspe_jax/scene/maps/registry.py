@@ -1,6 +1,6 @@
 """The registry of map formats: OpenDRIVE, SUMO networks and OpenStreetMap.
 
-Adding a format is a module that reads it, and a row of :data:`FORMATS`.
+To add a format, write a module that reads it and add its row to :data:`FORMATS`.
 """
 
 import os
@@ -32,18 +32,19 @@ class MapFormat:
         return getattr(import_module(self.module), function)(*given, **options)
 
 
+_SUMO = MapFormat(
+    "SUMO network or OpenStreetMap",
+    (*NET_SUFFIXES, *OSM_SUFFIXES),
+    "inspe_jax.scene.maps.sumo.reader",
+    reader="read_sumo",
+)
 FORMATS = [
     MapFormat(
         "OpenDRIVE", (".xodr",), "inspe_jax.scene.maps.opendrive.reader", reader="read_opendrive"
     ),
-    MapFormat(
-        "SUMO network or OpenStreetMap",
-        (*NET_SUFFIXES, *OSM_SUFFIXES),
-        "inspe_jax.scene.maps.sumo.reader",
-        reader="read_sumo",
-    ),
+    _SUMO,
 ]
-"""The formats, the first that fits a file's name reads it."""
+"""The formats. The first that fits a file's name reads it."""
 
 
 def map_suffixes() -> tuple[str, ...]:
@@ -57,9 +58,9 @@ def is_map(path: str | os.PathLike[str]) -> bool:
 
 
 def _format_of(path: str | os.PathLike[str]) -> MapFormat:
-    """The format of a file by its name; the last one's reader says what is wrong with any other."""
+    """The format of a file by its name; SUMO's reader says what is wrong with any other."""
     name = str(path).lower()
-    return next((row for row in FORMATS if name.endswith(row.suffixes)), FORMATS[-1])
+    return next((row for row in FORMATS if name.endswith(row.suffixes)), _SUMO)
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:

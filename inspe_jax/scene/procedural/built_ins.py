@@ -1,9 +1,9 @@
-"""Intersections built from parameters, no file needed: crossings, roundabouts and ramps.
+"""Intersections built from parameters, without a file: crossings, roundabouts and ramps.
 
-Flat ground at z = 0, right-hand traffic, the middle of the junction at (0, 0, 0); roads
-run 120 m out, so that a region of interest of up to 100 m is filled. Everything follows
-from the kerbs: each is one line from road to road round a corner, and shoulder, sidewalk
-and footway are its offsets, so that they tile without gaps.
+The ground is flat at z = 0, traffic drives on the right, and the middle of the junction is
+at (0, 0, 0). Roads are 120 m long, which fills a region of interest of up to 100 m. All
+shapes follow from the kerbs. Each kerb is one line from road to road round a corner. The
+shoulder, sidewalk and footpath are offsets of it, so there are no gaps between them.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,6 +14,7 @@ from shapely.geometry import MultiPolygon, Polygon, box
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
+from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.procedural.curves import (
     arc,
     at_distance,
@@ -21,7 +22,6 @@ from inspe_jax.scene.procedural.curves import (
     joined,
     offset,
     onto_ring,
-    resampled,
     turned,
 )
 from inspe_jax.scene.procedural.roads import (
@@ -62,12 +62,13 @@ def crossing(
 ) -> Intersection:
     """Straight roads that meet at the origin, with crosswalks, shoulders and sidewalks.
 
-    ``bearings_deg`` are the directions in which they leave it, counter-clockwise from +x;
-    ``lanes_in`` and ``lanes_out`` lead to and from the junction: one number for all arms or one
-    for each. ``corner_radius`` is the kerbs'. Widths and radii in metres. The line between in-
-    and outbound lanes of every arm points at the origin; arms come out in order of bearing. The
-    junction ends where the kerbs begin to run straight, and crosswalks lie just outside it. At
-    each corner stands a signal pole, and one on either side where the kerb runs on.
+    ``bearings_deg`` are the directions in which they leave it, counter-clockwise from +x.
+    ``lanes_in`` and ``lanes_out`` lead to and from the junction: one number for all arms, or one
+    for each. ``corner_radius`` is that of the kerbs. Widths and radii are in metres. The line
+    between inbound and outbound lanes of every arm points at the origin. Arms are sorted by
+    bearing. The junction ends where the kerbs begin to run straight; crosswalks lie just outside
+    it. There is a signal pole at each corner. Where the kerb runs on without a corner, there is
+    one on either side.
 
     Raises InspeError for fewer than three arms, arms less than 40° apart, an arm without lanes,
     or widths out of range.
@@ -106,11 +107,12 @@ def roundabout(
 ) -> Intersection:
     """A roundabout of one lane, counter-clockwise round an ``island`` of that radius [m].
 
-    ``ring`` is the width of the circulating carriageway. Each arm has a lane each way, either
-    side of a ``splitter`` island of that width, which goes on as a painted median; its crosswalk
+    ``ring`` is the width of the circulating carriageway. Each arm has one lane each way, on either
+    side of a ``splitter`` island of that width, which continues as a painted median. Its crosswalk
     is about a car's length from the ring. ``corner_radius`` is that of the kerbs between arm and
-    ring. Widths and radii in metres. The islands belong to no region but can carry a mast.
-    Raises InspeError as :func:`crossing`, or where an arm does not fit beside the next.
+    ring. Widths and radii are in metres. The islands belong to no region, but can carry a pole.
+
+    Raises InspeError as :func:`crossing`, or if two arms do not fit beside each other.
     """
     _check("island", island, 4.0, 40.0)
     _check("ring", ring, 4.0, 12.0)
@@ -143,7 +145,7 @@ def roundabout(
         )
     mouth = float(ease[0, 0])
     kerbs = [from_to(a, b, a.left, outer, corner_radius) for a, b in neighbours]
-    # A lane keeps its distance from the kerb on the arm, and to the middle of the ring.
+    # A lane keeps its distance from the kerb on the arm, and follows the middle of the ring.
     lane = roads[0].lane(0)
     inner, bent = island + ring / 2, corner_radius + lane_width / 2
     routes = []
@@ -176,12 +178,12 @@ def ramp(
 ) -> Intersection:
     """A motorway along x, and an on-ramp that merges into its eastbound carriageway.
 
-    ``lanes`` each way, either side of a ``median``; the ramp, one lane, comes from the
-    south-west at ``angle_deg``, bends with ``bend_radius``, and runs beside the outer lane to
-    x = 30 m, where that tapers off until 70 m. The junction is the eastbound carriageway from
-    the nose of the gore to the end of the taper. Shoulders (``inner_shoulder`` at the median)
-    and no sidewalks, crosswalks or people; lamps stand on the verge, 2 m wide, beyond the
-    shoulder. Widths in metres. Raises InspeError for a value out of range.
+    There are ``lanes`` lanes each way, on either side of a ``median``. The ramp has one lane. It
+    comes from the south-west at ``angle_deg``, bends with ``bend_radius``, runs beside the outer
+    lane to x = 30 m, and tapers off until 70 m. The junction is the eastbound carriageway from
+    the nose of the gore to the end of the taper. There are shoulders (``inner_shoulder`` at the
+    median), but no sidewalks, crosswalks or pedestrians. Lamps stand on the verge, 2 m wide,
+    beyond the shoulder. Widths are in metres. Raises InspeError for a value out of range.
     """
     if lanes not in range(1, 7):
         raise InspeError(f"{name}: lanes {lanes} is out of range: a whole number from 1 to 6")
@@ -197,7 +199,7 @@ def ramp(
     angle = np.radians(angle_deg)
     up = np.array([np.cos(angle), np.sin(angle)])
 
-    # The ramp's middle: straight, an arc that ends beside the outer lane, and along it.
+    # The ramp's middle line: straight, then an arc that ends beside the outer lane, then along it.
     turn = np.array([_PARALLEL - bend_radius * np.tan(angle / 2), beside])
     along = bend(turn - LENGTH * up, up, np.array([_TAPER, beside]), _EAST, bend_radius)[1:]
     middle = joined(resampled(np.array([at_distance(turn, -up, LENGTH), along[0]])), along)
@@ -263,9 +265,9 @@ def ramp(
 def _gore(
     left: Float[np.ndarray, "N 2"], kerb: float, shoulder: float, inner_shoulder: float
 ) -> Polygon:
-    """The shoulders between a motorway's ``kerb`` (y) and the left edge of a ramp, up to its nose.
+    """The shoulders between a motorway's ``kerb`` (y) and the left edge of a ramp, up to the nose.
 
-    They are one where they meet, and two where the verge parts them.
+    They meet near the nose; farther out the verge separates them.
     """
     beyond = offset(left, inner_shoulder)
     beyond = beyond[beyond[:, 1] <= kerb - shoulder - _NOSE]
@@ -283,7 +285,7 @@ def _teardrop(half: float, ring: float, mouth: float) -> Float[np.ndarray, "N 2"
     return joined(blunt, shoulders[0], tail, shoulders[1])
 
 
-# ── What may be asked for ───────────────────────────────────────────────────
+# ── Checks of the parameters ────────────────────────────────────────────────
 
 
 def _check(what: str, value: float, low: float, high: float, unit: str = " m") -> None:
@@ -301,20 +303,23 @@ def _check_kerbs(corner_radius: float, shoulder: float, sidewalk: float) -> None
 
 
 def _in_order(name: str, bearings_deg: Sequence[float]) -> list[int]:
-    """Indices of the arms by bearing; an error unless there are three or more, well apart."""
+    """Indices of the arms by bearing.
+
+    Raises InspeError for fewer than three arms, or two less than :data:`NARROWEST` apart.
+    """
     bearings = np.asarray(bearings_deg, float) % 360
     order = [int(i) for i in np.argsort(bearings)]
     gaps = np.diff(bearings[order], append=bearings[order[:1]] + 360)
     if len(order) < 3 or not gaps.min() >= NARROWEST:
         given = ", ".join(f"{b:g}" for b in bearings_deg)
         raise InspeError(
-            f"{name}: arms at {given}°: at least three arms, {NARROWEST:g}° or more apart"
+            f"{name}: arms at {given}°: give at least three arms, {NARROWEST:g}° or more apart"
         )
     return order
 
 
 def _each(name: str, key: str, lanes: int | Sequence[int], order: list[int]) -> list[int]:
-    """Lanes one way of every arm, in the order of the arms."""
+    """Lanes in one direction of every arm, in the order of the arms."""
     listed = list(lanes) if isinstance(lanes, Sequence) else [lanes] * len(order)
     if len(listed) != len(order):
         raise InspeError(
@@ -347,13 +352,13 @@ BUILT_INS: dict[str, Callable[[], Intersection]] = {
 }
 """The built-in intersections by name.
 
-``five_way`` is a main street along x, a side street and two that join aslant; ``triangle`` is
-three roads that meet at 120°, whose junction is a triangle with hollow sides.
+``five_way`` is a main street along x, a side street, and two streets that join at an angle.
+``triangle`` is three roads that meet at 120°; its junction is a triangle with concave sides.
 """
 
 
 def built_in(name: str) -> Intersection:
-    """A built-in intersection by name. Raises InspeError with the names there are."""
+    """A built-in intersection by name. Raises InspeError with the known names."""
     if name not in BUILT_INS:
         raise InspeError(
             f"no built-in intersection '{name}': one of {', '.join(BUILT_INS)}"

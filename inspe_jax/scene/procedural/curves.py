@@ -1,23 +1,23 @@
-"""Plane curves that the built-in intersections are drawn with: arcs, bends and offsets.
+"""Plane curves of the built-in intersections: arcs, bends and offsets.
 
-A line is an array (N, 2) of world metres in the direction of travel; left is the side of its
-left hand.
+A line is an array (N, 2) of points [m] in the direction of travel. Left is on the left of that
+direction.
 """
 
 import numpy as np
 from jaxtyping import Float
 
-_ARC_STEP = np.radians(3.0)  # of a drawn arc: within 3 mm of it at a radius of 8 m …
-_CHORD = 1.0  # … and no longer than this [m]
-_STRAIGHT = np.radians(5.0)  # what turns less is drawn as one sweep
-_HANDLE = 0.4  # of such a sweep, as a share of its chord
+from inspe_jax.scene.lines import distinct
+
+_ARC_STEP = np.radians(3.0)  # largest step of an arc: an error of 3 mm at a radius of 8 m
+_CHORD = 1.0  # longest step of an arc [m]
+_STRAIGHT = np.radians(5.0)  # a bend that turns less is one cubic curve
+_HANDLE = 0.4  # distance of the cubic curve's inner control points, as a share of its chord
 
 
 def joined(*parts: Float[np.ndarray, "..."]) -> Float[np.ndarray, "N 2"]:
-    """Lines and points one after the other, without points that repeat the one before."""
-    line = np.concatenate([np.reshape(part, (-1, 2)) for part in parts])
-    apart = np.hypot(*np.diff(line, axis=0).T) > 1e-6
-    return line[np.concatenate([[True], apart])]
+    """Lines and points joined to one line, without repeated points."""
+    return distinct(np.concatenate([np.reshape(part, (-1, 2)) for part in parts]))
 
 
 def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N 2"]:
@@ -43,10 +43,10 @@ def bend(
     into: Float[np.ndarray, "2"],
     radius: float = np.inf,
 ) -> Float[np.ndarray, "N 2"]:
-    """From ``start`` along ``out`` to ``end`` along ``into`` (unit vectors), tangent to both.
+    """A line from ``start`` along ``out`` to ``end`` along ``into``, tangent to these unit vectors.
 
-    Straight, an arc of ``radius`` [m] or the largest there is room for, and straight again;
-    a cubic curve where the turn is slight or the two straights do not meet in between.
+    It is straight, then an arc of ``radius`` [m] or the largest that fits, then straight again. It
+    is a cubic curve if the turn is slight, or if the two straights do not meet in between.
     """
     curve = fillet(start, out, end, into, radius)
     if not len(curve):
@@ -66,12 +66,12 @@ def fillet(
     into: Float[np.ndarray, "2"],
     radius: float,
 ) -> Float[np.ndarray, "N 2"]:
-    """The arc alone of :func:`bend`; no points where there is none."""
-    way, sine = end - start, _cross(out, into)
+    """Only the arc of :func:`bend`; no points if there is none."""
+    chord, sine = end - start, _cross(out, into)
     turn = float(np.arctan2(sine, out @ into))
     if abs(turn) < _STRAIGHT:
         return np.zeros((0, 2))
-    before, after = _cross(way, into) / sine, _cross(out, way) / sine  # to where they meet
+    before, after = _cross(chord, into) / sine, _cross(out, chord) / sine  # to where they meet
     if min(before, after) <= 0:
         return np.zeros((0, 2))
     half = abs(np.tan(turn / 2))
@@ -83,11 +83,10 @@ def fillet(
 
 
 def onto_ring(left: float, ring: float, radius: float) -> Float[np.ndarray, "N 2"]:
-    """The arc that leads from an inbound line onto a ring about the origin, both to its left.
+    """The arc, a right turn, from an inbound line onto a ring about the origin.
 
-    The line runs against +x, ``left`` [m] of that axis; the ring is ``ring`` metres in radius,
-    the arc ``radius``, and the driver turns right. Mirrored in the axis and reversed it is the
-    way off the ring.
+    The line runs in the direction of −x at y = ``left`` [m]. ``ring`` is the radius of the ring,
+    ``radius`` that of the arc [m]. Mirrored in the x axis and reversed, it leads off the ring.
     """
     beside = left + radius
     center = np.array([np.sqrt((ring + radius) ** 2 - beside**2), beside])
@@ -96,7 +95,7 @@ def onto_ring(left: float, ring: float, radius: float) -> Float[np.ndarray, "N 2
 
 
 def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 2"]:
-    """The line ``left`` metres to its left: every edge exactly so far from its own, mitred."""
+    """The line moved ``left`` metres to the left, with mitred corners."""
     step = np.diff(line, axis=0)
     normal = np.column_stack([-step[:, 1], step[:, 0]]) / np.hypot(*step.T)[:, None]  # (N − 1, 2)
     before, after = np.vstack([normal[:1], normal]), np.vstack([normal, normal[-1:]])
@@ -108,17 +107,13 @@ def length(line: Float[np.ndarray, "N 2"]) -> float:
     return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
-def resampled(line: Float[np.ndarray, "N 2"], spacing: float = 1.0) -> Float[np.ndarray, "M 2"]:
-    """The same line with evenly spaced points, about ``spacing`` metres apart."""
-    arc_length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    even = np.linspace(0, arc_length[-1], max(2, round(arc_length[-1] / spacing) + 1))
-    return np.column_stack([np.interp(even, arc_length, axis) for axis in line.T])
-
-
 def at_distance(
     start: Float[np.ndarray, "2"], direction: Float[np.ndarray, "2"], distance: float
 ) -> Float[np.ndarray, "2"]:
-    """Where the ray from ``start``, nearer than that, is ``distance`` from the origin [m]."""
+    """The point at which a ray from ``start`` is ``distance`` [m] from the origin.
+
+    ``start`` is nearer to the origin than that.
+    """
     along = float(start @ direction)
     return start + (np.sqrt(along**2 + distance**2 - start @ start) - along) * direction
 

@@ -1,4 +1,4 @@
-"""Straight roads with kerbs, lanes and sidewalks: what the built-in intersections are made of."""
+"""Straight roads with kerbs, lanes and sidewalks: the parts of the built-in intersections."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,22 +17,23 @@ from inspe_jax.scene.intersection import (
     Route,
     mouth_crosswalks,
 )
-from inspe_jax.scene.procedural.curves import bend, fillet, joined, length, offset, resampled
+from inspe_jax.scene.lines import resampled
+from inspe_jax.scene.procedural.curves import bend, fillet, joined, length, offset
 from inspe_jax.scene.regions import Region
 
 LENGTH = 120.0
-"""How far roads run from the middle [m]."""
+"""Length of roads from the middle [m]."""
 ROUTE_LENGTH = 110.0
-"""How far routes run from the middle [m]."""
+"""Length of routes from the middle [m]."""
 
-_CORNER = np.radians(150.0)  # arms less far apart have a corner; others a kerb that runs on
+_CORNER = np.radians(150.0)  # arms nearer than this have a corner; between others the kerb runs on
 _STRAIGHT = np.radians(30.0)  # a movement that turns less goes straight on
 _STOP = CROSSWALK_WIDTH + 1.0  # from the mouth to where drivers stop [m]
 
 
 @dataclass(frozen=True)
 class Road:
-    """A straight arm: its lanes either side of an axis through the origin."""
+    """A straight arm: its lanes on either side of an axis through the origin."""
 
     bearing: float
     lanes_in: int
@@ -48,30 +49,30 @@ class Road:
 
     @property
     def left(self) -> float:
-        """From the axis to the kerb of the inbound lanes, left looking outward [m]."""
+        """Distance from the axis to the kerb of the inbound lanes, left looking outward [m]."""
         return self.median / 2 + self.lanes_in * self.lane_width
 
     @property
     def right(self) -> float:
-        """… and to that of the outbound ones [m]."""
+        """Distance from the axis to the kerb of the outbound lanes [m]."""
         return self.median / 2 + self.lanes_out * self.lane_width
 
     def lane(self, k: int) -> float:
-        """From the axis to the middle of its k-th lane, either way [m]."""
+        """Distance from the axis to the middle of the k-th lane, in either direction [m]."""
         return self.median / 2 + (k + 0.5) * self.lane_width
 
     def at(self, station: float, left: float) -> np.ndarray:
-        """A point (2,) so far out and to the left of the axis, looking outward."""
+        """The point (2,) ``station`` [m] out along the axis and ``left`` [m] of it."""
         u = self.along
         return station * u + left * np.array([-u[1], u[0]])
 
     def arm(self, mouth: float) -> Arm:
-        """The record of this road, which enters the junction at ``mouth``."""
+        """This road as an arm that enters the junction ``mouth`` [m] from the middle."""
         x, y = self.at(mouth, (self.left - self.right) / 2)
         return Arm((float(x), float(y)), self.bearing, self.left + self.right)
 
     def carriageway(self, start: float, end: float) -> Polygon:
-        """From kerb to kerb, between two stations [m]."""
+        """The carriageway from kerb to kerb between two stations [m]."""
         across = ((start, -self.right), (end, -self.right), (end, self.left), (start, self.left))
         return Polygon([self.at(*corner) for corner in across])
 
@@ -88,11 +89,12 @@ def town(
     islands: BaseGeometry | None = None,
     notes: tuple[str, ...] = (),
 ) -> Intersection:
-    """Roads with shoulders, sidewalks, crosswalks, people and signal poles.
+    """An intersection of roads with shoulders, sidewalks, crosswalks, footpaths and signal poles.
 
-    ``mouths`` are how far out on each road the junction ends [m]. ``kerbs`` go round it: kerb i
-    leads from the left of road i, looking outward, in along it and out along the right of
-    the next road, from mouth to mouth. ``islands`` are cut out of the carriageway.
+    ``mouths`` are the distances from the middle at which the junction ends on each road [m].
+    ``kerbs`` go round it: kerb i runs from the mouth of road i, on its left looking outward, to
+    the mouth of the next road, on its right. ``islands`` are cut out of the carriageway. Raises
+    InspeError if the roads do not fit together.
     """
     after = roads[1:] + roads[:1]
     long = [
@@ -110,7 +112,7 @@ def town(
     if islands is not None:
         driveway, junction = driveway.difference(islands), junction.difference(islands)
         mounting = unary_union([mounting, islands])
-    # People step from sidewalk to sidewalk, so a crosswalk spans the shoulders too.
+    # People walk from sidewalk to sidewalk, so a crosswalk spans the shoulders too.
     spans = tuple(replace(arm, width=arm.width + 2 * shoulder) for arm in arms)
     crosswalks = mouth_crosswalks(spans)
     regions = {
@@ -134,7 +136,7 @@ def town(
 def _footpaths(
     roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
 ) -> Iterator[Float[np.ndarray, "N 2"]]:
-    """Over every crosswalk, and along every sidewalk round its corner, ``back`` from the kerb."""
+    """Footpaths over every crosswalk and along every sidewalk, ``back`` [m] from the kerb."""
     for road, mouth in zip(roads, mouths, strict=True):
         middle = mouth + CROSSWALK_WIDTH / 2
         yield np.array([road.at(middle, -road.right - back), road.at(middle, road.left + back)])
@@ -147,9 +149,9 @@ def _footpaths(
 def _poles(
     roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
 ) -> Float[np.ndarray, "P 3"]:
-    """A signal pole at every corner, ``back`` from the kerb.
+    """A signal pole at every corner, ``back`` [m] from the kerb.
 
-    Where the kerb runs on from road to road there are two, each where drivers stop.
+    Where the kerb runs on from road to road there are two poles, each where drivers stop.
     """
     feet: list[np.ndarray] = []
     for i, kerb in enumerate(kerbs):
@@ -165,10 +167,10 @@ def _poles(
 
 
 def corners(roads: list[Road], radius: float) -> tuple[list[float], list[np.ndarray]]:
-    """The mouth of every road [m], and the kerbs round the junction, as :func:`town` wants them.
+    """The mouth of every road [m] and the kerbs round the junction, as :func:`town` takes them.
 
-    The junction ends on each road where the arcs, of ``radius``, of the corners on both sides
-    have ended. Between roads that face each other the kerb runs on without a corner.
+    The junction ends on each road where the arcs of both its corners, of ``radius`` [m], have
+    ended. Between roads that face each other the kerb runs on without a corner.
     """
     after = roads[1:] + roads[:1]
     arcs = [_corner(a, b, radius) for a, b in zip(roads, after, strict=True)]
@@ -187,7 +189,7 @@ def corners(roads: list[Road], radius: float) -> tuple[list[float], list[np.ndar
 
 
 def _corner(a: Road, b: Road, radius: float) -> Float[np.ndarray, "N 2"]:
-    """The arc of the kerb between two neighbours; no points where there is no corner."""
+    """The arc of the kerb between two neighbouring roads; no points if there is no corner."""
     if gap(a, b) >= _CORNER:
         return np.zeros((0, 2))
     start, end = a.at(LENGTH, a.left), b.at(LENGTH, -b.right)
@@ -203,7 +205,7 @@ def on_level_ground(
     poles: Float[np.ndarray, "P 3"],
     notes: tuple[str, ...],
 ) -> Intersection:
-    """The record of an intersection that lies at z = 0 with its middle at the origin."""
+    """An intersection at z = 0 with its middle at the origin."""
     at = (-LENGTH, 0.0, LENGTH)
     return Intersection(
         name=name,
@@ -228,10 +230,10 @@ def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
 
 
 def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Iterator[Route]:
-    """Every movement from every road to every other, on the lanes meant for it.
+    """Every movement from every road to every other, on the lanes for it.
 
-    Turns are arcs as wide as the mouths allow, but round a corner no wider than keeps the lane
-    at its distance from the kerb.
+    Turns are arcs as wide as the mouths allow. Round a corner they are only so wide that the lane
+    keeps its distance from the kerb.
     """
     for i, a in enumerate(roads):
         for j, k, n in _movements(roads, i):
@@ -251,11 +253,11 @@ def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Itera
 
 
 def _movements(roads: list[Road], i: int) -> list[tuple[int, int, int]]:
-    """(exit arm, entry lane, exit lane) from road i; lanes count from the axis.
+    """(exit arm, entry lane, exit lane) of each movement from road i; lanes count from the axis.
 
-    Right turns keep to the outermost lanes, left turns to the innermost; straight on each
-    lane keeps its place as far as the exit has lanes. A lane that none of this serves goes
-    the straightest way.
+    Right turns use the outermost lanes, left turns the innermost. Going straight on, each lane
+    keeps its number if the exit has that lane. A lane without any of these goes to the
+    straightest exit.
     """
     lanes = roads[i].lanes_in
     exits = [j for j, road in enumerate(roads) if j != i and road.lanes_out]
@@ -282,7 +284,7 @@ def gap(a: Road, b: Road) -> float:
 
 
 def station(left: float) -> float:
-    """How far along its road a line so far from the axis leaves the routes' circle [m]."""
+    """Distance along a road at which a line ``left`` [m] of the axis leaves the routes' circle."""
     return float(np.sqrt(ROUTE_LENGTH**2 - left**2))
 
 

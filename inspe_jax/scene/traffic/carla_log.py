@@ -1,7 +1,7 @@
-"""Traffic as CARLA's recorder wrote it down: its logs, read without a server.
+"""Traffic from logs of CARLA's recorder, which are read without a server.
 
-A log is a run of packets, each an id and a length; those not needed here are passed over. The log
-is in centimetres and CARLA left-handed: both are put right here.
+A log is a sequence of packets, each with an id and a length. Packets that are not needed here are
+skipped. Logs are in centimetres and left-handed; both are converted here.
 """
 
 import functools
@@ -22,9 +22,9 @@ from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames, pac
 
 LOG_SUFFIXES = (".log",)
 LONG = 6.0
-"""A vehicle longer than this [m] is a truck, whatever it is called."""
+"""A vehicle longer than this [m] is a truck, whatever its name."""
 JUMP = 5.0
-"""Who moves farther than this from one recorded frame to the next [m] was set down there."""
+"""An actor that moves farther than this between two recorded frames [m] was teleported."""
 
 _MAGIC = "CARLA_RECORDER"
 _FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
@@ -32,7 +32,7 @@ _VEHICLE, _WALKER = "vehicle.", "walker."
 
 
 class _Reader:
-    """Values one after the other, as CARLA packs them: little-endian, without gaps."""
+    """Reads values one after the other, as CARLA packs them: little-endian, without gaps."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at = data, 0
@@ -44,13 +44,13 @@ class _Reader:
         return values
 
     def text(self) -> str:
-        """A string with its length before it."""
+        """A string, which has its length before it."""
         (length,) = self.take("H")
         self.at += length
         return self.data[self.at - length : self.at].decode()
 
     def rows(self, form: str) -> Iterator[tuple[Any, ...]]:
-        """As many rows of numbers as a count before them says."""
+        """Rows of numbers, which have their count before them."""
         (count,) = self.take("H")
         for _ in range(count):
             yield self.take(form)
@@ -58,7 +58,7 @@ class _Reader:
 
 @dataclass
 class _Moment:
-    """One recorded frame: its time [s], and by actor the position and rotation and the velocity."""
+    """One recorded frame: its time [s], and by actor the pose and the velocity."""
 
     time: float
     where: dict[int, tuple[float, ...]] = field(default_factory=dict)
@@ -67,9 +67,9 @@ class _Moment:
 
 @dataclass(frozen=True, eq=False)
 class RecorderLog:
-    """A log read: the map it is of, its moments in order, and by actor the class and the box.
+    """A log: the name of its map, its moments in order, and by actor the class and the box.
 
-    A box is its offset from the actor and its half sizes, in metres.
+    A box is its offset from the actor and its half sizes [m].
     """
 
     map: str
@@ -84,9 +84,9 @@ class RecorderLog:
 
 
 def load_log(path: Path) -> RecorderLog:
-    """A recorder log, kept for as long as the file stays the same.
+    """A recorder log, cached while the file does not change.
 
-    Raises InspeError where the file is missing, cut short or something else.
+    Raises InspeError if the file is missing, cut short or not a log.
     """
     check_input(path)
     stat = path.stat()
@@ -152,11 +152,11 @@ def _packets(
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
-    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`; None
-    for what is no road user.
+    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`.
 
-    By its blueprint's attributes: two wheels are a cyclist, motorcycles too; trucks and buses say
-    so from 0.9.14 on, before they are known by their length.
+    None if it is not a road user. A vehicle with two wheels is a cyclist, also a motorcycle. From
+    CARLA 0.9.14 on, the blueprint says whether a vehicle is a truck or a bus; before, its length
+    [m] does.
     """
     if name.startswith(_WALKER):
         return CLASSES.index("pedestrian")
@@ -176,13 +176,15 @@ def log_traffic(
     frames: int,
     step: float = 1.0,
 ) -> TrafficFrames:
-    """Traffic as recorded, about an intersection of the map that the log is of.
+    """The recorded traffic at an intersection of the log's own map.
 
-    Up to ``frames`` frames ``step`` seconds apart from the log's beginning, as many as it holds,
-    between the recorded ones on straight lines: of everybody within ``radius`` [m] of the centre.
-    Boxes stand on the intersection's ground; who is above or beneath it, as at spawning, is left
-    out. Raises InspeError where the log cannot be read or is of another map, or nobody comes
-    within the radius.
+    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, or as many as
+    it holds, with all road users within ``radius`` [m] of the centre. Between recorded frames
+    positions are interpolated linearly. Boxes stand on the intersection's ground. Road users above
+    or beneath it, as just after spawning, are left out.
+
+    Raises InspeError if the log cannot be read or is of another map, or if nobody comes within the
+    radius.
     """
     log = load_log(path)
     town = intersection.map.name.split(".")[0] if intersection.map else None
@@ -205,8 +207,10 @@ def log_traffic(
 
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
-    """Everybody at a time between two moments; who is in one of them only, or was set down
-    elsewhere in the next, as in the nearer."""
+    """All actors at a time between two moments.
+
+    An actor that is in one moment only, or was teleported, is as in the nearer moment.
+    """
     after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1)) if len(times) > 1 else 0
     one, two = log.moments[max(after - 1, 0)], log.moments[after]
     share = (time - one.time) / max(two.time - one.time, 1e-9)

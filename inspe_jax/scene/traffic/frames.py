@@ -1,4 +1,4 @@
-"""Traffic as frames of oriented prisms, whatever made them: classes, mixes and densities."""
+"""Traffic as frames of oriented prisms, with road-user classes, mixes and densities."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,16 +9,32 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.scene.traffic.waypoint.model import RoadUser
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
 
 MOST_FRAMES = 10_000
-"""More frames than this are taken for a slip."""
+"""More frames than this are taken for a mistake."""
 
 CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
+
+
+@dataclass(frozen=True)
+class RoadUser:
+    """One class: mean ``size`` (length, width, height) [m] and how it moves [m/s, m/s²].
+
+    ``path`` is one of :data:`~inspe_jax.scene.traffic.waypoint.paths.PATH_USERS`; ``gap`` [m]
+    is kept ahead at a standstill.
+    """
+
+    name: str
+    path: str
+    size: tuple[float, float, float]
+    top_speed: float
+    acceleration: float
+    gap: float
+
 
 ROAD_USERS: tuple[RoadUser, ...] = (
     RoadUser("car", "vehicle", (4.6, 1.85, 1.55), top_speed=10, acceleration=2.0, gap=1.5),
@@ -33,8 +49,8 @@ ROAD_USERS: tuple[RoadUser, ...] = (
 class Mix:
     """Who is on the road: the share of each of :data:`CLASSES`, and how much sizes vary.
 
-    Length, width and height are each normal about the class mean with standard
-    deviation ``spread``·mean, cut at two of them.
+    Length, width and height are each normal about the class mean, with standard
+    deviation ``spread``·mean, within two standard deviations.
     """
 
     shares: tuple[float, ...]
@@ -45,7 +61,7 @@ MIXES: dict[str, Mix] = {
     "mixed": Mix(shares=(0.68, 0.10, 0.10, 0.12), spread=0.06),
     "largest": Mix(shares=(0.0, 1.0, 0.0, 0.0), spread=0.0),
 }
-"""Traffic mixes by name; ``largest`` is the paper's, every box the largest vehicle."""
+"""Traffic mixes by name. ``largest`` is the paper's: every box is the largest vehicle."""
 
 
 @jax.tree_util.register_dataclass
@@ -55,8 +71,8 @@ class TrafficFrames:
 
     ``center`` is at mid-height; ``yaw`` in radians; ``size`` is length, width,
     height; ``kind`` indexes :data:`CLASSES`. Entries with ``valid`` false are
-    padding. Entry b of one frame need not be entry b of the next: who is the
-    same has the same number in ``track``, −1 in padding. ``velocity`` in m/s;
+    padding. Entry b of one frame need not be entry b of the next: a road user
+    keeps its number in ``track``, which is −1 in padding. ``velocity`` in m/s;
     ``time`` of each frame in seconds, from the first.
     """
 
@@ -81,7 +97,7 @@ class TrafficFrames:
 
 
 class Snapshot(NamedTuple):
-    """One frame of n road users, in the words of :class:`TrafficFrames`."""
+    """One frame of n road users, with the fields of :class:`TrafficFrames`."""
 
     center: Float[np.ndarray, "n 3"]
     yaw: Float[np.ndarray, " n"]
@@ -91,14 +107,14 @@ class Snapshot(NamedTuple):
     velocity: Float[np.ndarray, "n 3"]
 
     def within(self, middle: Float[np.ndarray, "3"], radius: float) -> "Snapshot":
-        """Those whose centre lies within ``radius`` [m] of the middle, in plan."""
+        """The road users whose centre lies within ``radius`` [m] of the middle, in plan."""
         away = self.center[:, :2] - np.asarray(middle)[:2]
         near = away[:, 0] ** 2 + away[:, 1] ** 2 <= radius**2
         return Snapshot(*(part[near] for part in self))
 
 
 def pack_frames(seen: Sequence[Snapshot], step: float) -> TrafficFrames:
-    """Frames of unequal number ``step`` seconds apart, padded at the end to the fullest."""
+    """Snapshots ``step`` seconds apart as frames, each padded to the one with most road users."""
     shape = (len(seen), max(len(frame.kind) for frame in seen))
     padding: dict[str, np.ndarray] = {
         "center": np.zeros((*shape, 3)),
@@ -117,9 +133,9 @@ def pack_frames(seen: Sequence[Snapshot], step: float) -> TrafficFrames:
 
 
 def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
-    """How many of ``count`` are of each class, by largest remainder, among those that ``may`` be.
+    """How many of ``count`` road users are of each class, by the largest remainder.
 
-    All 0 where none of the mix may.
+    Only classes that ``may`` be there get any; all are 0 if no class of the mix may.
     """
     share = np.where(may, mix.shares, 0.0)
     if not share.any():
@@ -134,7 +150,7 @@ def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
 def check_traffic(
     *, radius: float, count: int, frames: int, mix: str, step: float, seed: int
 ) -> None:
-    """Raise InspeError where a value is out of range, or the mix is unknown."""
+    """Raise InspeError if a value is out of range or the mix is unknown."""
     if mix not in MIXES:
         raise InspeError(f"traffic mix '{mix}': one of {', '.join(MIXES)}{nearest(mix, [*MIXES])}")
     for name, value, least in (("count", count, 0), ("frames", frames, 1), ("seed", seed, 0)):

@@ -40,7 +40,7 @@ from inspe_jax.simulation.carla.server import OURS, CarlaSession, failing_plainl
 from inspe_jax.simulation.carla.traffic import Actors
 from inspe_jax.simulation.embedded.lidar import apply_noise
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
-from inspe_jax.simulation.recorder import Recording, Server, stations_of
+from inspe_jax.simulation.recorder import Recording, Server, recordable, stations_of
 
 SETTLE = 1.0
 """The world goes on for so long before the first frame [s]: cameras find their exposure."""
@@ -126,11 +126,12 @@ class CarlaRecorder:
     def _ears(self, s: int) -> dict[str, SensorQueue]:
         """CARLA's sensors that one of the layout stands for, by what they bring."""
         sensor, cords = self.layout.sensors[s], to_carla(self.poses[s])
-        if isinstance(sensor.spec, CameraSpec):
-            attributes = camera_attributes(sensor.spec, self.recording.image_scale)
+        spec = recordable(sensor.spec)
+        if isinstance(spec, CameraSpec):
+            attributes = camera_attributes(spec, self.recording.image_scale)
             names = {kind: PICTURES[kind] for kind in self.pictures}
         else:
-            attributes = lidar_attributes(sensor.spec, self.recording.rate)
+            attributes = lidar_attributes(spec, self.recording.rate)
             names = {"points": LIDAR}
         ears, unit = {}, self.layout.units[sensor.unit].name
         for kind, name in names.items():

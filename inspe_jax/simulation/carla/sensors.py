@@ -92,7 +92,10 @@ def notes_of(layout: Layout) -> tuple[str, ...]:
                     f"{spec.name}: CARLA's channels are evenly spaced: {len(table)} from {low:g}° "
                     f"to {high:g}°, up to {np.degrees(off):.1f}° off the device's own"
                 )
-        elif np.abs(np.subtract(spec.principal, (spec.width / 2, spec.height / 2))).max() > 1:
+        elif (
+            isinstance(spec, CameraSpec)
+            and np.abs(np.subtract(spec.principal, (spec.width / 2, spec.height / 2))).max() > 1
+        ):
             notes.append(
                 f"{spec.name}: CARLA's principal point is the middle of the picture, not "
                 f"({spec.principal[0]:g}, {spec.principal[1]:g})"

@@ -13,7 +13,7 @@ from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import build_static_world
 from inspe_jax.simulation.frame import Frame, Image, Scan
-from inspe_jax.simulation.recorder import Recording, stations_of
+from inspe_jax.simulation.recorder import Recording, recordable, stations_of
 
 BELOW = 2.5
 """A mast ends so far beneath its unit's lowest sensor [m], out of the sensors' sight."""
@@ -36,6 +36,7 @@ class EmbeddedRecorder:
         self.recording.check()
         self.scene, self.seed = scene, seed
         layout = conditions.layout(layout)
+        specs = [recordable(sensor.spec) for sensor in layout.sensors]
         poses = np.asarray(layout.poses, float)
         self.layout = layout
         self.statics = build_static_world(
@@ -45,10 +46,10 @@ class EmbeddedRecorder:
         shading = Shading(conditions, self.statics.poles - self.statics.center)
         scale = self.recording.image_scale
         self.sensors: list[Camera | Lidar] = [
-            Camera(sensor.spec, pose, self.statics, self.still, shading, scale)
-            if isinstance(sensor.spec, CameraSpec)
-            else Lidar(sensor.spec, pose, self.statics, self.still)
-            for sensor, pose in zip(layout.sensors, poses, strict=True)
+            Camera(spec, pose, self.statics, self.still, shading, scale)
+            if isinstance(spec, CameraSpec)
+            else Lidar(spec, pose, self.statics, self.still)
+            for spec, pose in zip(specs, poses, strict=True)
         ]
 
     def frame(self, t: int) -> Frame:

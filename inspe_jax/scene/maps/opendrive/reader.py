@@ -1,4 +1,4 @@
-"""OpenDRIVE maps into intersections, through the CARLA client's ``carla.Map`` (needs no server)."""
+"""Reads OpenDRIVE maps with the CARLA client's ``carla.Map``, which needs no server."""
 
 import os
 from collections.abc import Iterator
@@ -13,52 +13,52 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Leg, arms_of
-from inspe_jax.scene.maps.lane_strips import Strip, same_level
-from inspe_jax.scene.maps.opendrive.regions import areas_of, interior_of, legs_of
+from inspe_jax.scene.lines import resampled
+from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Approach, arms_of
+from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
+from inspe_jax.scene.maps.opendrive.regions import approaches_of, areas_of, interior_of
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
     TownMap,
     heading_of,
+    lane_strips_near,
     load_map,
     position,
-    strips_near,
 )
 from inspe_jax.scene.maps.parts import (
     MARGIN,
     STEP,
     JunctionInfo,
     check_radius,
-    chosen,
     clean,
     crossing_lines,
     crosswalks_of,
     distance_from,
     joined_lines,
+    junctions_at,
     mounting_of,
-    resample,
     walking_routes,
 )
 from inspe_jax.scene.regions import Region
 
 APRON = 25.0
-"""Lanes are followed this much beyond what is kept, so that nothing at the rim is left open [m]."""
+"""Lanes are read this much farther than they are kept, so that no lane ends inside the rim [m]."""
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     """The junctions of an OpenDRIVE file, by id. Raises InspeError as :func:`read_opendrive`."""
-    world = load_map(path)
+    town = load_map(path)
     found = []
-    for junction in world.junctions:
-        center, size = world.box(junction)
-        arms, _ = arms_of(legs_of(world, {junction}))
+    for junction in town.junctions:
+        center, size = town.box(junction)
+        arms, _ = arms_of(approaches_of(town, {junction}))
 
         def near(points: np.ndarray, beyond: float, c: np.ndarray = center, s: float = size) -> int:
             return int((np.hypot(*(points[:, :2] - c[:2]).T) < s / 2 + beyond).sum())
 
-        middles = np.array([loop.mean(0) for loop in world.crosswalks]).reshape(-1, 3)
+        middles = np.array([loop.mean(0) for loop in town.crosswalks]).reshape(-1, 3)
         x, y, z = (float(v) for v in center)
-        counts = near(middles, 8.0), near(world.signals, 15.0)
+        counts = near(middles, 8.0), near(town.signals, 15.0)
         found.append(JunctionInfo(junction, (x, y, z), len(arms), size, *counts))
     return tuple(found)
 
@@ -73,46 +73,48 @@ def read_opendrive(
     """One junction of an OpenDRIVE file and its surroundings, in world metres (ENU).
 
     Give ``junction``, an id of the file, or ``center`` (x, y) [m] for a place that is not one
-    OpenDRIVE junction, as a roundabout: all junctions within 35 m of it then count as one. Lanes
-    are read to ``radius`` + 10 m; routes run from ``radius`` to ``radius``. Roads on another
-    level are left out. Raises InspeError where the CARLA client is missing, the file is missing
-    or is not well-formed OpenDRIVE, the junction is unknown, or no road is near.
+    OpenDRIVE junction, as a roundabout. With ``center``, all junctions within 35 m of it count as
+    one. Lanes are read to ``radius`` + 10 m. Routes begin and end at ``radius``. Roads on another
+    level are left out.
+
+    Raises InspeError if the CARLA client or the file is missing, if the file is not well-formed
+    OpenDRIVE, or if it has no such junction or no road near.
     """
-    world = load_map(path)
-    members, middle, place = chosen(
-        world.source, world.junctions, lambda j: world.box(j)[0], junction, center
+    town = load_map(path)
+    members, middle, place = junctions_at(
+        town.source, town.junctions, lambda j: town.box(j)[0], junction, center
     )
     check_radius(radius)
-    interior = interior_of(world, members)
+    interior = interior_of(town, members)
     reach = radius + MARGIN
-    strips = strips_near(world, middle, reach + APRON)
-    core = [s.junction in members or s.road in interior for s in strips]
-    strips = same_level(strips, core)
-    if not strips:
+    lane_strips = lane_strips_near(town, middle, reach + APRON)
+    core = [s.junction in members or s.road in interior for s in lane_strips]
+    lane_strips = same_level(lane_strips, core)
+    if not lane_strips:
         raise InspeError(
-            f"{world.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
+            f"{town.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
         )
-    legs = legs_of(world, members)
-    arms, arm_of = arms_of(legs)
+    approaches = approaches_of(town, members)
+    arms, arm_of = arms_of(approaches)
     notes: list[str] = []
 
-    areas = areas_of(world, strips, members, interior, notes)
-    ground = np.concatenate([s.center for s in strips])
+    areas = areas_of(town, lane_strips, members, interior, notes)
+    ground = np.concatenate([s.center for s in lane_strips])
     ground = ground[distance_from(ground, middle) <= reach + 5.0]
     disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-    walks = crosswalks_of(world.crosswalks, areas, arms, ground, disc, notes)
+    walks = crosswalks_of(town.crosswalks, areas, arms, ground, disc, notes)
     areas[Region.CROSSWALK] = clean(unary_union(walks))
     regions = {region: areas[region].intersection(disc) for region in Region}
 
-    medians = [s.polygon for s in strips if s.kind == "median"]
+    medians = [s.polygon for s in lane_strips if s.kind == "median"]
     mounting = mounting_of(regions, medians, arms, disc)
 
-    signals = world.signals[distance_from(world.signals, middle) <= reach]
+    signals = town.signals[distance_from(town.signals, middle) <= reach]
     if not len(signals):
         notes.append("no signal poles: the map has no traffic lights near")
     found = Intersection(
-        name=f"{world.name} {place}",
-        source=f"{world.source} (OpenDRIVE)",
+        name=f"{town.name} {place}",
+        source=f"{town.source} (OpenDRIVE)",
         center=middle,
         regions=regions,
         arms=arms,
@@ -124,57 +126,59 @@ def read_opendrive(
         map=Path(path).resolve(),
     )
 
-    people = [*crossing_lines(walks), *_pavements(strips, middle, radius)]
+    people = [*crossing_lines(walks), *_pavements(lane_strips, middle, radius)]
     routes = [
-        *_vehicle_routes(world, legs, arm_of, members, interior, middle, radius),
+        *_vehicle_routes(town, approaches, arm_of, members, interior, middle, radius),
         *walking_routes(found, people),
     ]
-    # Signals hang on poles or are sunk in the map: their feet stand on the ground, as the centre.
+    # Signals are at the height of their lights, or below ground; the poles' feet are on the ground.
     poles = found.on_ground(signals) if len(signals) else signals
     foot = found.on_ground(middle[None])[0]
     return replace(found, center=foot, poles=poles, routes=tuple(routes))
 
 
 def _vehicle_routes(
-    world: TownMap,
-    legs: list[Leg],
+    town: TownMap,
+    approaches: list[Approach],
     arm_of: dict[tuple[int, str], int],
     members: set[int],
     interior: set[int],
     middle: np.ndarray,
     radius: float,
 ) -> Iterator[Route]:
-    """Every way from an inbound lane to another arm, from radius to radius; no U-turns."""
-    inside = {r.id for r in world.roads.values() if r.junction in members} | interior
+    """Every path from an inbound lane to another arm, from radius to radius; no U-turns."""
+    inside = {r.id for r in town.roads.values() if r.junction in members} | interior
 
-    # By position, not by road: a step may leap over a road that is a stub.
-    cuts = [LineString([leg.point(k) for k in leg.kerbs]) for leg in legs]
+    # By position, not by road, because a step may skip a road that is a stub.
+    cuts = [LineString([approach.point(k) for k in approach.kerbs]) for approach in approaches]
 
     def leads_to(waypoint: Any) -> int:
-        """The arm at whose cut a waypoint is; −1 if at none."""
+        """The arm at whose mouth a waypoint is; −1 if it is at none."""
         away = shapely.distance(cuts, Point(position(waypoint.transform.location)[:2]))
-        best = legs[int(np.argmin(away))]
+        best = approaches[int(np.argmin(away))]
         return arm_of[best.road, best.end] if away.min() < 2 * STEP else -1
 
-    for leg in legs:
-        length = world.roads[leg.road].length
-        for lane, kind, _, _, inbound in leg.lanes:
+    for approach in approaches:
+        length = town.roads[approach.road].length
+        for lane, kind, _, _, inbound in approach.lanes:
             if kind not in TRAVEL or not inbound:
                 continue
-            mouth = world.at(leg.road, lane, INSET if leg.end == "start" else length - INSET)
+            mouth = town.at(
+                approach.road, lane, INSET if approach.end == "start" else length - INSET
+            )
             upstream = _follow(mouth, "previous", middle, radius)[::-1]
-            for path in _ways(mouth, inside):
+            for path in _lane_paths(mouth, inside):
                 last = path[-1]
-                entry_arm, exit_arm = arm_of[leg.road, leg.end], leads_to(last)
+                entry_arm, exit_arm = arm_of[approach.road, approach.end], leads_to(last)
                 if exit_arm in (entry_arm, -1):
                     continue
                 line = [*upstream, *path, *_follow(last, "next", middle, radius)]
-                points = resample(np.array([position(w.transform.location) for w in line]))
+                points = resampled(np.array([position(w.transform.location) for w in line]))
                 yield Route(points, mouth.lane_width, "vehicle", (entry_arm, exit_arm))
 
 
-def _ways(mouth: Any, inside: set[int]) -> Iterator[list[Any]]:
-    """All lane paths from a mouth through the junction to the first station beyond it."""
+def _lane_paths(mouth: Any, inside: set[int]) -> Iterator[list[Any]]:
+    """All paths of waypoints from a mouth through the junction to the first one beyond it."""
     stack = [([mouth], frozenset[tuple[int, int]]())]
     while stack:
         path, seen = stack.pop()
@@ -184,36 +188,39 @@ def _ways(mouth: Any, inside: set[int]) -> Iterator[list[Any]]:
             if step.road_id not in inside:
                 if here.road_id in inside:
                     yield [*path, step]
-                elif len(path) < 5:  # still on the leg
+                elif len(path) < 5:  # still on the approach
                     stack.append(([*path, step], seen))
             elif lane == (here.road_id, here.lane_id):
                 stack.append(([*path, step], seen))
-            elif lane not in seen:  # round a roundabout once
+            elif lane not in seen:  # at most once round a roundabout
                 stack.append(([*path, step], seen | {lane}))
 
 
-def _follow(start: Any, way: str, middle: np.ndarray, radius: float) -> list[Any]:
-    """Waypoints from a lane onward ('next') or back ('previous') to the radius, forks straight on.
+def _follow(start: Any, direction: str, middle: np.ndarray, radius: float) -> list[Any]:
+    """Waypoints from a lane onward (``direction`` 'next') or back ('previous') to the radius.
 
-    Ends early where the lane does, or after four radii on a road that winds.
+    At a fork the straightest lane is taken. The line ends early if the lane ends, or after four
+    radii on a winding road.
     """
     line: list[Any] = []
     here = start
     for _ in range(int(4 * radius / STEP)):
-        options = getattr(here, way)(STEP)
+        options = getattr(here, direction)(STEP)
         if (
             not options
             or distance_from(position(here.transform.location)[None], middle)[0] > radius
         ):
             break
-        direction = heading_of(here)
-        here = max(options, key=lambda w: float(heading_of(w) @ direction))
+        heading = heading_of(here)
+        here = max(options, key=lambda w: float(heading_of(w) @ heading))
         line.append(here)
     return line
 
 
-def _pavements(strips: list[Strip], middle: np.ndarray, radius: float) -> Iterator[np.ndarray]:
-    """The middle lines of sidewalks (N, 2), joined where one goes on from another; 5 m or more."""
-    walks = [s for s in strips if s.kind in SIDEWALK]
+def _pavements(
+    lane_strips: list[LaneStrip], middle: np.ndarray, radius: float
+) -> Iterator[np.ndarray]:
+    """The middle lines of sidewalks (N, 2), joined where one continues another; 5 m or longer."""
+    walks = [s for s in lane_strips if s.kind in SIDEWALK]
     near = [run for s in walks for run in s.runs(distance_from(s.center, middle) <= radius)]
     return joined_lines([s.center[:, :2] for s in near])

@@ -1,4 +1,4 @@
-"""Where the roads of an OpenDRIVE map meet: legs and the five regions."""
+"""A junction of an OpenDRIVE map: its approaches and the five regions."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,8 +9,8 @@ from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Leg
-from inspe_jax.scene.maps.lane_strips import Strip
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach
+from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
     OpenDriveRoad,
@@ -25,71 +25,71 @@ ISLAND = 3.0
 """A gap between a junction's lanes is paved unless a circle of this radius fits in it [m]."""
 
 
-def interior_of(world: TownMap, members: set[int]) -> set[int]:
-    """Short chains of roads from one member junction to another, as the ring of a roundabout."""
+def interior_of(town: TownMap, members: set[int]) -> set[int]:
+    """Roads of short chains from one member junction to another, as the ring of a roundabout."""
     found: set[int] = set()
-    for first in world.roads.values():
+    for first in town.roads.values():
         chain, ends, todo = set[int](), set[int](), [first.id]
         while todo and first.junction == -1 and len(members) > 1:
-            road = world.roads[todo.pop()]
+            road = town.roads[todo.pop()]
             chain.add(road.id)
             ends |= {link[1] for link in road.links.values() if link[0] == "junction"}
             following = {link[1] for link in road.links.values() if link[0] == "road"}
-            todo += following & world.roads.keys() - chain
-        length = sum(world.roads[road].length for road in chain)
+            todo += following & town.roads.keys() - chain
+        length = sum(town.roads[road].length for road in chain)
         if len(ends) > 1 and ends <= members and length <= 2 * CLUSTER:
             found |= chain
     return found
 
 
-def legs_of(world: TownMap, members: set[int]) -> list[Leg]:
-    """The road ends that the members' connecting roads lead from and to."""
-    inside = interior_of(world, members)
+def approaches_of(town: TownMap, members: set[int]) -> list[Approach]:
+    """The approaches: ends of the roads that the members' connecting roads lead from and to."""
+    inside = interior_of(town, members)
     touched = {
-        _beyond(world, link[1], link[2])
-        for road in world.roads.values()
+        _beyond(town, link[1], link[2])
+        for road in town.roads.values()
         if road.junction in members
         for link in road.links.values()
-        if link[0] == "road" and link[1] in world.roads and link[1] not in inside
-        if world.roads[link[1]].junction not in members
+        if link[0] == "road" and link[1] in town.roads and link[1] not in inside
+        if town.roads[link[1]].junction not in members
     }
-    legs = [_leg(world, world.roads[road], end) for road, end in sorted(touched)]
-    return [leg for leg in legs if leg is not None]
+    approaches = [_approach(town, town.roads[road], end) for road, end in sorted(touched)]
+    return [approach for approach in approaches if approach is not None]
 
 
-def _beyond(world: TownMap, road: int, end: str) -> tuple[int, str]:
-    """The road end itself, or the next where the road is a stub: maps have some of 0.01 mm."""
-    here, other = world.roads[road], "end" if end == "start" else "start"
+def _beyond(town: TownMap, road: int, end: str) -> tuple[int, str]:
+    """The road end itself; if the road is a stub, the next end. Maps have stubs of 0.01 mm."""
+    here, other = town.roads[road], "end" if end == "start" else "start"
     kind, following, contact = here.links.get(other, ("", -1, ""))
-    if here.length < 1.0 and kind == "road" and following in world.roads:
+    if here.length < 1.0 and kind == "road" and following in town.roads:
         return following, contact
     return road, end
 
 
-def _leg(world: TownMap, road: OpenDriveRoad, end: str) -> Leg | None:
+def _approach(town: TownMap, road: OpenDriveRoad, end: str) -> Approach | None:
     away = 1 if end == "start" else -1
     at = INSET if end == "start" else road.length - INSET
-    here = _cut(world, road, at, away)
-    there = _cut(world, road, at + away * min(15.0, road.length - 2 * INSET), away)
+    here = _cut(town, road, at, away)
+    there = _cut(town, road, at + away * min(15.0, road.length - 2 * INSET), away)
     if here is None or there is None:
         return None
     chord = there.point(sum(there.kerbs) / 2) - here.point(sum(here.kerbs) / 2)
     return replace(here, end=end, bearing=float(np.arctan2(chord[1], chord[0])))
 
 
-def _cut(world: TownMap, road: OpenDriveRoad, s: float, away: int) -> Leg | None:
+def _cut(town: TownMap, road: OpenDriveRoad, s: float, away: int) -> Approach | None:
     """A road's cross-section at s, looking along it (away = +1) or back (−1)."""
     lanes = next((lanes for a, b, lanes in road.sections if a <= s <= b), {})
-    found = [(lane, kind, world.at(road.id, lane, s)) for lane, kind in lanes.items()]
+    found = [(lane, kind, town.at(road.id, lane, s)) for lane, kind in lanes.items()]
     found = [x for x in found if x[2] is not None and x[2].lane_width > 0.05]
     carriageway = [x for x in found if x[1] in CARRIAGEWAY]
     if not carriageway:
         return None
-    lane, _, guide = min(carriageway, key=lambda x: abs(x[0]))  # inmost: it tapers least
+    lane, _, guide = min(carriageway, key=lambda x: abs(x[0]))  # the innermost tapers least
     origin = position(guide.transform.location)[:2]
     # CARLA's headings follow traffic; the road's own direction is that of growing s.
     step = min(0.5, road.length / 4) * (1 if s < road.length / 2 else -1)
-    ahead = position(world.at(road.id, lane, s + step).transform.location)[:2]
+    ahead = position(town.at(road.id, lane, s + step).transform.location)[:2]
     forward = heading_of(guide)
     if forward @ (ahead - origin) * away * step < 0:
         forward = -forward
@@ -101,28 +101,32 @@ def _cut(world: TownMap, road: OpenDriveRoad, s: float, away: int) -> Leg | None
         half = waypoint.lane_width / 2
         cut.append((lane, kind, offset - half, offset + half, inbound))
     heading = float(np.arctan2(forward[1], forward[0]))
-    return Leg(road.id, "", origin, heading, heading, tuple(cut))
+    return Approach(road.id, "", origin, heading, heading, tuple(cut))
 
 
 def areas_of(
-    world: TownMap, strips: list[Strip], members: set[int], interior: set[int], notes: list[str]
+    town: TownMap,
+    lane_strips: list[LaneStrip],
+    members: set[int],
+    interior: set[int],
+    notes: list[str],
 ) -> dict[Region, BaseGeometry]:
-    """Driveway, junction, sidewalk and shoulder, one beside the other."""
+    """Driveway, junction, sidewalk and shoulder, which do not overlap."""
     parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
     drawn = False
-    for number in sorted({s.junction for s in strips} - {-1}):
-        own = [s for s in strips if s.junction == number]
-        legs = legs_of(world, {number})
+    for number in sorted({s.junction for s in lane_strips} - {-1}):
+        own = [s for s in lane_strips if s.junction == number]
+        approaches = approaches_of(town, {number})
         corners: dict[Region, list[Polygon]] = {}
         if not any(s.kind in SHOULDER | SIDEWALK for s in own):
-            corners[Region.SHOULDER] = list(_corners(legs, SHOULDER))
-            corners[Region.SIDEWALK] = list(_corners(legs, SIDEWALK))
+            corners[Region.SHOULDER] = list(_corners(approaches, SHOULDER))
+            corners[Region.SIDEWALK] = list(_corners(approaches, SIDEWALK))
             drawn |= number in members and any(corners.values())
         for region, shapes in corners.items():
             parts[region] += shapes
-        paved = _paved(own, legs, [c for shapes in corners.values() for c in shapes])
+        paved = _paved(own, approaches, [c for shapes in corners.values() for c in shapes])
         parts[Region.JUNCTION if number in members else Region.DRIVEWAY].append(paved)
-    for strip in strips:
+    for strip in lane_strips:
         if strip.kind in CARRIAGEWAY and strip.junction == -1:
             region = Region.JUNCTION if strip.road in interior else Region.DRIVEWAY
         elif strip.kind in SHOULDER:
@@ -145,45 +149,49 @@ def areas_of(
     return areas
 
 
-def _paved(own: list[Strip], legs: list[Leg], corners: list[BaseGeometry]) -> BaseGeometry:
-    """The carriageway of one junction: its lanes and the pockets between them and the kerbs."""
+def _paved(
+    own: list[LaneStrip], approaches: list[Approach], corners: list[BaseGeometry]
+) -> BaseGeometry:
+    """The carriageway of one junction: its lanes and the gaps between them and the kerbs."""
     lanes = [s.polygon for s in own if s.kind in CARRIAGEWAY]
-    # A line from kerb to kerb closes the gaps that medians leave at the mouths; across the whole
-    # road it closes those beside the kerbs.
-    mouths = [LineString([g.point(k) for k in g.kerbs]).buffer(0.02) for g in legs]
-    walls = [LineString([g.point(k) for k in g.edges]).buffer(0.02) for g in legs]
+    # A line from kerb to kerb closes the gaps that medians leave at the mouths. A line across the
+    # whole road closes the gaps beside the kerbs.
+    mouths = [LineString([g.point(k) for k in g.kerbs]).buffer(0.02) for g in approaches]
+    walls = [LineString([g.point(k) for k in g.edges]).buffer(0.02) for g in approaches]
     walls += [s.polygon for s in own if s.kind not in CARRIAGEWAY]
     everything = unary_union([*lanes, *mouths, *walls, *corners]).buffer(0.05)
     surface = unary_union([*lanes, *mouths, *_pockets(everything)])
     surface = surface.buffer(0.5).buffer(-0.5)
     surface = unary_union([surface, *_pockets(surface)])
-    # The lines have done their work: take away what of them still lies across a median.
+    # Remove what is left of those lines across a median.
     return surface.buffer(-0.15, join_style="mitre").buffer(0.15, join_style="mitre")
 
 
 def _pockets(shape: BaseGeometry) -> list[Polygon]:
-    """The holes of a shape that are too narrow for an island."""
+    """The holes of a shape in which no circle of radius :data:`ISLAND` fits."""
     holes = [Polygon(ring) for part in shapely.get_parts(shape) for ring in part.interiors]
     return [hole.buffer(0.1) for hole in holes if hole.buffer(-ISLAND).is_empty]
 
 
-def _corners(legs: list[Leg], kinds: set[str]) -> Iterator[Polygon]:
-    """Strips that round the corners between neighbouring legs, where both have such lanes."""
-    if len(legs) < 2:
+def _corners(approaches: list[Approach], kinds: set[str]) -> Iterator[Polygon]:
+    """Areas round the corners between neighbouring approaches that both have such lanes."""
+    if len(approaches) < 2:
         return
-    mouths = np.array([leg.point(sum(leg.kerbs) / 2) for leg in legs])
+    mouths = np.array([approach.point(sum(approach.kerbs) / 2) for approach in approaches])
     spokes = mouths - mouths.mean(0)
     order = np.argsort(np.arctan2(spokes[:, 1], spokes[:, 0]))
     for i, j in zip(order, np.roll(order, -1), strict=True):
-        a, b = legs[i].strip(kinds, +1), legs[j].strip(kinds, -1)
+        a, b = approaches[i].lane_range(kinds, +1), approaches[j].lane_range(kinds, -1)
         if a is None or b is None:
             continue
-        inner, outer = (_bend(legs[i], s, legs[j], t) for s, t in zip(a, b, strict=True))
+        inner, outer = (
+            _bend(approaches[i], s, approaches[j], t) for s, t in zip(a, b, strict=True)
+        )
         yield valid(Polygon(np.concatenate([inner, outer[::-1]])))
 
 
-def _bend(a: Leg, s: float, b: Leg, t: float) -> np.ndarray:
-    """A curve (N, 2) that leaves one leg and enters another along them; straight if it cannot."""
+def _bend(a: Approach, s: float, b: Approach, t: float) -> np.ndarray:
+    """A curve (N, 2) from one approach to another, tangent to both; straight if there is none."""
     start, end = a.point(s), b.point(t)
     inward = -np.array([[np.cos(g.outward), np.sin(g.outward)] for g in (a, b)])
     u = np.linspace(0, 1, 13)[:, None]

@@ -1,7 +1,7 @@
-"""An OpenDRIVE map and its lanes: what the XML says, and where CARLA says it runs.
+"""An OpenDRIVE map: roads and links from its XML, and the course of its lanes from CARLA.
 
-CARLA is left-handed: ``position`` flips its y and ``heading_of`` its yaw, as everything does in
-:mod:`inspe_jax.core.carla_frame`.
+CARLA is left-handed. ``position`` flips its y and ``heading_of`` its yaw, as
+:mod:`inspe_jax.core.carla_frame` explains.
 """
 
 import functools
@@ -18,18 +18,18 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
-from inspe_jax.scene.maps.lane_strips import Strip
+from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.parts import STEP, distance_from
 
 TRAFFIC_LIGHT = "1000001"
 
 INSET = 1e-3
-"""CARLA answers at a lane's very end with the next lane; stay this much inside [m]."""
+"""At the very end of a lane CARLA gives the next lane, so queries stay this much inside [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpenDriveRoad:
-    """A road as its XML says: where it starts piecewise, its lanes by section, its links."""
+    """A road of the XML: the start of each piece, its lanes by section, and its links."""
 
     id: int
     junction: int  # −1 outside junctions
@@ -39,25 +39,26 @@ class OpenDriveRoad:
     links: dict[str, tuple[str, int, str]]  # 'start'/'end' → ('road'/'junction', id, contact)
 
     def near(self, middle: np.ndarray, reach: float) -> bool:
-        """Whether some piece can come within reach: none strays farther than its length."""
+        """Whether a piece may come within reach: it is nowhere farther from its start than its
+        length."""
         away = distance_from(self.pieces, middle)
         return bool((away <= reach + self.pieces[:, 2] + 20.0).any())  # 20 m: half a wide road
 
 
 @dataclass(frozen=True, eq=False)
 class TownMap:
-    """A map read: CARLA's, and what its XML adds. Positions are world metres (ENU)."""
+    """A map: CARLA's, and what its XML adds. Positions are world metres (ENU)."""
 
     name: str
     source: str
     carla: Any
     roads: dict[int, OpenDriveRoad]
     junctions: tuple[int, ...]
-    crosswalks: tuple[np.ndarray, ...]  # loops, each (K, 3)
+    crosswalks: tuple[np.ndarray, ...]  # outlines, each (K, 3)
     signals: Float[np.ndarray, "P 3"]
 
     def at(self, road: int, lane: int, s: float) -> Any:
-        """CARLA's waypoint in the middle of a lane, s metres along the road; None off its ends."""
+        """CARLA's waypoint in the middle of a lane, s [m] along the road; None beyond its ends."""
         return self.carla.get_waypoint_xodr(road, lane, s)
 
     def box(self, junction: int) -> tuple[np.ndarray, float]:
@@ -78,7 +79,10 @@ def position(location: Any) -> np.ndarray:
 
 
 def load_map(path: str | os.PathLike[str]) -> TownMap:
-    """The map of a file, kept for as long as the file stays the same. Raises InspeError."""
+    """The map of a file, cached while the file does not change.
+
+    Raises InspeError if the CARLA client or the file is missing, or if it is not OpenDRIVE.
+    """
     path = Path(path)
     check_input(path)
     stat = path.stat()
@@ -87,13 +91,12 @@ def load_map(path: str | os.PathLike[str]) -> TownMap:
 
 @functools.lru_cache(maxsize=8)
 def _read(path: Path, _where: Path, _modified: int, _size: int) -> TownMap:
-    """Read a file once for as long as it stays the same."""
     text = path.read_bytes().decode("utf-8-sig", "replace")
     root = _root(path, text)
     try:
         roads = {r.id: r for r in map(_road, root.iter("road"))}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InspeError(f"{path}: not OpenDRIVE: a road lacks or misstates {error}") from error
+        raise InspeError(f"{path}: not OpenDRIVE: missing or wrong in a road: {error}") from error
     junctions = sorted({r.junction for r in roads.values()} - {-1})
     if not roads:
         raise InspeError(f"{path}: the map has no roads")
@@ -118,7 +121,7 @@ def _read(path: Path, _where: Path, _modified: int, _size: int) -> TownMap:
 
 
 def _root(path: Path, text: str) -> ET.Element:
-    """The XML, checked first: CARLA reads on past what it does not understand, or aborts."""
+    """The root of the XML, which is checked here: CARLA skips what it does not know, or aborts."""
     try:
         root = ET.fromstring(text.encode())
     except ET.ParseError as error:
@@ -128,7 +131,7 @@ def _root(path: Path, text: str) -> ET.Element:
             f"({str(error).split(':')[0]})"
         ) from error
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]  # namespaces say nothing here
+        element.tag = element.tag.rpartition("}")[2]  # without its namespace
     if root.tag != "OpenDRIVE":
         raise InspeError(
             f"{path}: not OpenDRIVE: the root element is <{root.tag}>, not <OpenDRIVE>"
@@ -163,7 +166,7 @@ def _road(element: ET.Element) -> OpenDriveRoad:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence C++ code, which writes to the descriptors and not to ``sys.stderr``."""
+    """Silence C++ code, which writes to the file descriptors and not to ``sys.stderr``."""
     kept = {fd: os.dup(fd) for fd in (1, 2)}
     null = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -178,7 +181,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _loops(corners: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Split CARLA's run of corners where a loop comes back to its first."""
+    """Crosswalk outlines from CARLA's list of corners; an outline ends where it meets its start."""
     loop: list[np.ndarray] = []
     for corner in corners:
         if loop and np.allclose(corner, loop[0], atol=1e-3):
@@ -196,7 +199,7 @@ def heading_of(waypoint: Any) -> np.ndarray:
 
 
 def _deduplicate(points: list[np.ndarray]) -> np.ndarray:
-    """Points (P, 3) less those within 0.5 m of an earlier one: roads share their signals."""
+    """Points (P, 3) without those within 0.5 m of an earlier one, because roads share signals."""
     kept: list[np.ndarray] = []
     for point in points:
         if all(np.hypot(*(point - other)[:2]) >= 0.5 for other in kept):
@@ -204,10 +207,10 @@ def _deduplicate(points: list[np.ndarray]) -> np.ndarray:
     return np.array(kept).reshape(-1, 3)
 
 
-def strips_near(world: TownMap, middle: np.ndarray, reach: float) -> list[Strip]:
-    """Every lane that has width and passes within reach, cut to it."""
-    found: list[Strip] = []
-    for road in world.roads.values():
+def lane_strips_near(town: TownMap, middle: np.ndarray, reach: float) -> list[LaneStrip]:
+    """Every lane with a width that comes within ``reach`` [m] of the middle, cut to that reach."""
+    found: list[LaneStrip] = []
+    for road in town.roads.values():
         if not road.near(middle, reach):
             continue
         for start, end, lanes in road.sections:
@@ -215,7 +218,7 @@ def strips_near(world: TownMap, middle: np.ndarray, reach: float) -> list[Strip]
             inset = min(INSET, (end - start) / 4)
             stations = np.linspace(start + inset, end - inset, count)
             for lane, kind in lanes.items():
-                line = [w for s in stations if (w := world.at(road.id, lane, s)) is not None]
+                line = [w for s in stations if (w := town.at(road.id, lane, s)) is not None]
                 if len(line) < 2 or max(w.lane_width for w in line) < 0.05:
                     continue
                 center = np.array([position(w.transform.location) for w in line])
@@ -223,7 +226,7 @@ def strips_near(world: TownMap, middle: np.ndarray, reach: float) -> list[Strip]
                 half = np.array([w.lane_width for w in line])[:, None] / 2
                 across = np.column_stack([-along[:, 1], along[:, 0]]) * half
                 edges = center[:, :2] + across, center[:, :2] - across
-                strip = Strip(road.id, lane, road.junction, kind, center, *edges)
-                # One lane's width over, so that what is left is cut by the disc, not by stations.
+                strip = LaneStrip(road.id, lane, road.junction, kind, center, *edges)
+                # One lane's width farther, so that the disc cuts the lane, and not its stations.
                 found += strip.runs(distance_from(center, middle) <= reach + 2 * half.max() + STEP)
     return found

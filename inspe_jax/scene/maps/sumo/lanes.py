@@ -1,4 +1,4 @@
-"""A SUMO network's lanes in world coordinates: where each runs, what it is for, what follows."""
+"""The lanes of a SUMO network in world coordinates: their course, their use, the lanes after."""
 
 import functools
 from dataclasses import dataclass
@@ -7,17 +7,20 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Polygon
 
-from inspe_jax.scene.maps.lane_strips import Strip
-from inspe_jax.scene.maps.parts import resample, valid
+from inspe_jax.scene.lines import distinct, resampled
+from inspe_jax.scene.maps.lane_strips import LaneStrip
+from inspe_jax.scene.maps.parts import valid
 from inspe_jax.scene.maps.sumo.network import RoadNet
 
 MOTORS = {"passenger", "private", "taxi", "bus", "truck", "delivery", "hov", "evehicle"}
-"""Who drives on a carriageway."""
+"""SUMO's vehicle classes that drive on a carriageway."""
 
 
 def kind_of(lane: Any) -> str:
-    """What a lane is for, in the words of :mod:`inspe_jax.scene.maps.approaches`; '' for rails and
-    water."""
+    """What a lane is for, as a word of :mod:`inspe_jax.scene.maps.approaches`.
+
+    '' for rails and waterways.
+    """
     who = set(lane.getPermissions())
     if who & MOTORS:
         return "driving"
@@ -30,71 +33,65 @@ def kind_of(lane: Any) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Streets:
-    """A network in world coordinates: every lane as a strip, its followers, nodes and crossings.
+    """A network in world coordinates: every lane as a strip, the lanes after it, and crossings.
 
-    Lanes are named as in the network; ``strips`` number their edges by ``road``, and ``junction``
-    is 1 inside any junction, else −1. ``follows`` leads from a lane to the next, by way of the
-    lanes inside junctions; ``leads`` back.
+    Lanes have the network's names. In a lane's strip ``road`` is the number of its edge, and
+    ``junction`` is 1 inside any junction, else −1. ``follows`` has the lanes after each lane, with
+    those inside junctions; ``leads`` has the lanes before it.
     """
 
     road: RoadNet
     numbers: dict[str, int]
-    strips: dict[str, Strip]
+    lane_strips: dict[str, LaneStrip]
     follows: dict[str, list[str]]
     leads: dict[str, list[str]]
-    crossings: tuple[np.ndarray, ...]  # loops, each (K, 3)
+    crossings: tuple[np.ndarray, ...]  # outlines, each (K, 3)
     walks: tuple[tuple[str, Polygon], ...]  # node, walking area
 
     def node(self, name: str) -> np.ndarray:
         """Where a node is (3,)."""
-        return self.road.world([self.road.net.getNode(name).getCoord3D()])[0]
+        return self.road.to_world([self.road.net.getNode(name).getCoord3D()])[0]
 
 
 @functools.lru_cache(maxsize=8)
 def streets_of(road: RoadNet) -> Streets:
     """Every lane of a network."""
-    strips, crossings, walks = {}, [], []
+    lane_strips, crossings, walks = {}, [], []
     follows: dict[str, list[str]] = {}
     leads: dict[str, list[str]] = {}
     edges = road.net.getEdges(withInternal=True)
     for number, edge in enumerate(edges):
         for lane in edge.getLanes():
-            line = distinct(road.world(lane.getShape3D()))
+            line = distinct(road.to_world(lane.getShape3D()))
             if len(line) < 2:
                 continue
             if edge.getFunction() == "walkingarea":
                 if len(line) > 2:
                     walks.append((edge.getFromNode().getID(), valid(Polygon(line[:, :2]))))
                 continue
-            strip = _strip(number, lane, line, edge.getFunction() != "")
+            strip = _lane_strip(number, lane, line, edge.getFunction() != "")
             if edge.getFunction() == "crossing":
                 outline = np.concatenate([strip.left, strip.right[::-1]])
                 heights = np.concatenate([strip.center, strip.center[::-1]])[:, 2]
                 crossings.append(np.column_stack([outline, heights]))
             elif strip.kind:
-                strips[lane.getID()] = strip
+                lane_strips[lane.getID()] = strip
                 follows[lane.getID()] = [
                     link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing()
                 ]
     for lane, following in follows.items():
-        following[:] = [other for other in following if other in strips]
+        following[:] = [other for other in following if other in lane_strips]
         for other in following:
             leads.setdefault(other, []).append(lane)
     numbers = {edge.getID(): number for number, edge in enumerate(edges)}
-    return Streets(road, numbers, strips, follows, leads, tuple(crossings), tuple(walks))
+    return Streets(road, numbers, lane_strips, follows, leads, tuple(crossings), tuple(walks))
 
 
-def distinct(line: np.ndarray) -> np.ndarray:
-    """A line without points that lie on the one before."""
-    apart = np.hypot(*np.diff(line[:, :2], axis=0).T) > 1e-6
-    return line[np.concatenate([[True], apart])]
-
-
-def _strip(number: int, lane: Any, line: np.ndarray, inside: bool) -> Strip:
-    """A lane's middle at even stations, and its edges."""
-    center = resample(line)
+def _lane_strip(number: int, lane: Any, line: np.ndarray, inside: bool) -> LaneStrip:
+    """A lane's middle line at evenly spaced stations, and its edges."""
+    center = resampled(line)
     along = np.gradient(center[:, :2], axis=0)
     along /= np.hypot(*along.T)[:, None]
     across = np.column_stack([-along[:, 1], along[:, 0]]) * lane.getWidth() / 2
     edges = center[:, :2] + across, center[:, :2] - across
-    return Strip(number, lane.getIndex(), 1 if inside else -1, kind_of(lane), center, *edges)
+    return LaneStrip(number, lane.getIndex(), 1 if inside else -1, kind_of(lane), center, *edges)

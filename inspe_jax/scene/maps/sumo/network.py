@@ -1,7 +1,7 @@
-"""SUMO's road networks: read, or made by netconvert from OpenDRIVE and OpenStreetMap.
+"""SUMO's road networks, read from a file or converted by netconvert from another map.
 
-World coordinates are those of the map that a network was made from: SUMO moves its networks to
-begin at (0, 0), and what it moved them by is taken off again, but for geographic projections, whose
+World coordinates are those of the map that a network was made from. SUMO shifts its networks so
+that they begin at (0, 0); that shift is undone here. It is kept for geographic projections, whose
 coordinates are millions of metres.
 """
 
@@ -47,13 +47,15 @@ _HOW = {
         *("--no-turnarounds.except-deadend", "true"),
     ),
 }
-"""What netconvert is told of each kind of map; where a map has no sidewalks they are guessed."""
+"""Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoadNet:
-    """A network read: the file that SUMO itself can run on, sumolib's reading of it, and ``shift``,
-    what is taken off its coordinates to give those of the world [m]."""
+    """A network: the ``file`` that SUMO can run on, sumolib's ``net``, and ``shift`` [m].
+
+    World coordinates are the network's less ``shift``.
+    """
 
     name: str
     source: str
@@ -61,16 +63,16 @@ class RoadNet:
     net: Any
     shift: Float[np.ndarray, "2"]
 
-    def world(self, points: Any) -> np.ndarray:
-        """Points (N, 2 or 3) of the network as (N, 3) of the world; height 0 where it has none."""
+    def to_world(self, points: Any) -> np.ndarray:
+        """Points (N, 2 or 3) of the network in world coordinates (N, 3); height 0 if not given."""
         at = np.array([(*p, 0.0)[:3] for p in points], float).reshape(-1, 3)
         return at - [*self.shift, 0.0]
 
 
 def load_net(path: Path) -> RoadNet:
-    """The network of a .net.xml, .osm or .xodr file, kept for as long as the file stays the same.
+    """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
 
-    Raises InspeError where SUMO is missing, the file is missing or is none of these, or it holds no
+    Raises InspeError if SUMO or the file is missing, if it is another kind of file, or if it has no
     roads.
     """
     check_input(path)
@@ -93,7 +95,7 @@ def _read(path: Path, where: Path, _modified: int, _size: int) -> RoadNet:
             str(file), withInternal=True, withPedestrianConnections=True, lxml=False
         )
     except (SAXException, KeyError, ValueError, AttributeError, TypeError) as error:
-        raise InspeError(f"{path}: not a SUMO network: it lacks or misstates {error}") from error
+        raise InspeError(f"{path}: not a SUMO network: missing or wrong: {error}") from error
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
     moved = np.array(net.getLocationOffset(), float)
@@ -102,7 +104,7 @@ def _read(path: Path, where: Path, _modified: int, _size: int) -> RoadNet:
 
 
 def _check_root(file: Path, path: Path, wanted: str) -> None:
-    """Raise InspeError where a file is not XML whose root is the one wanted."""
+    """Raise InspeError if a file is not XML with the wanted root element."""
     try:
         with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as f:
             root = next(ET.iterparse(f, events=("start",)))[1].tag
@@ -117,7 +119,7 @@ def _check_root(file: Path, path: Path, wanted: str) -> None:
 
 @functools.cache
 def _folder() -> Path:
-    """A folder for what is converted, for as long as this process lives."""
+    """A folder for converted networks, which is removed when this process ends."""
     folder = tempfile.mkdtemp(prefix="inspe_jax_")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
@@ -138,7 +140,7 @@ def _converted(path: Path) -> Path:
 
 
 def program(name: str) -> str:
-    """One of SUMO's programs: of the installed package, beside Python, or on the path."""
+    """The path of a SUMO program: in the installed package, beside Python, or on PATH."""
     try:
         import sumo
 
@@ -153,11 +155,11 @@ def program(name: str) -> str:
 
 
 def run(name: str, arguments: Sequence[str], where: str) -> None:
-    """Run one of SUMO's programs. Raises InspeError with the first error that it prints."""
+    """Run a SUMO program. Raises InspeError with the first error that it prints."""
     done = subprocess.run(
         [program(name), *arguments], capture_output=True, text=True, stdin=subprocess.DEVNULL
     )
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.startswith("Error")]
         reason = said[0].removeprefix("Error: ") if said else f"exit status {done.returncode}"
-        raise InspeError(f"{where}: {name} cannot use it: {reason}")
+        raise InspeError(f"{where}: {name} failed: {reason}")

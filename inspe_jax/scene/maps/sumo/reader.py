@@ -1,4 +1,4 @@
-"""SUMO networks and OpenStreetMap extracts into intersections: lanes, crossings and sidewalks."""
+"""Reads SUMO networks and OpenStreetMap extracts: lanes, crossings and sidewalks."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -15,25 +15,25 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Leg, arms_of
-from inspe_jax.scene.maps.lane_strips import Strip, same_level
+from inspe_jax.scene.lines import distinct, resampled
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
+from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.parts import (
     CLUSTER,
     MARGIN,
     JunctionInfo,
     check_radius,
-    chosen,
     clean,
     crossing_lines,
     crosswalks_of,
     distance_from,
     joined_lines,
+    junctions_at,
     mounting_of,
-    resample,
     valid,
     walking_routes,
 )
-from inspe_jax.scene.maps.sumo.lanes import Streets, distinct, kind_of, streets_of
+from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import load_net
 from inspe_jax.scene.regions import Region
 
@@ -41,12 +41,12 @@ NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_cross
 
 
 def _roads(edges: Iterable[Any]) -> list[Any]:
-    """Those of some edges that motors drive on."""
+    """The edges with a lane for motor vehicles."""
     return [e for e in edges if any(kind_of(lane) == "driving" for lane in e.getLanes())]
 
 
 def _arm_count(node: Any) -> int:
-    """How many other nodes the roads of a node lead to or come from."""
+    """Number of other nodes that a node's roads lead to or come from."""
     beyond = {e.getToNode().getID() for e in _roads(node.getOutgoing())}
     beyond |= {e.getFromNode().getID() for e in _roads(node.getIncoming())}
     return len(beyond - {node.getID()})
@@ -57,7 +57,7 @@ def _is_junction(node: Any) -> bool:
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
-    """The junctions of a SUMO network or an OpenStreetMap extract: where three roads or more meet.
+    """The junctions of a SUMO network or OpenStreetMap extract: nodes where 3 or more roads meet.
 
     Raises InspeError as :func:`read_sumo`.
     """
@@ -68,9 +68,9 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
         if not _is_junction(node):
             continue
         x, y, z = (float(v) for v in _middle(streets, node.getID()))
-        outline = streets.road.world(node.getShape())[:, :2].reshape(-1, 2)
+        outline = streets.road.to_world(node.getShape())[:, :2].reshape(-1, 2)
         size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
-        arms, _ = arms_of(_legs(streets, {node.getID()}))
+        arms, _ = arms_of(_approaches(streets, {node.getID()}))
         near = int((distance_from(middles, np.array([x, y])) < size / 2 + 8.0).sum())
         lit = node.getType().startswith("traffic_light")
         lights = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
@@ -87,36 +87,40 @@ def read_sumo(
 ) -> Intersection:
     """One junction of a SUMO network (.net.xml) or OpenStreetMap extract (.osm), in world metres.
 
-    Give ``junction``, a node of the network, or ``center`` (x, y) [m]: all junctions within 35 m of
-    it then count as one, as those of a roundabout. Coordinates are those of the map that the
-    network was made from (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to ``radius`` +
-    10 m; routes run from ``radius`` to ``radius``. Roads on another level are left out.
+    Give ``junction``, the id of a node, or ``center`` (x, y) [m]. With ``center``, all junctions
+    within 35 m of it count as one, as those of a roundabout. Coordinates are those of the map that
+    the network was made from (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to
+    ``radius`` + 10 m. Routes begin and end at ``radius``. Roads on another level are left out.
 
-    Raises InspeError where SUMO is missing, the file is missing or is no network, it has no such
-    junction, or no road is near.
+    Raises InspeError if SUMO or the file is missing, if the file is not a network, or if it has no
+    such junction or no road near.
     """
     streets = streets_of(load_net(Path(path)))
     road = streets.road
     nodes = [node.getID() for node in road.net.getNodes() if _is_junction(node)]
-    members, middle, place = chosen(road.source, nodes, partial(_middle, streets), junction, center)
+    members, middle, place = junctions_at(
+        road.source, nodes, partial(_middle, streets), junction, center
+    )
     check_radius(radius)
     reach = radius + MARGIN
-    near = [s for s in streets.strips.values() if distance_from(s.center, middle).min() <= reach]
+    near = [
+        s for s in streets.lane_strips.values() if distance_from(s.center, middle).min() <= reach
+    ]
     if not near:
         raise InspeError(
             f"{road.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
         )
     interior = _interior(streets, members)
     own = {s.road for s in near if distance_from(s.center, middle).min() <= CLUSTER}
-    strips = same_level(near, [s.road in own or s.road in interior for s in near])
-    legs = _legs(streets, members)
-    arms, arm_of = arms_of(legs)
+    lane_strips = same_level(near, [s.road in own or s.road in interior for s in near])
+    approaches = _approaches(streets, members)
+    arms, arm_of = arms_of(approaches)
     notes: list[str] = []
 
-    ground = np.concatenate([s.center for s in strips])
+    ground = np.concatenate([s.center for s in lane_strips])
     ground = ground[distance_from(ground, middle) <= reach + 5.0]
     disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-    areas = _areas(streets, strips, members, interior, middle)
+    areas = _areas(streets, lane_strips, members, interior, middle)
     loops = [c for c in streets.crossings if distance_from(c, middle).min() <= reach]
     walks = crosswalks_of(loops, areas, arms, ground, disc, notes)
     areas[Region.CROSSWALK] = clean(unary_union(walks))
@@ -138,36 +142,36 @@ def read_sumo(
 
     pavements = [
         run.center[:, :2]
-        for strip in strips
+        for strip in lane_strips
         if strip.kind == "sidewalk"
         for run in strip.runs(distance_from(strip.center, middle) <= radius)
     ]
     people = [*crossing_lines(walks), *joined_lines(pavements)]
     routes = [
-        *_vehicle_routes(streets, legs, arm_of, members, interior, middle, radius),
+        *_vehicle_routes(streets, approaches, arm_of, members, interior, middle, radius),
         *walking_routes(found, people),
     ]
     return replace(found, center=found.on_ground(middle[None])[0], routes=tuple(routes))
 
 
 def _middle(streets: Streets, name: str) -> np.ndarray:
-    """That of a node's outline, or where the node is if it has none (3,)."""
+    """The middle of a node's outline (3,); the node's own position if it has no outline."""
     middle = streets.node(name)
-    outline = streets.road.world(streets.road.net.getNode(name).getShape())
+    outline = streets.road.to_world(streets.road.net.getNode(name).getShape())
     if len(outline) > 2:
         middle[:2] = (outline.min(0) + outline.max(0))[:2] / 2
     return middle
 
 
 def _edges_at(streets: Streets, members: set[str]) -> dict[int, Any]:
-    """The edges that begin or end at some nodes, by number."""
+    """The edges that begin or end at the given nodes, by number."""
     nodes = [streets.road.net.getNode(name) for name in members]
     edges = [edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())]
     return dict(sorted((streets.numbers[edge.getID()], edge) for edge in {*edges}))
 
 
 def _interior(streets: Streets, members: set[str]) -> set[int]:
-    """Numbers of the edges that lie within the junction, or lead from one member to another."""
+    """Numbers of the edges inside the junction, or from one of its nodes to another."""
     inside = set()
     for number, edge in _edges_at(streets, members).items():
         ends = {edge.getFromNode().getID(), edge.getToNode().getID()}
@@ -176,11 +180,11 @@ def _interior(streets: Streets, members: set[str]) -> set[int]:
     return inside
 
 
-def _legs(streets: Streets, members: set[str]) -> list[Leg]:
-    """The ends at the junction of the edges that lead to it and from it."""
+def _approaches(streets: Streets, members: set[str]) -> list[Approach]:
+    """The approaches of the junction: the near ends of the edges that lead to or from it."""
     inside = _interior(streets, members)
     return [
-        _leg(streets, number, edge, end)
+        _approach(streets, number, edge, end)
         for number, edge in _edges_at(streets, members).items()
         if number not in inside and not edge.getFunction() and _roads([edge])
         for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
@@ -188,22 +192,22 @@ def _legs(streets: Streets, members: set[str]) -> list[Leg]:
     ]
 
 
-def _leg(streets: Streets, number: int, edge: Any, end: str) -> Leg:
-    """One edge cut across where it meets the junction."""
-    step = 1 if end == "start" else -1  # along the strip's stations, away from the junction
-    lanes = [(lane, streets.strips.get(lane.getID())) for lane in edge.getLanes()]
-    strips = [(lane, strip) for lane, strip in lanes if strip is not None]
-    guide = next(s for _, s in strips if s.kind == "driving").center[::step, :2]
+def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
+    """The approach of one edge, cut where it meets the junction."""
+    step = 1 if end == "start" else -1  # along the lane's stations, away from the junction
+    lanes = [(lane, streets.lane_strips.get(lane.getID())) for lane in edge.getLanes()]
+    lane_strips = [(lane, strip) for lane, strip in lanes if strip is not None]
+    guide = next(s for _, s in lane_strips if s.kind == "driving").center[::step, :2]
     origin, outward = guide[0], guide[min(2, len(guide) - 1)] - guide[0]
     outward = outward / np.hypot(*outward)
     left = np.array([-outward[1], outward[0]])
     cut = []
-    for lane, strip in strips:
+    for lane, strip in lane_strips:
         offset = float((strip.center[::step][0, :2] - origin) @ left)
         half = lane.getWidth() / 2
         cut.append((lane.getIndex(), strip.kind, offset - half, offset + half, end == "end"))
     chord = guide[min(15, len(guide) - 1)] - guide[0]
-    return Leg(
+    return Approach(
         number,
         end,
         origin,
@@ -215,17 +219,18 @@ def _leg(streets: Streets, number: int, edge: Any, end: str) -> Leg:
 
 def _areas(
     streets: Streets,
-    strips: list[Strip],
+    lane_strips: list[LaneStrip],
     members: set[str],
     interior: set[int],
     middle: Float[np.ndarray, "3"],
 ) -> dict[Region, BaseGeometry]:
-    """Junction, driveway, shoulder and sidewalk, one beside the other.
+    """Junction, driveway, shoulder and sidewalk, which do not overlap.
 
-    A node's outline encloses its crossings and the corners where people wait: those are sidewalk.
+    A node's outline also encloses its crossings and the corners where people wait. Those corners
+    are sidewalk.
     """
-    reach = max(float(distance_from(s.center, middle).max()) for s in strips)
-    ground = np.concatenate([s.center for s in strips])
+    reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
+    ground = np.concatenate([s.center for s in lane_strips])
     corners = {n for n, _ in streets.walks}
     waiting = [shape for _, shape in streets.walks if shape.distance(Point(middle[:2])) <= reach]
     parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
@@ -234,7 +239,7 @@ def _areas(
     for node in streets.road.net.getNodes():
         at = streets.node(node.getID())
         closest = ground[np.argmin(distance_from(ground, at))]
-        outline = streets.road.world(node.getShape())
+        outline = streets.road.to_world(node.getShape())
         if len(outline) > 2 and distance_from(at[None], middle)[0] <= reach + CLUSTER:
             if abs(at[2] - closest[2]) > 2.0:
                 continue
@@ -243,7 +248,7 @@ def _areas(
                 shape = shape.difference(walked)
             own = node.getID() in members
             parts[Region.JUNCTION if own else Region.DRIVEWAY].append(shape)
-    for strip in strips:
+    for strip in lane_strips:
         if strip.kind in CARRIAGEWAY:
             region = Region.JUNCTION if strip.road in interior else Region.DRIVEWAY
         else:
@@ -262,44 +267,44 @@ def _areas(
 
 def _vehicle_routes(
     streets: Streets,
-    legs: list[Leg],
+    approaches: list[Approach],
     arm_of: dict[tuple[int, str], int],
     members: set[str],
     interior: set[int],
     middle: np.ndarray,
     radius: float,
 ) -> Iterator[Route]:
-    """Every way from an inbound lane to another arm, from radius to radius; no U-turns."""
+    """Every path from an inbound lane to another arm, from radius to radius; no U-turns."""
     edges = streets.road.net.getEdges(withInternal=True)
-    for leg in legs:
-        if leg.end != "end":
+    for approach in approaches:
+        if approach.end != "end":
             continue
-        for lane in edges[leg.road].getLanes():
-            strip = streets.strips.get(lane.getID())
+        for lane in edges[approach.road].getLanes():
+            strip = streets.lane_strips.get(lane.getID())
             if strip is None or strip.kind != "driving":
                 continue
             before = _follow(streets, lane.getID(), -1, middle, radius)
-            for way in _ways(streets, lane.getID(), interior):
-                last = streets.strips[way[-1]]
+            for path in _lane_paths(streets, lane.getID(), interior):
+                last = streets.lane_strips[path[-1]]
                 exit_arm = arm_of.get((last.road, "start"), -1)
-                if exit_arm in (arm_of[leg.road, "end"], -1):
+                if exit_arm in (arm_of[approach.road, "end"], -1):
                     continue
-                names = [*before, *way, *_follow(streets, way[-1], 1, middle, radius)]
-                line = distinct(np.concatenate([streets.strips[n].center for n in names]))
+                names = [*before, *path, *_follow(streets, path[-1], 1, middle, radius)]
+                line = distinct(np.concatenate([streets.lane_strips[n].center for n in names]))
                 line = _about(line, distance_from(line, strip.center[-1]).argmin(), middle, radius)
                 if len(line) > 1:
-                    through = (arm_of[leg.road, "end"], exit_arm)
-                    yield Route(resample(line), lane.getWidth(), "vehicle", through)
+                    through = (arm_of[approach.road, "end"], exit_arm)
+                    yield Route(resampled(line), lane.getWidth(), "vehicle", through)
 
 
-def _ways(streets: Streets, start: str, interior: set[int]) -> Iterator[list[str]]:
-    """All lanes from an inbound one through the junction to the first beyond it."""
+def _lane_paths(streets: Streets, start: str, interior: set[int]) -> Iterator[list[str]]:
+    """All sequences of lanes from an inbound lane through the junction to the first one beyond."""
     stack = [[start]]
     while stack:
         path = stack.pop()
         for lane in streets.follows[path[-1]]:
-            strip = streets.strips[lane]
-            if strip.kind != "driving" or lane in path:  # round a roundabout once
+            strip = streets.lane_strips[lane]
+            if strip.kind != "driving" or lane in path:  # at most once round a roundabout
                 continue
             if strip.road in interior:
                 stack.append([*path, lane])
@@ -307,29 +312,37 @@ def _ways(streets: Streets, start: str, interior: set[int]) -> Iterator[list[str
                 yield [*path, lane]
 
 
-def _follow(streets: Streets, start: str, way: int, middle: np.ndarray, radius: float) -> list[str]:
-    """Lanes onward (way = 1) or back (−1) to the radius, forks straight on; in order of travel."""
+def _follow(
+    streets: Streets, start: str, direction: int, middle: np.ndarray, radius: float
+) -> list[str]:
+    """Lanes from ``start`` onward (``direction`` 1) or back (−1) to the radius, in travel order.
+
+    At a fork the straightest lane is taken.
+    """
     found: list[str] = []
     here = start
     for _ in range(50):
-        end = streets.strips[here].center[-1 if way > 0 else 0]
-        options = (streets.follows if way > 0 else streets.leads).get(here, [])
-        options = [o for o in options if streets.strips[o].kind == "driving" and o not in found]
+        end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
+        options = (streets.follows if direction > 0 else streets.leads).get(here, [])
+        options = [
+            o for o in options if streets.lane_strips[o].kind == "driving" and o not in found
+        ]
         if not options or distance_from(end[None], middle)[0] > radius:
             break
 
         def turn(lane: str, here: str = here) -> float:
-            a, b = (streets.strips[n].center[:, :2] for n in (here, lane))
-            one, two = (a[-1] - a[-2], b[-1] - b[-2]) if way > 0 else (a[1] - a[0], b[1] - b[0])
+            a, b = (streets.lane_strips[n].center[:, :2] for n in (here, lane))
+            ends = (-1, -2) if direction > 0 else (1, 0)
+            one, two = (line[ends[0]] - line[ends[1]] for line in (a, b))
             return float(one @ two / np.hypot(*one) / np.hypot(*two))
 
         here = max(options, key=turn)
         found.append(here)
-    return found if way > 0 else found[::-1]
+    return found if direction > 0 else found[::-1]
 
 
 def _about(line: np.ndarray, at: int | np.intp, middle: np.ndarray, radius: float) -> np.ndarray:
-    """The run of a line's points about index ``at`` that lies within the radius."""
+    """The points of a line around index ``at`` up to where it leaves the radius."""
     outside = np.flatnonzero(distance_from(line, middle) > radius)
     first = outside[outside < at].max(initial=-1) + 1
     last = outside[outside > at].min(initial=len(line))

@@ -1,7 +1,7 @@
 """Traffic from SUMO: signals, turning, queues, and people on crossings.
 
-SUMO says who is where; how many come is found by trying: arrivals are a Poisson process for each
-class, and their rates are raised or lowered until as many are in the region of interest as wanted.
+SUMO moves the road users. The arrivals of each class are a Poisson process. Its rate is found by
+trial: it is raised or lowered until as many road users are in the region of interest as wanted.
 """
 
 import tempfile
@@ -29,47 +29,47 @@ from inspe_jax.scene.traffic.frames import (
     pack_frames,
     quota,
 )
-from inspe_jax.scene.traffic.sumo.routes import V_CLASS, Way, ways_through
+from inspe_jax.scene.traffic.sumo.routes import V_CLASS, TravelPath, paths_through
 
 WARM_UP = 120.0
 """Time [s] that SUMO runs before the first frame."""
 OBSERVED = 120.0
-"""Least time [s] over which it is counted how many there are."""
+"""Road users are counted over at least this time [s]."""
 TRIES = 8
-"""How often the rates of arrival are mended, at most."""
+"""Most runs in which the rates of arrival are adjusted."""
 NEAR_ENOUGH = 0.05
-"""Share of the number wanted by which the mean may be off."""
+"""The mean number may differ from the wanted one by this share."""
 SWIFTEST = 0.5
-"""Most arrivals a second for each lane that leads in."""
+"""Most arrivals a second on each lane that leads in."""
 STEP = 0.2
 """Longest step of SUMO [s]."""
 LANE_CHANGE = 2.5
-"""How long a change of lanes takes [s]."""
+"""Duration of a lane change [s]."""
 
 
 @dataclass
-class Arrivals:
-    """Who comes, of one class: when, at one arrival a second, by which way, and of what size.
+class ArrivalStream:
+    """Arrivals of one class: times ``when`` at a rate of one a second, paths and sizes.
 
-    Longer lists begin with the shorter ones: another rate of arrival brings the same people,
-    earlier or later.
+    A longer list begins with the shorter one. So another rate brings the same road users, earlier
+    or later.
     """
 
     kind: int
-    ways: list[Way]
+    paths: list[TravelPath]
     spread: float
     rng: np.random.Generator
     when: list[float] = field(default_factory=list)
-    way: list[int] = field(default_factory=list)
+    path_index: list[int] = field(default_factory=list)
     size: list[np.ndarray] = field(default_factory=list)
 
     def until(self, time: float) -> int:
-        """How many come by a time at one a second, found or drawn anew."""
-        weight = np.array([way.weight for way in self.ways])
+        """Number of arrivals up to a time at one a second; missing ones are drawn."""
+        weight = np.array([path.weight for path in self.paths])
         while not self.when or self.when[-1] < time:
             last = self.when[-1] if self.when else 0.0
             self.when.append(last + self.rng.exponential())
-            self.way.append(int(self.rng.choice(len(self.ways), p=weight / weight.sum())))
+            self.path_index.append(int(self.rng.choice(len(self.paths), p=weight / weight.sum())))
             varied = np.clip(self.rng.standard_normal(3), -2, 2) * self.spread
             self.size.append(np.array(ROAD_USERS[self.kind].size) * (1 + varied))
         return int(np.searchsorted(self.when, time))
@@ -88,17 +88,17 @@ def sumo_traffic(
 ) -> TrafficFrames:
     """Traffic that SUMO simulates on the map an intersection was read from.
 
-    About ``count`` objects at a time whose centre lies within ``radius`` [m] of the centre, or as
-    many as the roads let in, in ``frames`` frames ``step`` seconds apart. ``mix`` is a key of
-    :data:`~inspe_jax.scene.traffic.frames.MIXES`; people walk where the network has sidewalks, and
+    There are about ``count`` objects at a time within ``radius`` [m] of the centre, or as many as
+    the roads let in, in ``frames`` frames ``step`` seconds apart. ``mix`` is a key of
+    :data:`~inspe_jax.scene.traffic.frames.MIXES`. People walk where the network has sidewalks, and
     cross where it has crossings. Cyclists ride in the middle of the lane. Bodies overlap where SUMO
-    lets them, as where long ones turn: a pair or less in most frames. Boxes stand on the
-    intersection's ground; who is on another level is left out. ``progress`` is told (runs done,
-    most runs): SUMO runs until the number is about right.
+    allows it, as where long vehicles turn: at most one pair in most frames. Boxes stand on the
+    intersection's ground. Road users on another level are left out. SUMO runs until the number is
+    about right; ``progress`` is called with (runs done, most runs).
 
-    The same seed gives the same traffic, with the same version of SUMO. Raises InspeError for a
-    value out of range, an unknown mix, an intersection that was not read from a map, where SUMO is
-    missing, or where no road leads through the radius.
+    The same seed gives the same traffic with the same version of SUMO. Raises InspeError if a value
+    is out of range, the mix is unknown, the intersection was not read from a map, SUMO is missing,
+    or no road leads through the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)
@@ -108,66 +108,72 @@ def sumo_traffic(
             "a built-in or a saved scene has none"
         )
     streets = streets_of(load_net(intersection.map))
-    ways = ways_through(streets, intersection.center, radius)
-    wanted = quota(MIXES[mix], [bool(ways[kind]) for kind in CLASSES], count)
+    paths = paths_through(streets, intersection.center, radius)
+    wanted = quota(MIXES[mix], [bool(paths[kind]) for kind in CLASSES], count)
     if count and not wanted.any():
         raise InspeError(
             f"{intersection.name}: no road leads through {radius:g} m of the centre for mix '{mix}'"
         )
-    arrivals = _arrivals(ways, wanted, MIXES[mix], seed)
+    streams = _streams(paths, wanted, MIXES[mix], seed)
     with tempfile.TemporaryDirectory() as folder:
-        world = _World(Path(folder), streets, intersection, radius, seed, small)
-        rates = _rates(world, arrivals, wanted, frames * step, progress)
-        seen = world.simulate(arrivals, rates, frames, step)
+        sumo = _SumoRuns(Path(folder), streets, intersection, radius, seed, small)
+        rates = _rates(sumo, streams, wanted, frames * step, progress)
+        seen = sumo.simulate(streams, rates, frames, step)
     if progress is not None:
         progress(TRIES + 1, TRIES + 1)
     return pack_frames(seen, step)
 
 
 def _small_step(step: float) -> float:
-    """The longest step [s] of SUMO, in its whole milliseconds, that goes into a step of frames."""
+    """The longest step of SUMO [s] that divides the step of frames, 20 to 200 ms.
+
+    Raises InspeError if there is none.
+    """
     time = round(step * 1000)
     parts = [n for n in range(1, time + 1) if time % n == 0 and 20 <= time / n <= 1000 * STEP]
     if abs(step * 1000 - time) > 1e-6 or not parts:
         raise InspeError(
-            f"traffic step {step:g} s: SUMO needs whole milliseconds, in even parts of 20 to 200"
+            f"traffic step {step:g} s: SUMO needs a step of whole milliseconds that divides into "
+            "equal parts of 20 to 200 ms"
         )
     return time / parts[0] / 1000
 
 
-def _arrivals(
-    ways: dict[str, list[Way]], wanted: Int[np.ndarray, " K"], mix: Mix, seed: int
-) -> list[Arrivals]:
-    """Streams of arrivals of the classes that are wanted, each of its own random numbers."""
+def _streams(
+    paths: dict[str, list[TravelPath]], wanted: Int[np.ndarray, " K"], mix: Mix, seed: int
+) -> list[ArrivalStream]:
+    """A stream of arrivals for each class that is wanted, each with random numbers of its own."""
     streams = np.random.default_rng(seed).spawn(len(CLASSES))
     return [
-        Arrivals(kind, ways[name], mix.spread, rng)
+        ArrivalStream(kind, paths[name], mix.spread, rng)
         for kind, (name, rng) in enumerate(zip(CLASSES, streams, strict=True))
         if wanted[kind]
     ]
 
 
 def _rates(
-    world: "_World",
-    arrivals: list[Arrivals],
+    sumo: "_SumoRuns",
+    streams: list[ArrivalStream],
     wanted: Int[np.ndarray, " K"],
     time: float,
     progress: Callable[[int, int], None] | None,
 ) -> list[float]:
-    """Arrivals a second of each class that keep about as many in the region as wanted, on average
-    over a time [s]."""
-    target = np.array([wanted[a.kind] for a in arrivals], float)
-    most = np.array([SWIFTEST * sum(w.weight for w in a.ways) for a in arrivals])
-    stay = np.array([2 * world.radius / min(ROAD_USERS[a.kind].top_speed, 6.0) for a in arrivals])
+    """Arrivals a second of each class with which about the wanted number is in the region.
+
+    The number is the mean over ``time`` [s].
+    """
+    target = np.array([wanted[a.kind] for a in streams], float)
+    most = np.array([SWIFTEST * sum(w.weight for w in a.paths) for a in streams])
+    stay = np.array([2 * sumo.radius / min(ROAD_USERS[a.kind].top_speed, 6.0) for a in streams])
     rates = np.minimum(target / stay, most)
     if not len(rates):
         return []
     best, off = rates, np.inf
-    every = world.small * np.ceil(1.0 / world.small)
+    every = sumo.small * np.ceil(1.0 / sumo.small)
     many = int(np.ceil(max(time, OBSERVED) / every))
     for turn in range(TRIES):
-        seen = world.simulate(arrivals, rates.tolist(), many, every)
-        here = np.array([[(s.kind == a.kind).sum() for a in arrivals] for s in seen]).mean(0)
+        seen = sumo.simulate(streams, rates.tolist(), many, every)
+        here = np.array([[(s.kind == a.kind).sum() for a in streams] for s in seen]).mean(0)
         error = abs(here.sum() - target.sum())
         if error < off:
             best, off = rates, error
@@ -178,7 +184,7 @@ def _rates(
             break
         change = np.clip(target / np.maximum(here, 0.25), 0.5, 2.0)
         mended = np.minimum(rates * change**0.8, most)
-        if np.allclose(mended, rates, rtol=1e-3):  # the roads let in no more
+        if np.allclose(mended, rates, rtol=1e-3):  # the roads do not let in more
             break
         rates = mended
     return best.tolist()
@@ -188,8 +194,8 @@ def _rates(
 
 
 @dataclass(frozen=True)
-class _World:
-    """What all runs have in common."""
+class _SumoRuns:
+    """Runs of SUMO on one network: what they have in common."""
 
     folder: Path
     streets: Streets
@@ -199,13 +205,13 @@ class _World:
     small: float
 
     def simulate(
-        self, arrivals: list[Arrivals], rates: list[float], frames: int, every: float
+        self, streams: list[ArrivalStream], rates: list[float], frames: int, every: float
     ) -> list[Snapshot]:
-        """Everybody in the region, in frames ``every`` so many seconds after the warm-up."""
+        """Road users in the region, in frames ``every`` so many seconds after the warm-up."""
         begin = self.small * np.ceil(WARM_UP / self.small)
         end = begin + (frames - 1) * every
         routes, found = self.folder / "routes.xml", self.folder / "found.xml"
-        sizes = _write_routes(routes, arrivals, rates, end)
+        sizes = _write_routes(routes, streams, rates, end)
         options = {
             "net-file": self.streets.road.file,
             "route-files": routes,
@@ -234,13 +240,15 @@ class _World:
     def _snapshot(
         self, moment: list[dict[str, str]], sizes: dict[str, tuple[int, int, np.ndarray]]
     ) -> Snapshot:
-        """What SUMO says of one moment: it places vehicles by the middle of their front, headings
-        clockwise from north."""
+        """Road users at one moment of SUMO's output.
+
+        SUMO gives the middle of a vehicle's front, and headings clockwise from north.
+        """
         who = [sizes[one["id"]] for one in moment]
         size = np.array([s for _, _, s in who], float).reshape(-1, 3)
         kind = np.array([k for k, _, _ in who], np.int8)
         track = np.array([t for _, t, _ in who], np.int32)
-        at = self.streets.road.world(
+        at = self.streets.road.to_world(
             [(float(one["x"]), float(one["y"]), float(one.get("z", "nan"))) for one in moment]
         )
         yaw = np.pi / 2 - np.radians([float(one["angle"]) for one in moment])
@@ -257,27 +265,30 @@ class _World:
         return everybody.within(self.intersection.center, self.radius)
 
 
-def _moments(path: Path) -> Iterator[list[dict[str, str]]]:
-    """Who is where, by moments, of SUMO's output."""
-    for _, element in ET.iterparse(path):
+def _moments(file: Path) -> Iterator[list[dict[str, str]]]:
+    """The moments of SUMO's output: attributes of every road user."""
+    for _, element in ET.iterparse(file):
         if element.tag == "timestep":
             yield [dict(one.attrib) for one in element]
             element.clear()
 
 
 def _write_routes(
-    path: Path, arrivals: list[Arrivals], rates: list[float], end: float
+    file: Path, streams: list[ArrivalStream], rates: list[float], end: float
 ) -> dict[str, tuple[int, int, np.ndarray]]:
-    """SUMO's input: everybody's type, route and departure; gives (class, track, size) of each."""
+    """Write SUMO's input: type, route and departure of every road user.
+
+    Returns the (class, track, size) of each by name.
+    """
     root = ET.Element("routes")
     people: list[tuple[float, ET.Element]] = []
     sizes: dict[str, tuple[int, int, np.ndarray]] = {}
-    for stream, rate in zip(arrivals, rates, strict=True):
+    for stream, rate in zip(streams, rates, strict=True):
         name = CLASSES[stream.kind]
-        for k, way in enumerate(stream.ways):
-            ET.SubElement(root, "route", id=f"{name}.{k}", edges=" ".join(way.edges))
+        for k, path in enumerate(stream.paths):
+            ET.SubElement(root, "route", id=f"{name}.{k}", edges=" ".join(path.edges))
         for n in range(stream.until(end * rate)):
-            who, size, way = f"{name}.{n}", stream.size[n], stream.ways[stream.way[n]]
+            who, size, path = f"{name}.{n}", stream.size[n], stream.paths[stream.path_index[n]]
             sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
             length, width, height = (f"{x:.3f}" for x in size)
             kind = {"id": who, "vClass": V_CLASS[name], "length": length, "width": width}
@@ -288,15 +299,15 @@ def _write_routes(
             when = stream.when[n] / rate
             common = {"id": who, "type": who, "depart": f"{when:.2f}"}
             if name == "pedestrian":
-                one = ET.Element("person", common | {"departPos": f"{way.begin:.2f}"})
-                to = {"from": way.edges[0], "to": way.edges[-1], "arrivalPos": f"{way.end:.2f}"}
+                one = ET.Element("person", common | {"departPos": f"{path.begin:.2f}"})
+                to = {"from": path.edges[0], "to": path.edges[-1], "arrivalPos": f"{path.end:.2f}"}
                 ET.SubElement(one, "walk", to)
             else:
-                place = {"departLane": "best", "departPos": f"{way.begin:.2f}"}
-                place |= {"departSpeed": "desired", "arrivalPos": f"{way.end:.2f}"}
-                route = f"{name}.{stream.way[n]}"
+                place = {"departLane": "best", "departPos": f"{path.begin:.2f}"}
+                place |= {"departSpeed": "desired", "arrivalPos": f"{path.end:.2f}"}
+                route = f"{name}.{stream.path_index[n]}"
                 one = ET.Element("vehicle", common | {"route": route} | place)
             people.append((when, one))
     root.extend(one for _, one in sorted(people, key=lambda pair: pair[0]))
-    ET.ElementTree(root).write(path)
+    ET.ElementTree(root).write(file)
     return sizes

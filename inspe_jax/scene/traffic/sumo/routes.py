@@ -1,4 +1,4 @@
-"""Ways through a region of interest on a SUMO network: driven, ridden and walked."""
+"""Travel paths through a region of interest on a SUMO network, for vehicles and people on foot."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,19 +12,23 @@ from inspe_jax.scene.maps.parts import distance_from
 from inspe_jax.scene.maps.sumo.lanes import Streets
 from inspe_jax.scene.traffic.frames import CLASSES
 
-APPROACH = 60.0
-"""Vehicles come in this much beyond the radius [m], or where their road begins."""
+LEAD_IN = 60.0
+"""Vehicles enter this much beyond the radius [m], or where their road begins."""
 TOUCH = 15.0
-"""A road that comes this near to the region [m] leads into it: junctions are that wide."""
-FOOT_APPROACH = 15.0
-"""… and people on foot."""
+"""A road that comes this near to the region leads into it, because junctions are that wide [m]."""
+FOOT_LEAD_IN = 15.0
+"""People on foot enter this much beyond the radius [m]."""
 V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestrian": "pedestrian"}
+"""SUMO's vehicle class of each road-user class."""
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way through: its edges, where on the first it begins and on the last it ends [m], and its
-    share of the arrivals."""
+class TravelPath:
+    """A path through the region by its ``edges``.
+
+    It begins at ``begin`` on the first edge and ends at ``end`` on the last [m]. ``weight`` is its
+    share of the arrivals.
+    """
 
     edges: tuple[str, ...]
     begin: float
@@ -32,8 +36,10 @@ class Way:
     weight: float
 
 
-def ways_through(streets: Streets, center: np.ndarray, radius: float) -> dict[str, list[Way]]:
-    """The ways of each class through the region of interest."""
+def paths_through(
+    streets: Streets, center: np.ndarray, radius: float
+) -> dict[str, list[TravelPath]]:
+    """The travel paths of each road-user class through the region of interest."""
     return {
         kind: _walks(streets, center, radius)
         if kind == "pedestrian"
@@ -44,8 +50,11 @@ def ways_through(streets: Streets, center: np.ndarray, radius: float) -> dict[st
 
 @dataclass(frozen=True)
 class _Edge:
-    """An edge near the region: its middle line (N, 2), the arc [m] at each point of it, how far
-    each is from the centre [m], and its lanes that a class may use."""
+    """An edge near the region.
+
+    ``line`` is its middle line, ``arc`` the arc length at each point, ``away`` each point's
+    distance from the centre [m]; ``lanes`` counts those that a class may use.
+    """
 
     name: str
     line: Float[np.ndarray, "N 2"]
@@ -56,16 +65,18 @@ class _Edge:
 
 
 def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> list[_Edge]:
-    """The edges that come within reach and that a class may use, in the network's order."""
+    """The edges within reach that a class may use, in the network's order."""
     found = []
     for edge in streets.road.net.getEdges(withInternal=False):
         lanes = [lane for lane in edge.getLanes() if lane.allows(v_class)]
         if v_class == "pedestrian":  # beside the road, not on it
             lanes = [lane for lane in lanes if not lane.allows("passenger")]
-        strips = [streets.strips[n.getID()] for n in lanes if n.getID() in streets.strips]
-        if not strips:
+        lane_strips = [
+            streets.lane_strips[n.getID()] for n in lanes if n.getID() in streets.lane_strips
+        ]
+        if not lane_strips:
             continue
-        line = strips[0].center[:, :2]
+        line = lane_strips[0].center[:, :2]
         away = distance_from(line, center)
         if away.min() > reach:
             continue
@@ -75,13 +86,14 @@ def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> 
     return found
 
 
-def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[Way]:
-    """The shortest ways from every road that leads into the region to every one that leads out.
+def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[TravelPath]:
+    """The shortest path from every road that leads into the region to every road that leads out.
 
-    Back to where one came from only if there is no other way. From each road straight on is
-    likelier, up to three to one. Ways begin some way up the road, so that queues have room.
+    A path leads back to the road it came from only if there is no other. Going straight on is up
+    to three times as likely as turning. Paths begin some distance up the road, so that queues have
+    room.
     """
-    edges = _edges(streets, v_class, center, radius + APPROACH)
+    edges = _edges(streets, v_class, center, radius + LEAD_IN)
     index = {e.name: k for k, e in enumerate(edges)}
     links = [
         (k, index[after.getID()])
@@ -101,7 +113,7 @@ def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -
     one, two = np.array(inner, int).reshape(-1, 2).T
     length = np.array([e.edge.getLength() for e in edges]) + 1e-3
     graph = csr_array((length[two], (one, two)), shape=(len(edges),) * 2)
-    ways = []
+    found = []
     for entry in entries:
         away, before = dijkstra(graph, indices=entry, return_predecessors=True)
         paths = [_path(before, k) for k in exits if k != entry and np.isfinite(away[k])]
@@ -110,20 +122,20 @@ def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -
         if not onward:
             continue
         first = _upstream(edges, links, entry)
-        begin = _arc_at(edges[first[0]], radius + APPROACH, first=True)
+        begin = _arc_at(edges[first[0]], radius + LEAD_IN, first=True)
         straight = [1 + 2 * max(_alike(edges[entry], edges[p[-1]]), 0.0) for p in onward]
         for path, weight in zip(onward, straight, strict=True):
             names = [edges[k].name for k in (*first, *path[1:])]
-            end = _arc_at(edges[path[-1]], radius + APPROACH, first=False)
+            end = _arc_at(edges[path[-1]], radius + LEAD_IN, first=False)
             share = edges[entry].lanes * weight / sum(straight)
-            ways.append(Way(tuple(names), begin, end, share))
-    return ways
+            found.append(TravelPath(tuple(names), begin, end, share))
+    return found
 
 
 def _upstream(edges: list[_Edge], links: list[tuple[int, int]], entry: int) -> list[int]:
-    """The edges that lead to an entry, straight on, for :data:`APPROACH` metres; and the entry."""
+    """The edges that lead straight to an entry, for :data:`LEAD_IN` metres, and the entry."""
     found, far = [entry], float(edges[entry].away[0])
-    while far < edges[entry].away.min() + APPROACH:
+    while far < edges[entry].away.min() + LEAD_IN:
         here = edges[found[0]]
         before = [a for a, b in links if b == found[0] and a not in found]
         before = [a for a in before if not _returns(edges[a], here) and edges[a].away[0] > far]
@@ -135,7 +147,7 @@ def _upstream(edges: list[_Edge], links: list[tuple[int, int]], entry: int) -> l
 
 
 def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
-    """The first or last arc of an edge that lies within reach [m]; its end where none does."""
+    """The first or last arc length of an edge within reach [m]; that of its end if none is."""
     inside = np.flatnonzero(edge.away <= reach)
     if not len(inside):
         return float(edge.arc[-1 if first else 0])
@@ -143,7 +155,7 @@ def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
 
 
 def _returns(one: _Edge, two: _Edge) -> bool:
-    """Whether an edge leads back along another."""
+    """Whether edge ``two`` leads back along edge ``one``."""
     return bool(
         one.edge.getFromNode() is two.edge.getToNode()
         and one.edge.getToNode() is two.edge.getFromNode()
@@ -155,22 +167,22 @@ def _returns(one: _Edge, two: _Edge) -> bool:
 
 
 def _alike(one: _Edge, two: _Edge) -> float:
-    """Cosine between the headings with which one is entered and the other left."""
+    """Cosine of the angle between the heading at the start of ``one`` and at the end of ``two``."""
     a, b = one.line[1] - one.line[0], two.line[-1] - two.line[-2]
     return float(a @ b / np.hypot(*a) / np.hypot(*b))
 
 
 def _path(before: np.ndarray, sink: int) -> list[int]:
-    """The edges from a source to a sink."""
+    """The edges to a sink, by the edge before each."""
     path = [sink]
     while before[path[-1]] >= 0:
         path.append(int(before[path[-1]]))
     return path[::-1]
 
 
-def _walks(streets: Streets, center: np.ndarray, radius: float) -> list[Way]:
-    """Walks from the rim of the region to the rim elsewhere; SUMO finds the way between."""
-    edges = _edges(streets, "pedestrian", center, radius + FOOT_APPROACH)
+def _walks(streets: Streets, center: np.ndarray, radius: float) -> list[TravelPath]:
+    """Paths on foot from the rim of the region to the rim elsewhere; SUMO routes them."""
+    edges = _edges(streets, "pedestrian", center, radius + FOOT_LEAD_IN)
     ends = []  # (edge, arc, point) where a sidewalk leaves the region
     for e in edges:
         rim = np.flatnonzero((e.away[:-1] <= radius) != (e.away[1:] <= radius))
@@ -178,7 +190,7 @@ def _walks(streets: Streets, center: np.ndarray, radius: float) -> list[Way]:
     if len(ends) < 2:
         ends = [(e.name, float(e.arc[len(e.arc) // 2]), e.line[len(e.line) // 2]) for e in edges]
     return [
-        Way((a, b), begin, end, 1.0)
+        TravelPath((a, b), begin, end, 1.0)
         for a, begin, here in ends
         for b, end, there in ends
         if a != b and np.hypot(*(here - there)) > 0.5 * radius

@@ -19,7 +19,7 @@ from inspe_jax.scene.traffic.frames import (
     quota,
 )
 from inspe_jax.scene.traffic.waypoint.model import WaypointModel
-from inspe_jax.scene.traffic.waypoint.paths import USERS, Paths, lay_paths
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths
 
 WARM_UP = 40.0
 """Time [s] that the model runs before the first frame."""
@@ -41,17 +41,18 @@ def waypoint_traffic(
 ) -> TrafficFrames:
     """Traffic on the waypoints of an intersection's routes (paper, section 4).
 
-    About ``count`` objects at a time whose centre lies within ``radius`` [m] of
-    the centre, or as many as the roads hold, in ``frames`` frames ``step``
-    seconds apart. ``mix`` is a key of :data:`MIXES`. Beyond the paper they
-    behave: they keep their distance, slow for bends, give way where paths
-    cross, first come first served, and never overlap; cyclists keep to the
-    right of the lane, pedestrians walk their own routes. Who leaves is replaced
-    at an entry as soon as there is room. Yaw is the direction of travel; boxes
-    stand on the route's own height. ``progress`` is told (frames done, frames).
+    There are about ``count`` objects at a time within ``radius`` [m] of the
+    centre, or as many as the roads hold, in ``frames`` frames ``step`` seconds
+    apart. ``mix`` is a key of :data:`MIXES`. Unlike in the paper, road users
+    keep their distance, slow down for bends and give way where paths cross,
+    first come first served. They never overlap. Cyclists keep to the right of
+    the lane, and pedestrians have routes of their own. A road user that leaves
+    is replaced at an entry as soon as there is room. Yaw is the direction of
+    travel; boxes stand at the route's own height. ``progress`` is called with
+    (frames done, frames).
 
     The same seed gives the same traffic; turning the intersection turns it.
-    Raises InspeError for a value out of range, an unknown mix, or where no
+    Raises InspeError if a value is out of range, the mix is unknown, or no
     route lies within the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
@@ -76,11 +77,11 @@ def waypoint_traffic(
 
 
 def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    """Classes of ``count`` users among those that have a path.
+    """Classes of ``count`` road users, among those that have a path.
 
-    Cyclists ride where people walk too: not on motorways.
+    Cyclists ride only where there are pedestrians too, so not on motorways.
     """
-    has_path = [bool((paths.user == USERS.index(u.path)).any()) for u in ROAD_USERS]
+    has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
     has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
     return np.repeat(np.arange(len(CLASSES), dtype=np.int8), quota(mix, has_path, count))
 
@@ -92,7 +93,7 @@ def _advance(model: WaypointModel, time: float) -> None:
 
 
 def _snapshot(model: WaypointModel) -> Snapshot:
-    """Everybody on the road."""
+    """Every road user that is on a path."""
     on = np.flatnonzero(model.active)
     middle = model.point[on].copy()
     middle[:, 2] += model.size[on, 2] / 2

@@ -1,50 +1,33 @@
-"""Road users that drive, queue, give way and walk along paths: one step after another."""
-
-from dataclasses import dataclass
+"""Road users that drive, walk, queue and give way along paths, step by step."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.scene.traffic.waypoint.paths import USERS, Paths
+from inspe_jax.scene.traffic.frames import RoadUser
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths
 
-BRAKING = 3.0  # what drivers count on, of themselves and of whoever is ahead [m/s²]
+BRAKING = 3.0  # that drivers expect of themselves and of the road user ahead [m/s²]
 REACTION = 0.7  # [s]
 MARGIN = 0.05  # least distance ever kept between two bodies [m]
-SIDE_MARGIN = 0.04  # looked for beside one's own path [m]; less than is kept, so never at once
-ENTRY_ROOM = 1.5  # free road wanted before and behind an arrival, at most [m]
+SIDE_MARGIN = 0.04  # width added to each side when looking ahead [m]; less than MARGIN, so that
+# nobody looks blocked where they stand
+ENTRY_ROOM = 1.5  # free road wanted in front of and behind an arrival, at most [m]
 LOOK = 1.0  # step of looking ahead, at most [m]
-HORIZON = 27  # how many steps one looks ahead
-PATIENCE = 8.0  # the longest waiting has its turn after so long, and no sooner after a turn [s]
-STUCK = 120.0  # a user that has not moved for so long [s] goes and comes again elsewhere
-WEDGED = 20.0  # and so does one that stands in a block for so long [s], wedged between others
-TRY = 2.0  # of two that are in each other's way, each tries to go for so long [s]
-ARRIVALS = 4  # that are tried in one step
-
-
-@dataclass(frozen=True)
-class RoadUser:
-    """One class: mean ``size`` (length, width, height) [m] and how it moves [m/s, m/s²].
-
-    ``path`` is one of :data:`~inspe_jax.scene.traffic.waypoint.paths.USERS`; ``gap`` [m]
-    is kept ahead at a standstill.
-    """
-
-    name: str
-    path: str
-    size: tuple[float, float, float]
-    top_speed: float
-    acceleration: float
-    gap: float
+HORIZON = 27  # number of steps of looking ahead
+PATIENCE = 8.0  # time after which the longest waiting goes first, and least time between two [s]
+STUCK = 120.0  # a user that has not moved for this long [s] leaves and enters again elsewhere
+WEDGED = 20.0  # the same for one that stands in a block this long [s]
+TRY = 2.0  # of two that block each other, each tries to go for this long in turn [s]
+ARRIVALS = 4  # most that are tried in one step
 
 
 class WaypointModel:
     """Up to ``len(kind)`` users on ``paths``; ``step`` moves them all, never into each other.
 
-    Each user keeps one class for good: when it leaves, the same class comes in
-    again as another user, of another size and on another path, as soon as there
-    is room. Arrays below have one entry for each; where ``active`` is false the
-    user waits outside. ``arc`` [m] places its centre on ``path``, ``track``
-    numbers users in order of arrival.
+    Each entry of the arrays below is one user, and its class never changes. When a user leaves,
+    another of the same class enters as soon as there is room, with another size and path. Where
+    ``active`` is false, the user waits outside. ``arc`` [m] places its centre on ``path``;
+    ``track`` numbers users in order of arrival.
     """
 
     def __init__(
@@ -61,8 +44,8 @@ class WaypointModel:
         self.top_speed = np.array([u.top_speed for u in users])[kind]
         self.acceleration = np.array([u.acceleration for u in users])[kind]
         self.gap = np.array([u.gap for u in users])[kind]
-        self.route = np.array([USERS.index(u.path) for u in users])[kind]
-        self.choices = [np.flatnonzero(paths.user == r) for r in range(len(USERS))]
+        self.route = np.array([PATH_USERS.index(u.path) for u in users])[kind]
+        self.choices = [np.flatnonzero(paths.user == r) for r in range(len(PATH_USERS))]
         self.time = 0.0
         self.turn = 0.0  # when the longest waiting last had its turn [s]
         self.removed = 0  # for having been stuck
@@ -81,7 +64,7 @@ class WaypointModel:
         self.heading = np.tile([1.0, 0.0], (many, 1))
 
     def fill(self) -> None:
-        """Scatter users over the paths where there is room; the rest wait outside."""
+        """Place users at random on the paths where there is room; the others wait outside."""
         for who in range(len(self.kind)):
             for _ in range(20):
                 self._draw(who)
@@ -91,7 +74,7 @@ class WaypointModel:
                     break
 
     def step(self, dt: float) -> None:
-        """Let users in, decide who may go, and move everybody for ``dt`` seconds."""
+        """Let users in, grant right of way, and move all users for ``dt`` seconds."""
         self.time += dt
         self._let_in()
         on = np.flatnonzero(self.active)
@@ -111,22 +94,22 @@ class WaypointModel:
         )
         self._move(on, np.where(speed < 0.05, 0.0, speed), dt)
 
-    # --- coming and going -------------------------------------------------------------------
+    # ── Entering and leaving ──
 
     def _draw(self, who: int | np.intp) -> None:
-        """A new user in place of the last: size, speed and path, at the path's start."""
+        """Draw a new user in this entry: size, speed and path. It is at the path's start."""
         among = self.choices[self.route[who]]
         weight = self.paths.weight[among]
         self.path[who] = self.rng.choice(among, p=weight / weight.sum())
         size = self.mean_size[who] * (1 + self.spread * _truncated_normal(self.rng, 3))
-        # A body leaves some of its lane free, or neighbours could never pass.
+        # A body leaves part of its lane free; otherwise neighbours could never pass.
         size[1] = min(size[1], max(self.paths.width[self.path[who]] - 0.3, 0.5))
         self.size[who] = size
         self.wish[who] = self.top_speed[who] * (0.9 + 0.05 * _truncated_normal(self.rng, 1)[0])
         self.arc[who], self.speed[who] = 0.0, 0.0
 
     def _has_room(self, who: int | np.intp) -> bool:
-        """Whether nobody is on the spot or within :data:`ENTRY_ROOM` of it along the path."""
+        """Whether the user's place and :data:`ENTRY_ROOM` along its path are free."""
         self._place(np.array([who]))
         others = np.flatnonzero(self.active)
         if not len(others):
@@ -139,7 +122,7 @@ class WaypointModel:
         ).any()  # fmt: skip
 
     def _in_block(self, on: np.ndarray) -> Bool[np.ndarray, " M"]:
-        """Whether any part of each is in a block."""
+        """Whether any part of each user is in a block."""
         blocks = self.paths.block[self.path[on]]
         front, rear = (end[:, None] for end in self._ends(on))
         return ((self.paths.stop[blocks] < front) & (self.paths.leave[blocks] > rear)).any(1)
@@ -152,7 +135,7 @@ class WaypointModel:
         self.arrived += 1
 
     def _let_in(self) -> None:
-        """Try a few of those who wait outside, each at an entry of its own choice."""
+        """Let in a few of the users that wait outside, each at an entry drawn at random."""
         outside = np.flatnonzero(~self.active)
         if len(outside) > ARRIVALS:
             outside = np.sort(self.rng.choice(outside, ARRIVALS, replace=False))
@@ -165,9 +148,10 @@ class WaypointModel:
                 self._admit(who)
 
     def _first_free(self, who: int | np.intp) -> bool:
-        """Whether nobody is in the way of a user that would begin inside its first block.
+        """Whether a user may enter inside its first block.
 
-        Nor anybody standing there, for it must leave the block again.
+        Nobody may hold a block in conflict with it, and nobody may stand near, because the user
+        must be able to leave the block again.
         """
         on = np.flatnonzero(self.active)
         first = self.paths.block[self.path[who], :1]
@@ -177,30 +161,29 @@ class WaypointModel:
         standing = near & (self.speed[on] < 1.0)
         return not (standing.any() or self._held_against(first, on).any())
 
-    # --- right of way -----------------------------------------------------------------------
+    # ── Right of way ──
 
     def _next_block(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Column and number (−1: none left) of each user's first block not granted."""
+        """Column and number of each user's first block that is not granted; −1 if none is left."""
         blocks = self.paths.block[self.path[on]]
         column = np.argmin(self.granted[on], axis=1)  # block -1 ends every row and is never granted
         return column, blocks[np.arange(len(on)), column]
 
     def _line_distance(self, on: np.ndarray) -> np.ndarray:
-        """From each front to the stop line of the first block not granted [m]."""
+        """Distance from each front to the stop line of the first block that is not granted [m]."""
         _, block = self._next_block(on)
         return self.paths.stop[block] - self._ends(on)[0]
 
     def _held_against(self, block: np.ndarray, on: np.ndarray) -> np.ndarray:
-        """(A, M): whether a block is in conflict with one that a user holds and has not left."""
+        """(A, M): whether each block conflicts with one that each user holds and has not left."""
         theirs = self.paths.block[self.path[on]]  # (M, C)
         until = self.paths.clear[block[:, None, None], theirs[None]]  # (A, M, C)
         return (self.granted[on] & (until > self._ends(on)[1][:, None])).any(-1)
 
     def _pressed(self, on: np.ndarray, leader: np.ndarray) -> np.ndarray:
-        """Whether one has long stood before somebody in its queue, six deep, who holds a block.
+        """Whether each user has stood long while one of the six behind it holds a block.
 
-        Giving way out of courtesy would then keep that block held, perhaps
-        against the very one who is given way to.
+        If it gave way to others, that block would stay held, perhaps against the same others.
         """
         holds = self.granted[on] & (
             self.paths.leave[self.paths.block[self.path[on]]] > self._ends(on)[1][:, None]
@@ -214,18 +197,17 @@ class WaypointModel:
     def _give_way(
         self, on: np.ndarray, free: np.ndarray, leader: np.ndarray, follows: np.ndarray
     ) -> None:
-        """Grant blocks: to who is further on first, then first come, first served.
+        """Grant blocks: first to users that are further on, then first come, first served.
 
-        A block is asked for in time to brake before it, by whoever has nobody
-        between itself and the line that still needs leave. It is granted where
-        nobody in conflict is still in one and there is room to leave it again.
-        A stream that flows keeps flowing until the longest waiting has had
-        :data:`PATIENCE`; then nobody in its way is let go before it. So streams
-        take turns, those that do not meet together, as under signals.
+        A user asks for a block in time to brake before it, if nobody between it and the stop line
+        still waits for a grant. The block is granted if nobody holds a block in conflict with it
+        and there is room to leave it again. A flowing stream keeps flowing until the user that
+        waits longest has waited :data:`PATIENCE`. Then nobody in conflict with it goes before it.
+        So streams take turns, and streams without a conflict go together, as at signals.
         """
         column, block = self._next_block(on)
         line = self._line_distance(on)
-        # Index -1, nobody ahead, reads the last entry: no line, no body in the way.
+        # Index -1 means nobody ahead and reads the last entry: no stop line.
         line_of = np.append(line, np.inf)
         near = line < self.speed[on] ** 2 / (2 * BRAKING) + 1.5 * self.speed[on] + 2.0
         asking = np.flatnonzero(near & ((free >= line) | (line_of[leader] > line)))
@@ -251,13 +233,13 @@ class WaypointModel:
                 self.asked[who[k]] = np.inf
                 self.turn = self.time if due[k] else self.turn
                 denied |= met[:, k]
-            elif due[k] or inside[k]:  # who is inside already goes before those who come in
+            elif due[k] or inside[k]:  # users already inside go before users that come in
                 denied |= met[:, k] & yields
 
-    # --- seeing and moving ------------------------------------------------------------------
+    # ── Looking ahead and moving ──
 
     def _ends(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Arcs of front and rear [m]."""
+        """Arc lengths of front and rear [m]."""
         half = self.size[on, 0] / 2
         return self.arc[on] + half, self.arc[on] - half
 
@@ -267,17 +249,16 @@ class WaypointModel:
         )
 
     def _look_ahead(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Free way along each path [m], who ends it (index into ``on``; −1: nobody), and how.
+        """Free distance along each path [m], the user that ends it, and whether it is followed.
 
-        The last is the cosine between both headings where they are much alike,
-        so that one follows the other, else 0.
-
-        The body, a little wider, is slid along its path until it meets another;
-        the last step by bisection. Its gap is taken off.
+        The second is an index into ``on``, −1 for nobody. The third is the cosine between the two
+        headings if they are similar, so that one follows the other, else 0. The body, slightly
+        widened, is moved along its path until it meets another body; the last step is found by
+        bisection. The user's own gap is subtracted.
         """
         half = self.size[on, :2] / 2
         probe = half + [0.0, SIDE_MARGIN]
-        look = np.minimum(LOOK, self.size[on, 0])  # no body slips through between two looks
+        look = np.minimum(LOOK, self.size[on, 0])  # so that no body fits between two looks
         ahead = look[:, None] * np.arange(HORIZON)  # (M, D)
         needed = self.speed[on] ** 2 / (2 * BRAKING) + 2 * self.speed[on] + 5.0
 
@@ -290,7 +271,7 @@ class WaypointModel:
         i, d = np.nonzero(ahead < needed[:, None])  # the (L,) looks
         at = self.paths.at(self.path[on[i]], self.arc[on[i]] + ahead[i, d])  # (L, 3)
         x, y = (at[:, k, None] - self.point[on, k] for k in (0, 1))  # (L, M)
-        # Circles about both bodies; in a bend the probe's centre is a little off its path.
+        # Circles round both bodies; the 1 m is because in a bend the centre is off its path.
         reach = np.hypot(*probe.T)[:, None] + np.hypot(*half.T) + 1.0
         close = x**2 + y**2 < (reach**2)[i]
         close[np.arange(len(i)), i] = False
@@ -299,9 +280,9 @@ class WaypointModel:
         hit = meets(i, j, ahead[i, d])
         i, d, j = i[hit], d[hit], j[hit]
         free, leader = np.full(len(on), float(HORIZON)), np.full(len(on), -1)
-        seen, where = np.unique(i, return_index=True)  # nonzero lists the nearest first
+        seen, where = np.unique(i, return_index=True)  # the nearest, which nonzero lists first
         leader[seen] = j[where]
-        # Between the last look that was free and the first that was not.
+        # Between the last free look and the first that is not free.
         high = ahead[seen, d[where]]
         low = np.maximum(high - look[seen], 0.0)
         for _ in range(3):
@@ -314,10 +295,10 @@ class WaypointModel:
         return free, leader, np.where((leader >= 0) & (along > 0.7), along, 0.0)
 
     def _move(self, on: np.ndarray, speed: np.ndarray, dt: float) -> None:
-        """Move everybody whose way stays clear of everybody else's; the others stand.
+        """Move all users that stay clear of each other; the others stand.
 
-        Users were clear of each other before, so holding back one of each pair
-        that would meet, again and again, ends with nobody meeting anybody.
+        Nobody overlaps before. So repeatedly holding back one of each pair that would meet ends
+        with no overlap.
         """
         was_arc, was_point, was_heading = self.arc[on], self.point[on], self.heading[on]
         self.arc[on] = was_arc + speed * dt
@@ -326,7 +307,7 @@ class WaypointModel:
         reach = np.hypot(*half.T)
         moves = speed > 0
         apart = self.point[on, None, :2] - self.point[None, on, :2]
-        within = reach[:, None] + reach + 2 * dt * self.top_speed.max()  # wherever held back to
+        within = reach[:, None] + reach + 2 * dt * self.top_speed.max()  # also if held back
         i, j = np.nonzero(np.triu(apart[..., 0] ** 2 + apart[..., 1] ** 2 < within**2, 1))
         while True:
             point, heading = self.point[on, :2], self.heading[on]
@@ -335,8 +316,8 @@ class WaypointModel:
                 break
             a, b = i[met], j[met]
             a_behind, b_behind = _is_ahead(point, heading, a, b), _is_ahead(point, heading, b, a)
-            # Where that says nothing of who is first, one tries, and then the other: held back
-            # both, they would stand for good.
+            # Where that does not decide who is first, the two try in turn. If both were held back,
+            # they would stand for ever.
             a_later = self.track[on[a]] > self.track[on[b]]
             a_waits = np.where(
                 a_behind == b_behind, a_later == (self.time % (2 * TRY) < TRY), a_behind
@@ -355,7 +336,10 @@ class WaypointModel:
 
 
 def _safe_speed(free: np.ndarray, leader_speed: np.ndarray) -> np.ndarray:
-    """Speed to stop within the free way [m] even if the leader brakes [m/s] (Krauss 1998)."""
+    """Speed [m/s] at which a user can stop within the free distance [m] if its leader brakes.
+
+    Krauss, *Microscopic modeling of traffic flow*, 1998.
+    """
     lag = BRAKING * REACTION
     free = np.maximum(free, 0.0)
     reach = np.sqrt(lag**2 + leader_speed**2 + 2 * BRAKING * free) - lag
@@ -365,10 +349,10 @@ def _safe_speed(free: np.ndarray, leader_speed: np.ndarray) -> np.ndarray:
 def _reach(
     free: np.ndarray, line: np.ndarray, leader: np.ndarray, follows: np.ndarray
 ) -> np.ndarray:
-    """How far whoever is ahead of each can surely go on [m], six deep: queues have ends.
+    """Distance that each user's leader can surely move on [m], from a chain of six leaders.
 
-    It goes as far as its own line and its own leader let it. Infinite where
-    nobody is ahead, or somebody who merely crosses.
+    A leader moves as far as its own stop line and its own leader allow. Infinite if nobody is
+    ahead, or only somebody that crosses.
     """
     ahead = np.where(follows > 0, 0.0, np.inf)
     for _ in range(6):
@@ -379,7 +363,7 @@ def _reach(
 def _is_ahead(
     point: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> Bool[np.ndarray, " Q"]:
-    """Whether b is ahead of a, as a sees it."""
+    """Whether b is ahead of a in the direction of a's heading."""
     to = point[b] - point[a]
     return to[:, 0] * heading[a, 0] + to[:, 1] * heading[a, 1] > 0
 
@@ -388,9 +372,9 @@ def _overlap(
     point_a: np.ndarray, heading_a: np.ndarray, half_a: np.ndarray,
     point_b: np.ndarray, heading_b: np.ndarray, half_b: np.ndarray,
 ) -> Bool[np.ndarray, " Q"]:  # fmt: skip
-    """Whether two rectangles meet: separating axes, closed form for two pairs of sides.
+    """Whether two rectangles overlap, by separating axes.
 
-    Points [m], unit headings and half lengths and widths [m], each (Q, 2) or (2,).
+    Centres [m], unit headings and half lengths and widths [m], each (Q, 2) or (2,).
     """
     to = point_b - point_a
     cos = np.abs(heading_a[..., 0] * heading_b[..., 0] + heading_a[..., 1] * heading_b[..., 1])
@@ -405,7 +389,7 @@ def _overlap(
 
 
 def _truncated_normal(rng: np.random.Generator, count: int) -> Float[np.ndarray, " N"]:
-    """Standard normal draws within ±2, the others drawn again."""
+    """Standard normal draws; those outside ±2 are drawn again."""
     draw = rng.standard_normal(count)
     while (outside := np.abs(draw) > 2).any():
         draw[outside] = rng.standard_normal(int(outside.sum()))

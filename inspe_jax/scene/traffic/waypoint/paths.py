@@ -1,4 +1,4 @@
-"""Routes made ready to drive: even poses, speed limits, and who must wait for whom."""
+"""Paths that road users follow: evenly spaced poses, speed limits, and conflicts between paths."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,23 +13,23 @@ from inspe_jax.scene.intersection import Intersection, Route
 SPACING = 0.5
 """Distance between poses of a path [m]."""
 
-USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
-"""Kinds of path. A cyclist's is a vehicle's moved to the right of its lane."""
+PATH_USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
+"""Kinds of path. A cyclist's path is a vehicle's, moved to the right of its lane."""
 
 WIDEST = np.array([2.6, 0.8, 0.6])
 """Width [m] that a path of each kind must keep free."""
 
-# Odd figures on purpose: no lane width is a multiple, so rounding never decides a comparison.
+# Odd figures on purpose: no lane width is a multiple of them, so rounding never decides.
 SIDE_ROOM = 0.37  # kept between crossing streams [m]
-FLOW = 1.61  # paths nearer than this and alike in direction are one stream [m]
+FLOW = 1.61  # paths nearer than this and similar in direction are one stream [m]
 ALIKE = np.cos(np.radians(20.3))
-DIVERGING = 12  # a stream that has just split is no conflict yet [m]
+DIVERGING = 12  # paths that split less than this before do not conflict yet [m]
 MERGE_GAP = (12.0, 8.0, 2.5)  # room to wait between two conflicts, by kind of path [m]
 SETBACK = 1.0  # from a stop line to the first conflict [m]
 LATERAL = 2.2  # comfortable lateral acceleration in a bend [m/s²]
-AXLE = 0.3  # of a body's length, from its middle to either axle
+AXLE = 0.3  # from a body's middle to either axle, as a share of its length
 BRAKING = 2.0  # comfortable braking before a bend [m/s²]
-SHORTEST = (8.0, 8.0, 2.0)  # stretches shorter than this are not worth driving [m]
+SHORTEST = (8.0, 8.0, 2.0)  # shorter paths are left out, by kind of path [m]
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -37,7 +37,7 @@ class Paths:
     """P paths inside the region of interest, their N poses end to end, and their K conflicts.
 
     ``start`` is the index of each path's first pose, ``count`` its number of
-    poses, ``user`` indexes :data:`USERS`, ``width`` is the lane's [m] and
+    poses, ``user`` indexes :data:`PATH_USERS`, ``width`` is the lane's [m] and
     ``weight`` the share of new arrivals. Pose m of a path is :data:`SPACING`·m
     metres from its start: ``point`` [m] and ``limit`` on speed [m/s].
 
@@ -68,7 +68,7 @@ class Paths:
     def at(
         self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
     ) -> Float[np.ndarray, "*S 3"]:
-        """Point [m] at an arc length [m] of a path; straight on beyond its ends."""
+        """Point [m] at an arc length [m] of a path, which goes straight on beyond its ends."""
         place = arc / SPACING
         below = np.minimum(np.maximum(np.floor(place).astype(int), 0), self.count[path] - 2)
         part = (place - below)[..., None]
@@ -83,9 +83,9 @@ class Paths:
     ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
         """Centre [m] and unit heading of a body of some length [m] whose axles are on the path.
 
-        On a straight these are the path's own. In a bend a long body cuts the
-        corner, as it does on the road; on the tangent its tail would swing into
-        the next lane.
+        On a straight path these are the path's own. In a bend a long body cuts
+        the corner, as on the road. If it were tangent to the path, its rear would
+        swing into the next lane.
         """
         rear = self.at(path, arc - AXLE * length)
         front = self.at(path, arc + AXLE * length)
@@ -132,7 +132,7 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
 
 
 def _line(route: Route, kind: int) -> np.ndarray:
-    """A route's poses for one kind of user: cyclists and pedestrians keep to the right."""
+    """A route's poses for one kind of path; cyclists and pedestrians keep to the right."""
     points = _resample(np.asarray(route.waypoints, float))
     offset = (0.0, max(route.width / 2 - 0.6, 0.0), min(route.width / 4, 0.5))[kind]
     if not offset or len(points) < 2:
@@ -141,13 +141,13 @@ def _line(route: Route, kind: int) -> np.ndarray:
     moved = points.copy()
     moved[:, 0] += offset * heading[:, 1]
     moved[:, 1] -= offset * heading[:, 0]
-    # In a bend tighter than the offset the line would run backwards: leave those points out.
+    # In a bend tighter than the offset the line would run backwards: those points are left out.
     forward = _dot(np.diff(moved[:, :2], axis=0), heading[1:]) > 0
     return _resample(moved[np.concatenate([[True], forward])])
 
 
 def _resample(points: np.ndarray) -> np.ndarray:
-    """The polyline at every :data:`SPACING` metres of plan-view arc, from its start."""
+    """The polyline at every :data:`SPACING` metres of its length in plan, from its start."""
     step = np.diff(points[:, :2], axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.sqrt(_dot(step, step)))])
     even = np.arange(0.0, arc[-1] + 1e-9, SPACING)
@@ -155,7 +155,7 @@ def _resample(points: np.ndarray) -> np.ndarray:
 
 
 def _within(points: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
-    """From the first point inside the circle to the last."""
+    """The points from the first to the last inside the circle."""
     away = points[:, :2] - np.asarray(center)[:2]
     inside = np.flatnonzero(_dot(away, away) <= radius**2)
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
@@ -168,9 +168,9 @@ def _heading(points: np.ndarray) -> np.ndarray:
 
 
 def _limit(heading: np.ndarray) -> np.ndarray:
-    """Speed that keeps lateral acceleration comfortable, braking in time for bends ahead."""
+    """Speed [m/s] with comfortable lateral acceleration, and comfortable braking before bends."""
     turn = np.abs(_cross(heading[:-1], heading[1:]))
-    # A metre's mean, since waypoints turn in steps.
+    # The mean over 2 m, because waypoints turn in steps.
     turn = np.convolve(np.concatenate([turn[:1], turn]), np.full(4, 0.25), mode="same")
     squared = LATERAL * SPACING / np.maximum(turn, 1e-6)
     reach = 2 * BRAKING * SPACING * np.arange(len(heading))
@@ -180,10 +180,9 @@ def _limit(heading: np.ndarray) -> np.ndarray:
 def _weights(
     first: np.ndarray, user: np.ndarray, enter: np.ndarray, leave: np.ndarray
 ) -> np.ndarray:
-    """Shares of arrivals: equal for each entry lane, and within one three to one for straight on.
+    """Shares of arrivals: equal for each entry lane; in it, straight on up to three times a turn's.
 
-    Pedestrians' entries do not compete with vehicles', since each class picks
-    among its own.
+    Each class draws among its own paths, so pedestrians' entries do not compete with vehicles'.
     """
     straight = 1 + 2 * np.maximum(_dot(enter, leave), 0.0)
     apart = first[:, None, :2] - first[None, :, :2]
@@ -223,15 +222,15 @@ def _blocks(
 def _conflicts(
     path: np.ndarray, arc: np.ndarray, user: np.ndarray, point: np.ndarray, heading: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of poses, both ways round, that users of two different streams cannot both occupy."""
-    sample = np.flatnonzero(np.round(arc / SPACING).astype(int) % 2 == 0)  # every metre will do
+    """Pairs of poses, in both orders, that users of two different streams cannot both occupy."""
+    sample = np.flatnonzero(np.round(arc / SPACING).astype(int) % 2 == 0)  # one a metre is enough
     if not len(sample):
         return np.zeros(0, int), np.zeros(0, int)
     reach = WIDEST.max() + SIDE_ROOM
     pairs = cKDTree(point[sample]).query_pairs(reach, output_type="ndarray")
     one, two = sample[pairs].reshape(-1, 2).T
     apart = path[one] != path[two]
-    # People on foot step round each other: no right of way among them.
+    # Pedestrians walk round each other, so there is no right of way among them.
     apart &= (user[path[one]] != 2) | (user[path[two]] != 2)
     one, two = one[apart], two[apart]
     distance = np.sqrt(_dot(point[one] - point[two], point[one] - point[two]))
@@ -248,7 +247,10 @@ def _conflicts(
 def _since_stream(
     path: np.ndarray, one: np.ndarray, two: np.ndarray
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Metres since a pose's path last ran in one stream with another path; the pairs share one."""
+    """A function: metres since a pose's path was last in one stream with another path.
+
+    ``one`` and ``two`` are pairs of poses in one stream.
+    """
     first = np.searchsorted(path, path)  # first pose of each pose's path
     shared = np.full((path[-1] + 1, len(path)), -1)
     shared[path[two], one] = one

@@ -1,0 +1,139 @@
+"""Grid search: one unit or sensor at a time, on ever finer grids."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.placement.candidates import (
+    COLUMNS,
+    FRAMES,
+    SPACING,
+    above_ground,
+    coordinates,
+    lattice,
+    project,
+    set_heights,
+)
+from inspe_jax.placement.methods.batches import CHUNK, offer_better
+from inspe_jax.placement.methods.states import method_of
+from inspe_jax.placement.run import Run
+from inspe_jax.placement.space import Space
+
+STEPS = {"yaw": np.pi / 4, "pitch": np.pi / 18, "height": 2.0}
+"""Steps of the first grid [rad, rad, m]; every finer grid has half of the last one's."""
+STANDS = 24
+"""Feet on the first grid, at most."""
+FINEST = 5
+"""Times that the grid is made finer."""
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class GridState:
+    """Where the search stands on the grid of one block.
+
+    ``x`` (N,), the present layout, and ``value``, its exact score; ``level``, how often the grid
+    was made finer; ``sweep`` and ``block``, which of all blocks is searched; ``moved``, whether
+    this sweep found anything better; ``scores``, those of the block's grid so far.
+    """
+
+    x: Float[np.ndarray, " N"]
+    value: float
+    scores: Float[np.ndarray, " G"]
+    level: int = 0
+    sweep: int = 0
+    block: int = 0
+    moved: bool = False
+
+
+def begin(run: Run) -> GridState:
+    """The start, before the first grid."""
+    return GridState(np.array(run.best_x), run.best, np.zeros(0))
+
+
+def step(run: Run, state: GridState) -> GridState | None:
+    """Score some more points of the block's grid; score the best exactly when all are done.
+
+    A grid over all sensors at once is far too large: 24 feet, 8 yaws, 3 pitches and 3 heights for
+    each of 8 cameras are 10^26 layouts. So one block is searched at a time, and all else stays:
+    yaw × pitch × height for each sensor of a unit, then where the unit stands and which way it is
+    turned, then the next unit. Sweeps over all units follow until one finds nothing better. Then
+    the grid is made finer, about the present layout.
+    """
+    problem = run.problem
+    blocks = _blocks(problem.layout.members())
+    x = _grid(problem.space, state.x, blocks[state.block], state.level)
+    done, key = len(state.scores), (state.sweep, state.block)
+    sample = problem.sample(run.rng(*key), COLUMNS, FRAMES)
+    scores = np.append(state.scores, run.rough(x[done : done + CHUNK], sample))
+    if len(scores) < len(x):
+        return replace(state, scores=scores)
+    best, value = offer_better(run, x, scores, state.value)
+    moved = bool(state.moved or best)
+    block = state.block + 1
+    state = replace(state, x=x[best], value=value, moved=moved, block=block, scores=np.zeros(0))
+    if block < len(blocks):
+        return state
+    level = state.level + (not moved)
+    if level > FINEST:
+        return None
+    return replace(state, level=level, sweep=state.sweep + 1, block=0, moved=False)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """What is gridded at a time: unit ``unit`` as a whole, or its ``sensor``."""
+
+    unit: int
+    sensors: tuple[int, ...]
+    sensor: int | None = None
+
+
+def _blocks(members: Sequence[tuple[int, ...]]) -> list[_Block]:
+    return [_Block(u, sensors, s) for u, sensors in enumerate(members) for s in (*sensors, None)]
+
+
+def _grid(space: Space, x: Float[np.ndarray, " N"], block: _Block, level: int) -> np.ndarray:
+    """The present layout and after it the others of a block's grid, all feasible."""
+    found = (_stand if block.sensor is None else _aim)(space, x, block, level)
+    found = np.concatenate([x[None], found])
+    # Some are the same once they are projected.
+    first = np.unique(found.round(4), axis=0, return_index=True)[1]
+    return found[np.sort(first)]
+
+
+def _stand(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
+    """Feet × turns of a whole unit: feet everywhere at first, then about the present one."""
+    index = coordinates(space)
+    if level:
+        about = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 2), -1).reshape(-1, 2)
+        feet = x[index.base[block.unit]] + about * SPACING / 2**level
+    else:
+        feet = lattice(space, STANDS)
+        feet = feet[space.can_stand(feet)[block.unit]]
+    turns = STEPS["yaw"] / 2**level * (np.arange(-1, 2) if level else np.arange(8))
+    found = np.tile(x, (len(feet), len(turns), 1))
+    found[..., index.base[block.unit]] = feet[:, None]
+    found[..., index.yaw[list(block.sensors)]] += turns[:, None]
+    return project(space, found.reshape(-1, len(x)))
+
+
+def _aim(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
+    """Yaws all round at first, then about the present one × pitches × heights about theirs."""
+    index, s = coordinates(space), block.sensor
+    ranges = (np.arange(-2, 3) if level else np.arange(8), *[np.arange(-1, 2)] * 2)
+    yaw, pitch, height = (
+        np.stack(np.meshgrid(*ranges, indexing="ij"), -1).reshape(-1, 3).T / 2.0**level
+    )
+    found = np.tile(x, (len(yaw), 1))
+    found[:, index.yaw[s]] += yaw * STEPS["yaw"]
+    found[:, index.pitch[s]] += pitch * STEPS["pitch"]
+    above = np.tile(above_ground(space, x)[list(block.sensors)], (len(yaw), 1))
+    above[:, block.sensors.index(s)] += height * STEPS["height"]
+    return set_heights(space, found, block.unit, block.sensors, above)
+
+
+GRID = method_of(
+    "grid", "one unit or sensor at a time, on ever finer grids", GridState, begin, step
+)

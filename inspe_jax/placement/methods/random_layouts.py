@@ -1,0 +1,38 @@
+"""Random search: many random feasible layouts, of which the best are scored exactly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.methods.batches import CHUNK, offer_better
+from inspe_jax.placement.methods.states import method_of
+from inspe_jax.placement.run import Run
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class RandomState:
+    """``count`` batches done; the best layout so far ``x`` (N,) and its exact score ``value``."""
+
+    count: int
+    x: Float[np.ndarray, " N"]
+    value: float
+
+
+def begin(run: Run) -> RandomState:
+    """The start; no batch done."""
+    return RandomState(0, np.array(run.best_x), run.best)
+
+
+def step(run: Run, state: RandomState) -> RandomState:
+    """Compare a batch of random feasible layouts with the best so far."""
+    count, problem = state.count, run.problem
+    tried = problem.space.random(run.rng(0, count), CHUNK - 1)
+    x = np.concatenate([state.x[None], tried])
+    sample = problem.sample(run.rng(1, count), COLUMNS, FRAMES)
+    best, value = offer_better(run, x, run.rough(x, sample), state.value)
+    return RandomState(count + 1, x[best], value)
+
+
+RANDOM = method_of("random", "random feasible layouts", RandomState, begin, step)

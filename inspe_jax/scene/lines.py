@@ -1,0 +1,17 @@
+"""Lines as arrays of points (N, 2 or 3) [m], measured in plan."""
+
+import numpy as np
+
+
+def resampled(line: np.ndarray, spacing: float = 1.0) -> np.ndarray:
+    """The same line with evenly spaced points, about ``spacing`` metres apart in plan."""
+    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    even = np.linspace(0, arc[-1], max(2, round(arc[-1] / spacing) + 1))
+    return np.column_stack([np.interp(even, arc, column) for column in line.T])
+
+
+def distinct(line: np.ndarray) -> np.ndarray:
+    """A line without points that repeat the one before."""
+    apart = np.hypot(*np.diff(line[:, :2], axis=0).T) > 1e-6
+    return line[np.concatenate([[True], apart])]

@@ -1,0 +1,190 @@
+"""Kinds of sensor: how a catalogue describes the devices of each.
+
+To add a kind, write its spec, a subclass of :class:`~inspe_jax.sensing.sensors.Spec`, and here its
+catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches, layout files and catalogues
+work with the new kind then. Light and weather take nothing from it until ``conditions.toml`` has
+figures for it, and a profile does not change its reliability.
+"""
+
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import STRICT
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
+
+Positive = Annotated[float, Field(gt=0)]
+_Elevation = Annotated[float, Field(ge=-90, le=90)]
+_Limits = Annotated[list[_Elevation], Field(min_length=2, max_length=2)]
+
+
+class DeviceKeys(BaseModel):
+    """The keys of a catalogue that make a spec: those that every kind has."""
+
+    model_config = STRICT
+
+    kind: str
+    reliability: Annotated[float, Field(ge=0, le=1)] = 1.0
+
+    spec_type: ClassVar[type[Spec]]
+    """The spec that they make."""
+    alternatives: ClassVar[tuple[str, ...]] = ()
+    """Keys of which a device gives one."""
+
+    def spec(self, name: str, where: str) -> Spec:
+        """The spec [rad, m] of a device. Raises InspeError that names ``where`` and the key."""
+        raise NotImplementedError
+
+    @classmethod
+    def table(cls, spec: Any) -> dict[str, Any]:
+        """The keys of a spec of this kind, as Python's own numbers; :meth:`spec` reads them."""
+        raise NotImplementedError
+
+    @classmethod
+    def combined(cls, other: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+        """The keys of a device that is like another: its own, and the other's for the rest."""
+        if any(key in own for key in cls.alternatives):
+            other = {key: value for key, value in other.items() if key not in cls.alternatives}
+        return other | own
+
+
+class LidarKeys(DeviceKeys):
+    """A LiDAR: elevations as a table or as even steps, and a step of azimuth."""
+
+    spec_type = LidarSpec
+    alternatives = ("elevations_deg", "elevation_range_deg")
+
+    range_m: Positive
+    azimuth_step_deg: Annotated[float, Field(ge=0.001, le=360)]
+    azimuth_fov_deg: Annotated[float, Field(gt=0, le=360)] = 360.0
+    channels: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    elevations_deg: Annotated[list[_Elevation], Field(min_length=1)] | None = None
+    elevation_range_deg: _Limits | None = None
+
+    def spec(self, name: str, where: str) -> LidarSpec:
+        """The spec [rad, m]; the azimuth count is the nearest to field of view over step."""
+        elevations = self._elevations(where)
+        if self.azimuth_step_deg > self.azimuth_fov_deg:
+            raise InspeError(
+                f"{where}: azimuth_step_deg: {self.azimuth_step_deg:g} is wider than "
+                f"azimuth_fov_deg, {self.azimuth_fov_deg:g}"
+            )
+        return LidarSpec(
+            name=name,
+            elevations=tuple(np.radians(elevations).tolist()),
+            azimuth_count=round(self.azimuth_fov_deg / self.azimuth_step_deg),
+            azimuth_fov=float(np.radians(self.azimuth_fov_deg)),
+            reach=self.range_m,
+            reliability=self.reliability,
+        )
+
+    @classmethod
+    def table(cls, spec: LidarSpec) -> dict[str, Any]:
+        """The keys of a LiDAR's spec."""
+        fov = float(np.degrees(spec.azimuth_fov))
+        return dict(
+            kind="lidar",
+            channels=len(spec.elevations),
+            elevations_deg=np.degrees(spec.elevations).round(9).tolist(),
+            azimuth_fov_deg=fov,
+            azimuth_step_deg=fov / spec.azimuth_count,
+            range_m=float(spec.reach),
+            reliability=float(spec.reliability),
+        )
+
+    @classmethod
+    def combined(cls, other: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+        """As for every kind; a table of elevations comes with its own number of channels."""
+        if "elevations_deg" in own:
+            other = {key: value for key, value in other.items() if key != "channels"}
+        return super().combined(other, own)
+
+    def _elevations(self, where: str) -> list[float]:
+        """Degrees, strictly ascending: the table, or even steps over the range."""
+        key, table = "elevations_deg", self.elevations_deg
+        if (table is None) == (self.elevation_range_deg is None):
+            raise InspeError(f"{where}: give either elevations_deg or elevation_range_deg")
+        if table is None:
+            assert self.elevation_range_deg is not None
+            if self.channels is None or self.channels < 2:
+                raise InspeError(
+                    f"{where}: channels: elevation_range_deg needs 2 or more, got {self.channels}"
+                )
+            key, (low, high) = "elevation_range_deg", self.elevation_range_deg
+            table = np.linspace(low, high, self.channels).tolist()
+        elif self.channels not in (None, len(table)):
+            raise InspeError(
+                f"{where}: channels: {self.channels}, but elevations_deg has {len(table)} entries"
+            )
+        for below, above in pairwise(table):
+            if above <= below:
+                raise InspeError(
+                    f"{where}: {key}: must ascend strictly, but {above:g} follows {below:g}"
+                )
+        return table
+
+
+class CameraKeys(DeviceKeys):
+    """A camera: its picture, its focal length or field of view, and its effective depth."""
+
+    spec_type = CameraSpec
+    alternatives = ("hfov_deg", "focal_px")
+
+    width: Annotated[int, Field(ge=1)]
+    height: Annotated[int, Field(ge=1)]
+    depth_m: Positive
+    downsample: Annotated[float, Field(gt=0, le=1)]
+    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
+    focal_px: Positive | None = None
+    principal_px: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+
+    def spec(self, name: str, where: str) -> CameraSpec:
+        """The spec [pixel, m]; the principal point is the middle of the image if not given."""
+        if (self.hfov_deg is None) == (self.focal_px is None):
+            raise InspeError(f"{where}: give either hfov_deg or focal_px")
+        focal = self.focal_px
+        if self.hfov_deg is not None:
+            focal = float(self.width / 2 / np.tan(np.radians(self.hfov_deg) / 2))
+        assert focal is not None
+        cx, cy = self.principal_px or (self.width / 2, self.height / 2)
+        return CameraSpec(
+            name=name,
+            width=self.width,
+            height=self.height,
+            focal=focal,
+            principal=(cx, cy),
+            downsample=self.downsample,
+            depth=self.depth_m,
+            reliability=self.reliability,
+        )
+
+    @classmethod
+    def table(cls, spec: CameraSpec) -> dict[str, Any]:
+        """The keys of a camera's spec."""
+        return dict(
+            kind="camera",
+            width=spec.width,
+            height=spec.height,
+            focal_px=float(spec.focal),
+            principal_px=[float(x) for x in spec.principal],
+            downsample=float(spec.downsample),
+            depth_m=float(spec.depth),
+            reliability=float(spec.reliability),
+        )
+
+
+SENSOR_KINDS: dict[str, type[DeviceKeys]] = {
+    keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys)
+}
+"""Every kind of sensor by name."""
+
+
+def keys_of(kind: Any, where: str) -> type[DeviceKeys]:
+    """The catalogue keys of a kind. Raises InspeError that names ``where`` and the kinds."""
+    if kind not in SENSOR_KINDS:
+        known = " or ".join(f"'{name}'" for name in SENSOR_KINDS)
+        raise InspeError(f"{where}: kind: must be {known}, got {kind!r}")
+    return SENSOR_KINDS[kind]

@@ -1,0 +1,131 @@
+"""Adding a map format or a model of traffic: a module and a row. Here this file is the module."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from processes import inspe_here
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.maps import registry as maps
+from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.procedural.built_ins import built_in, crossing
+from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+from inspe_jax.scene.traffic import registry as models
+from inspe_jax.scene.traffic.frames import TrafficFrames
+
+MAP = """\
+junctions:
+  north: {bearings_deg: [0, 90, 180, 270], lanes_in: 1, lanes_out: 1}
+  south: {bearings_deg: [10, 130, 250]}
+"""
+
+# ── What the module of a map format holds ───────────────────────────────────
+
+
+def _junctions(path):
+    return yaml.safe_load(Path(path).read_text())["junctions"]
+
+
+def list_junctions(path):
+    """Junctions of a toy map, all at the origin."""
+    found = _junctions(path)
+    return tuple(
+        JunctionInfo(name, (0.0, 0.0, 0.0), len(given["bearings_deg"]), 20.0, 0, 0)
+        for name, given in found.items()
+    )
+
+
+def read_toy(path, *, junction=None, center=None, radius=50.0):
+    """A junction by its name; its parameters are those of a built-in crossing."""
+    found = _junctions(path)
+    if junction not in found:
+        raise InspeError(f"{path}: no junction '{junction}': {', '.join(found)}")
+    given = dict(found[junction])
+    return crossing(f"{Path(path).name} {junction}", given.pop("bearings_deg"), **given)
+
+
+# ── What the module of a traffic model holds ────────────────────────────────
+
+
+def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, progress):
+    """``count`` cars that stand in a row on the first route, in every frame."""
+    route = intersection.routes[0].waypoints[: 8 * count : 8]
+    shape, size = (frames, len(route)), np.array([4.5, 1.8, 1.5])
+    return TrafficFrames(
+        center=np.broadcast_to(route + [0, 0, size[2] / 2], (*shape, 3)),
+        yaw=np.zeros(shape),
+        size=np.broadcast_to(size, (*shape, 3)),
+        valid=np.ones(shape, bool),
+        kind=np.zeros(shape, np.int8),
+        track=np.broadcast_to(np.arange(len(route)), shape),
+        velocity=np.zeros((*shape, 3)),
+        time=np.arange(frames) * step,
+    )
+
+
+# ── Their rows, and what follows from them ──────────────────────────────────
+
+
+@pytest.fixture
+def toy_map(monkeypatch, tmp_path):
+    row = maps.MapFormat("toy", (".toy.yaml",), __name__, reader="read_toy")
+    monkeypatch.setattr(maps, "FORMATS", [*maps.FORMATS, row])
+    path = tmp_path / "town.toy.yaml"
+    path.write_text(MAP)
+    return path
+
+
+@pytest.fixture
+def parked(monkeypatch):
+    row = models.TrafficModel(__name__, "parked_traffic")
+    monkeypatch.setitem(models.TRAFFIC_MODELS, "parked", row)
+
+
+def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
+    assert maps.is_map(toy_map)
+    assert [info.id for info in maps.list_junctions(toy_map)] == ["north", "south"]
+    place = maps.read_map(toy_map, junction="north", radius=30)
+    own = crossing("own", (0, 90, 180, 270), lanes_in=1, lanes_out=1)
+    assert place.regions.keys() == own.regions.keys()
+    assert all(place.regions[r].equals(own.regions[r]) for r in own.regions)
+    scene = build_scene(place, radius=20, voxel=1.0, frames=2, density=5)
+    save_scene(scene, tmp_path / "scene.npz")
+    again = load_scene(tmp_path / "scene.npz")
+    assert again.name == "town.toy.yaml north"
+    np.testing.assert_array_equal(again.voxels.region, scene.voxels.region)
+
+
+def test_the_command_line_lists_and_builds_a_map_of_a_new_format(
+    toy_map, tmp_path, monkeypatch, capsys
+):
+    status, listed, _ = inspe_here(tmp_path, monkeypatch, capsys, "scene", toy_map.name, "--list")
+    assert status == 0
+    assert all(name in listed for name in ("north", "south"))
+    options = "--junction south --radius 20 --voxel 1 --frames 2 --density 5 --out south.npz"
+    status, *_ = inspe_here(tmp_path, monkeypatch, capsys, "scene", toy_map.name, *options.split())
+    assert status == 0
+    assert len(load_scene(tmp_path / "south.npz").intersection.arms) == 3
+
+
+def test_without_its_row_a_map_is_not_known(tmp_path):
+    path = tmp_path / "town.toy.yaml"
+    path.write_text(MAP)
+    assert not maps.is_map(path)
+    with pytest.raises(InspeError, match=r"town\.toy\.yaml"):
+        maps.read_map(path, junction="north")
+
+
+def test_a_row_is_all_that_a_traffic_model_needs(parked):
+    scene = build_scene(
+        built_in("four_way"), radius=20, voxel=1.0, frames=3, density=2, traffic="parked"
+    )
+    assert scene.traffic.valid.shape == (3, 2)
+    assert dict(scene.settings)["traffic"] == "parked"
+    np.testing.assert_array_equal(scene.traffic.center[0], scene.traffic.center[2])
+
+
+def test_a_traffic_model_that_is_not_known_is_an_error():
+    with pytest.raises(InspeError, match=r"traffic 'parked': waypoints, sumo, or a log of"):
+        build_scene(built_in("four_way"), traffic="parked")

@@ -1,0 +1,194 @@
+"""Adding a kind of sensor: its spec with its ray grid, and its catalogue keys with a row.
+
+Here the kind is a fan: rays of one plane, as of a radar or a single-plane scanner.
+"""
+
+import io
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+from rich.console import Console
+from worlds import LIDAR, world
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.report.figures import plan_view
+from inspe_jax.report.sheet import save_figure
+from inspe_jax.report.tables import devices_table
+from inspe_jax.sensing import kinds
+from inspe_jax.sensing.catalogue import Device, load_devices, spec_of, table_of
+from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.kinds import DeviceKeys, Positive
+from inspe_jax.sensing.layout import load_layout, make_layout, save_layout
+from inspe_jax.sensing.sensors import Spec, SphericalGrid
+from inspe_jax.visibility import raycast
+from inspe_jax.visibility.queries import in_view
+
+# ── First file: the spec ────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class FanSpec(Spec):
+    """``count`` rays at even azimuths over ``fov`` [rad], all in the plane of the sensor."""
+
+    name: str
+    count: int
+    fov: float
+    reach: float
+    reliability: float = 1.0
+
+    kind = "fan"
+    title = "fan of rays"
+
+    @cached_property
+    def grid(self):
+        step = self.fov / (self.count - 1)
+        return SphericalGrid((0.0,), -self.fov / 2, step, self.count, False, self.reach)
+
+
+# ── Second file: what a catalogue says of it ────────────────────────────────
+
+
+class FanKeys(DeviceKeys):
+    rays: int
+    fov_deg: Positive
+    range_m: Positive
+
+    spec_type = FanSpec
+
+    def spec(self, name, where):
+        fov = float(np.radians(self.fov_deg))
+        return FanSpec(name, self.rays, fov, self.range_m, self.reliability)
+
+    @classmethod
+    def table(cls, spec):
+        return dict(
+            kind="fan",
+            rays=spec.count,
+            fov_deg=float(np.degrees(spec.fov)),
+            range_m=spec.reach,
+            reliability=spec.reliability,
+        )
+
+
+@pytest.fixture
+def fan(monkeypatch):
+    monkeypatch.setitem(kinds.SENSOR_KINDS, "fan", FanKeys)
+
+
+# ── What follows from them ──────────────────────────────────────────────────
+
+LAYOUT = """\
+devices:
+  my-fan: {kind: fan, rays: 241, fov_deg: 120, range_m: 30, reliability: 0.9}
+units:
+  - base: [9.0, 9.0]
+    sensors:
+      - {device: my-fan, height: 5.0, yaw_deg: -130, pitch_deg: -14}
+  - base: [-9.0, 9.0]
+    sensors:
+      - {device: my-fan, height: 4.0, yaw_deg: -40, pitch_deg: -9, roll_deg: 6}
+      - {device: paper-lidar-32, height: 4.5, yaw_deg: 0}
+"""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=20.0, voxel=0.5, frames=3, count=12, seed=4)
+
+
+@pytest.fixture
+def layout(fan, scene, tmp_path):
+    path = tmp_path / "fans.yaml"
+    path.write_text(LAYOUT)
+    return load_layout(path, scene)
+
+
+def test_a_fan_sees_the_voxels_that_its_rays_pass_through(scene, layout):
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    assert (ours[:2] == walked[:2]).all()
+    assert 0.01 < ours[0].mean() < 0.5
+    assert (ours == walked).mean() > 0.999
+
+
+def test_its_score_is_that_of_its_rays(scene, layout):
+    """Coverage is the weighted share of voxels that a walk of every ray meets."""
+    alone = inspe_jax.evaluate(scene, _only(layout, 0, 1))
+    walked = raycast.in_view(scene, layout, "exact")[:2].any(0)
+    weight = scene.voxels.weight
+    assert alone.coverage == pytest.approx(weight @ walked / weight.sum(), abs=1e-6)
+    both = inspe_jax.evaluate(scene, layout)
+    assert both.coverage > alone.coverage > 0.02
+    assert both.surrogate > alone.surrogate > 0
+
+
+def test_a_search_places_it(scene, layout):
+    found = inspe_jax.optimise(scene, layout, method="random", evaluations=20)
+    assert found.objective > found.objective_before
+    assert [sensor.spec.kind for sensor in found.layout.sensors] == ["fan", "fan", "lidar"]
+    low, high = np.radians(FanSpec.pitch_limits_deg)
+    assert Constraints().pitch["fan"] == (low, high)
+    pitches = np.asarray(found.layout.poses)[:2, 4]
+    assert ((pitches > low - 1e-3) & (pitches < high + 1e-3)).all()
+
+
+def test_its_layout_is_written_and_read_again(scene, layout, tmp_path):
+    save_layout(layout, tmp_path / "again.yaml")
+    again = load_layout(tmp_path / "again.yaml", scene)
+    assert again.sensors == layout.sensors
+    np.testing.assert_allclose(again.poses, layout.poses, atol=1e-9)
+
+
+def test_a_catalogue_may_have_it(fan, tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[my-fan]\nkind = "fan"\ntitle = "Fan"\nmaker = "us"\nsource = "made up"\n'
+        "rays = 3\nfov_deg = 90\nrange_m = 20\n"
+    )
+    row = load_devices(path)["my-fan"]
+    assert (row.kind, row.maker) == ("fan", "us")
+    assert row.spec == FanSpec("my-fan", 3, float(np.pi / 2), 20.0)
+    assert spec_of(table_of(row.spec), "my-fan", "here") == row.spec
+    path.write_text(path.read_text().replace("rays", "beams"))
+    with pytest.raises(InspeError, match=r"my-fan: beams: unknown key; allowed: .*rays"):
+        load_devices(path)
+
+
+def test_weather_without_figures_for_it_takes_nothing(fan, layout):
+    spec = layout.sensors[0].spec
+    assert Conditions.of("night", "fog:50").spec(spec) == spec
+    assert Conditions.of("night", "fog:50").spec(LIDAR) != LIDAR
+    assert spec.with_performance(0.5, reach=10.0) == FanSpec("my-fan", 241, spec.fov, 10.0, 0.5)
+    assert FAIR.layout(layout) is layout
+
+
+def test_figures_and_tables_show_it(scene, layout, tmp_path):
+    drawn = plan_view(scene, layout, inspe_jax.evaluate(scene, layout))
+    legend = [text.get_text() for text in drawn.findobj(Text)]
+    assert "fan of rays, reach 30 m" in legend
+    save_figure(drawn, tmp_path / "plan.png")
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(devices_table([device_of(layout.sensors[0].spec)]))
+    assert re.search(r"my-fan\W+fan\W+1\W+120° × 0°\W+30\W+241", console.export_text())
+
+
+def test_without_its_row_the_kind_is_not_known(tmp_path):
+    path = tmp_path / "fans.yaml"
+    path.write_text(LAYOUT)
+    with pytest.raises(InspeError, match=r"devices.my-fan: kind: must be 'lidar' or 'camera'"):
+        load_layout(path)
+
+
+def device_of(spec):
+    return Device(spec.name, spec.kind, "Fan", "us", spec, None, "made up", "")
+
+
+def _only(layout, *sensors):
+    """Some of the first sensors of a layout, and the units that carry them."""
+    members = [layout.sensors[s] for s in sensors]
+    return make_layout(members, list(layout.units), np.asarray(layout.poses)[list(sensors)])

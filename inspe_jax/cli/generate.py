@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
 
 SHOWN = 3
 """Scenarios that could not be made whose error is printed."""
@@ -26,10 +27,16 @@ def generate(
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
     backend: Annotated[
         str | None,
-        typer.Option(help="What records: embedded or carla; embedded, or as the protocol says."),
+        typer.Option(
+            help=f"What records: {' or '.join(BACKENDS)}. If not given, {DEFAULT_BACKEND}, or as "
+            "the data_protocol.yaml says."
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes; one a core if not given, and one with carla.")
+        int | None,
+        typer.Option(
+            help="Number of processes. If not given, one per core, or as the backend allows."
+        ),
     ] = None,
     address: Annotated[
         str | None,
@@ -102,21 +109,23 @@ def generate(
         return
     try:
         with progress("frames") as report:
-            made = run(generation, folder, backend, workers=workers, server=server, progress=report)
+            result = run(
+                generation, folder, backend, workers=workers, server=server, progress=report
+            )
     except KeyboardInterrupt:
         err.print("stopped; the same command goes on from here", soft_wrap=True)
         raise typer.Exit(130) from None
-    speed = f", {made.seconds / made.recorded:.2g} s a frame" if made.recorded else ""
+    speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
     out.print(
-        f"{_counted(made.scenarios, 'scenario')}, {_counted(made.frames, 'frame')}, "
-        f"{made.size / 1e6:.1f} MB{speed}",
+        f"{_counted(result.scenarios, 'scenario')}, {_counted(result.frames, 'frame')}, "
+        f"{result.size / 1e6:.1f} MB{speed}",
         highlight=False,
         soft_wrap=True,
     )
-    out.print(f"wrote {made.folder}", highlight=False, soft_wrap=True)
-    counts = Counter(words for notes in made.notes.values() for words in notes)
+    out.print(f"wrote {result.folder}", highlight=False, soft_wrap=True)
+    counts = Counter(words for notes in result.notes.values() for words in notes)
     note(f"{words} ({_counted(count, 'scenario')})" for words, count in counts.items())
-    failures = list(made.failures.items())
+    failures = list(result.failures.items())
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:
         err.print(

@@ -4,8 +4,7 @@ import warnings
 
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
-from inspe_jax.dataset.formats.opv2v.reader import read_frame
-from inspe_jax.dataset.formats.opv2v.writer import write_frame, write_protocol
+from inspe_jax.dataset.formats.registry import read_frame, write_frame, write_protocol
 from inspe_jax.dataset.generate import GenerationResult, generate
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation

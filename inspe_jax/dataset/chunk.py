@@ -12,8 +12,7 @@ from typing import Any
 from filelock import FileLock
 
 from inspe_jax.core.files import parse_yaml
-from inspe_jax.dataset.formats.opv2v.reader import agent_ids
-from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL, write_frame, write_protocol
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.scene.scene import Scene
@@ -44,6 +43,7 @@ class Chunk:
     last: int
     left: int
     server: Server | None = None
+    format: str = DEFAULT_FORMAT
 
     @property
     def key(self) -> str:
@@ -75,8 +75,11 @@ class Outcome:
 
 
 @dataclass
-class _Desk:
-    """The one recorder that a worker has open; what it is of, and its scenario's protocol."""
+class WorkerState:
+    """The one recorder that a worker process has open, of the scenario with the key ``of``.
+
+    ``error`` says why it could not be opened.
+    """
 
     of: str = ""
     recorder: Recorder | None = None
@@ -102,7 +105,7 @@ class _Desk:
             self.left = ExitStack()
             self.recorder = self.left.enter_context(recorder_of(chunk.backend, *given))
             self.notes = self.recorder.notes
-            self.protocol = protocol_of(plan, content, chunk.backend, self.notes)
+            self.protocol = protocol_of(plan, content, chunk.backend, self.notes, chunk.format)
         except Exception as e:
             self.error = message_of(e)
 
@@ -115,7 +118,7 @@ class _Desk:
             left.close()
 
 
-_desk = _Desk()
+_worker = WorkerState()
 _at_work = threading.Lock()
 
 
@@ -135,23 +138,24 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes: tuple[str, ...] = ()
+    stored = FORMATS[chunk.format]
     try:
         with FileLock(chunk.lock):
-            for t in _left(chunk):
+            for t in _missing(chunk):
                 with _at_work:
-                    if _desk.closing:
+                    if _worker.closing:
                         break
-                    _desk.set(scene, chunk)
-                    if _desk.error:
-                        return Outcome(error=_desk.error)
-                    notes = _desk.notes
+                    _worker.set(scene, chunk)
+                    if _worker.error:
+                        return Outcome(error=_worker.error)
+                    notes = _worker.notes
                     try:
-                        frame = replace(_desk.recorder.frame(t), number=t)  # type: ignore[union-attr]
+                        frame = replace(_worker.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
                         return Outcome(error=f"frame {t}: {message_of(e)}")
-                    if not (chunk.folder / PROTOCOL).exists():
-                        write_protocol(chunk.folder, _desk.protocol or {}, frame.stations)
-                    write_frame(chunk.folder, frame)
+                    if not stored.is_begun(chunk.folder):
+                        stored.write_protocol(chunk.folder, _worker.protocol or {}, frame.stations)
+                    stored.write(chunk.folder, frame)
     except Exception as e:
         fault = os_error(e)
         if fault is None:
@@ -162,9 +166,9 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
 
 def close() -> None:
     """Close the worker's recorder when it is done with its frame; it begins no other."""
-    _desk.closing = True
+    _worker.closing = True
     with _at_work:
-        _desk.clear()
+        _worker.clear()
 
 
 def os_error(e: BaseException) -> OSError | None:
@@ -175,14 +179,13 @@ def os_error(e: BaseException) -> OSError | None:
     return seen
 
 
-def _left(chunk: Chunk) -> Iterator[int]:
-    """Frames of a chunk that are not there; no more once who sent it is gone."""
+def _missing(chunk: Chunk) -> Iterator[int]:
+    """Frames of a chunk that are not written yet; stops when the sending process is gone."""
     sender = multiprocessing.parent_process()
-    begun = (chunk.folder / PROTOCOL).exists()
-    agents = [chunk.folder / str(agent) for agent in agent_ids(chunk.folder)] if begun else []
-    for t in range(chunk.first, chunk.last + 1):
+    stored, folder = FORMATS[chunk.format], chunk.folder
+    # Nobody else writes frames of this chunk meanwhile: its lock is held.
+    there = stored.frames(folder, stored.agents(folder)) if stored.is_begun(folder) else ()
+    for t in sorted(set(range(chunk.first, chunk.last + 1)) - set(there)):
         if sender is not None and not sender.is_alive():
             return
-        # A frame's YAML files are its last, and all agents' folders are there before any.
-        if not agents or not all((agent / f"{t:06d}.yaml").exists() for agent in agents):
-            yield t
+        yield t

@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.dataset.formats.opv2v.reader import agent_ids, frame_of, read_protocol, stems
-from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL
+from inspe_jax.dataset.formats.registry import (
+    DEFAULT_FORMAT,
+    FORMATS,
+    DatasetFormat,
+    format_of,
+)
 from inspe_jax.simulation.frame import Frame
 
 SPLITS = ("train", "validate", "test")
@@ -25,6 +29,7 @@ class Scenario:
     """A scenario on disk, as it was when first asked."""
 
     path: Path
+    format: DatasetFormat = FORMATS[DEFAULT_FORMAT]
 
     @property
     def name(self) -> str:
@@ -34,22 +39,21 @@ class Scenario:
     @cached_property
     def protocol(self) -> Mapping[str, Any]:
         """What made it; empty where it does not tell."""
-        return read_protocol(self.path)
+        return self.format.read_protocol(self.path)
 
     @cached_property
     def agents(self) -> tuple[int, ...]:
         """Ids of its agents: infrastructure −1, −2, … first, then vehicles."""
-        return agent_ids(self.path)
+        return self.format.agents(self.path)
 
     @cached_property
     def frames(self) -> tuple[int, ...]:
         """Numbers of the frames that every agent has."""
-        each = [set(stems(self.path / str(agent))) for agent in self.agents]
-        return tuple(sorted(set.intersection(*each))) if each else ()
+        return self.format.frames(self.path, self.agents)
 
     def frame(self, number: int) -> Frame:
         """A frame, as :func:`~inspe_jax.dataset.read_frame` reads it."""
-        return frame_of(self.path, number, self.agents, self.protocol)
+        return self.format.read(self.path, number, self.agents, self.protocol)
 
 
 @dataclass(frozen=True)
@@ -101,8 +105,9 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     if not given.is_dir():
         raise InspeError(f"{given}: no such folder")
     folder = given.resolve()
-    if _is_scenario(folder):
-        return Dataset(folder, {folder.parent.name: (Scenario(folder),)})
+    row = format_of(folder)
+    if row is not None:
+        return Dataset(folder, {folder.parent.name: (Scenario(folder, row),)})
     scenarios = _scenarios(folder)
     if scenarios:
         return Dataset(folder, {folder.name: scenarios})
@@ -111,21 +116,19 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     ordered = [*first, *(name for name in splits if name not in first)]
     found = {name: splits[name] for name in ordered if splits[name]}
     if not found:
-        raise InspeError(
-            f"{given}: not a data set: expected SPLIT/SCENARIO/AGENT/000000.yaml, "
-            f"SCENARIO/AGENT/000000.yaml or AGENT/000000.yaml in it"
+        expected = ", ".join(
+            f"{above}{row.example}"
+            for row in FORMATS.values()
+            for above in ("SPLIT/SCENARIO/", "SCENARIO/", "")
         )
+        raise InspeError(f"{given}: not a data set: expected one of {expected} in it")
     return Dataset(folder, found)
 
 
 def _scenarios(split: Path) -> tuple[Scenario, ...]:
-    return tuple(Scenario(child) for child in _folders(split) if _is_scenario(child))
+    found = ((child, format_of(child)) for child in _folders(split))
+    return tuple(Scenario(child, row) for child, row in found if row is not None)
 
 
 def _folders(path: Path) -> list[Path]:
     return sorted(child for child in path.iterdir() if child.is_dir())
-
-
-def _is_scenario(path: Path) -> bool:
-    """Whether a folder has a protocol, or an agent with a frame."""
-    return (path / PROTOCOL).is_file() or any(stems(path / str(a)) for a in agent_ids(path))

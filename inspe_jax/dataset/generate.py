@@ -12,14 +12,12 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
-from inspe_jax.simulation.backends import check_backend, server_of
+from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
 from inspe_jax.study.engine import dask, done
 from inspe_jax.study.work import message_of
 
 MB = 1e6
-MOST_WORKERS = {"carla": 1}
-"""By how many workers a backend can record, where that is limited: a CARLA server has one world."""
 GO_ON = "make room, and the same command goes on from here"
 
 
@@ -71,18 +69,18 @@ def generate(
     workers = _checked(backend, workers)
     server = server_of(backend, server)
     try:
-        with DatasetWriter(generation, folder, backend) as making:
-            had = making.frames
-            failures, notes = _record(making, generation, backend, workers, server, progress)
+        with DatasetWriter(generation, folder, backend) as writer:
+            had = writer.frames
+            failures, notes = _record(writer, generation, backend, workers, server, progress)
             if not failures:
-                making.clear()
-            placed = [plan.frames for plan in generation.scenarios if making.place(plan).exists()]
+                writer.clear()
+            placed = [plan.frames for plan in generation.scenarios if writer.place(plan).exists()]
             return GenerationResult(
-                folder=making.folder,
+                folder=writer.folder,
                 scenarios=len(placed),
                 frames=sum(placed),
-                size=making.size,
-                recorded=making.frames - had,
+                size=writer.size,
+                recorded=writer.frames - had,
                 seconds=time.monotonic() - began,
                 failures=failures,
                 notes=notes,
@@ -96,7 +94,7 @@ def generate(
 def _checked(backend: str, workers: int | None) -> int | None:
     """How many workers there are to be. Raises InspeError where there cannot be so many."""
     check_backend(backend)
-    most = MOST_WORKERS.get(backend)
+    most = BACKENDS[backend].most_workers
     if workers is not None and (workers < 1 or (most is not None and workers > most)):
         allowed = "1 or more" if most is None else f"{most} with backend {backend}"
         raise InspeError(f"workers {workers}: {allowed}")
@@ -104,7 +102,7 @@ def _checked(backend: str, workers: int | None) -> int | None:
 
 
 def _record(
-    making: DatasetWriter,
+    writer: DatasetWriter,
     generation: Generation,
     backend: str,
     workers: int | None,
@@ -113,21 +111,21 @@ def _record(
 ) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
     """Do what is left to do; gives what is wrong with each scenario that cannot be made, and the
     notes of those that are."""
-    chunks = {plan.name: _chunks(making, plan, backend, server) for plan in generation.scenarios}
+    chunks = {plan.name: _chunks(writer, plan, backend, server) for plan in generation.scenarios}
     left = {name: len(own) for name, own in chunks.items()}
-    recorded, failures, notes = making.frames, dict[str, str](), dict[str, tuple[str, ...]]()
+    recorded, failures, notes = writer.frames, dict[str, str](), dict[str, tuple[str, ...]]()
 
     def tell() -> None:
         if progress:
             progress(recorded, generation.frames)
 
     def settle(plan: ScenarioPlan) -> None:
-        if not left[plan.name] and plan.name not in failures and not making.finish(plan):
+        if not left[plan.name] and plan.name not in failures and not writer.finish(plan):
             failures[plan.name] = "some of its files are gone again; give the same command again"
 
     tell()
     for plan in generation.scenarios:
-        if not making.place(plan).exists():
+        if not writer.place(plan).exists():
             settle(plan)
     todo = [chunk for own in chunks.values() for chunk in own]
     if not todo:
@@ -140,7 +138,7 @@ def _record(
                 plan = chunk.plan
                 outcome = Outcome(message_of(found)) if isinstance(found, Exception) else found
                 if outcome.fault:
-                    raise InspeError(_room(making, generation) if outcome.full else outcome.fault)
+                    raise InspeError(_room(writer, generation) if outcome.full else outcome.fault)
                 left[plan.name] -= 1
                 if outcome.error:
                     failures.setdefault(plan.name, outcome.error)
@@ -158,25 +156,27 @@ def _record(
 
 
 def _chunks(
-    making: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
+    writer: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
 ) -> list[Chunk]:
     """Chunks of a scenario with a frame that is not there."""
     found = []
     for first in range(0, plan.frames, SIZE):
         last = min(first + SIZE, plan.frames) - 1
-        left = len(set(range(first, last + 1)) - making.there[plan.name])
+        left = len(set(range(first, last + 1)) - writer.there[plan.name])
         if left:
-            files = making.unfinished(plan), making.lock(plan, first)
-            found.append(Chunk(plan, backend, *files, first, last, left, server))
+            files = writer.unfinished(plan), writer.lock(plan, first)
+            found.append(
+                Chunk(plan, backend, *files, first, last, left, server, writer.format_name)
+            )
     return found
 
 
-def _room(making: DatasetWriter, generation: Generation) -> str:
+def _room(writer: DatasetWriter, generation: Generation) -> str:
     """That the disk is full, and how much more the set will need."""
-    there = making.take_stock(generation)
-    told = f"{making.folder}: the disk is full: {there} of {generation.frames} frames are there"
+    there = writer.take_stock(generation)
+    told = f"{writer.folder}: the disk is full: {there} of {generation.frames} frames are there"
     if there:
-        needed = making.size / there * (generation.frames - there)
-        free = shutil.disk_usage(making.folder).free
+        needed = writer.size / there * (generation.frames - there)
+        free = shutil.disk_usage(writer.folder).free
         told += f", about {needed / MB:.1f} MB more are needed, and {free / MB:.1f} MB are free"
     return f"{told}; {GO_ON}"

@@ -41,8 +41,10 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
 from inspe_jax.scene.traffic.frames import MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
+from inspe_jax.simulation.backends import DEFAULT_BACKEND
 from inspe_jax.simulation.recorder import Recording
 from inspe_jax.study.settings import (
     CONDITIONS,
@@ -125,8 +127,9 @@ class Generation:
 
     name: str
     scenarios: tuple[ScenarioPlan, ...]
-    backend: str = "embedded"
+    backend: str = DEFAULT_BACKEND
     notes: tuple[str, ...] = ()
+    format: str = DEFAULT_FORMAT
 
     @property
     def frames(self) -> int:
@@ -165,9 +168,14 @@ class RecordingEntry(Strict):
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
     image_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    format: str = DEFAULT_FORMAT
 
     def recording(self, where: str) -> Recording:
-        """The same. Raises InspeError where a layer is given twice."""
+        """The settings of the recording.
+
+        Raises InspeError where a layer is given twice, or the format of the data set is unknown.
+        """
+        check_format(self.format, f"{where}: format")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
         return Recording(rate=self.rate_hz, layers=tuple(self.layers), image_scale=self.image_scale)
 
@@ -215,7 +223,7 @@ def make_generation(
     }
     splits = _split(kinds, shares)
     done = [replace(plan, split=splits[group]) for group, plan in zip(groups, done, strict=True)]
-    return Generation(entry.name or name, tuple(done))
+    return Generation(entry.name or name, tuple(done), format=entry.format)
 
 
 def check_seconds(seconds: float, rate: float, where: str) -> None:

@@ -13,30 +13,30 @@ SLACK = 1e-3
 whatever rounding did to them, and those of the road that it stands on are not."""
 
 
-def count_inside(scans: Sequence[Scan], things: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
+def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
     """How many points of each scan lie in the box of each thing, both in the world.
 
     The points of all scans are sorted by x once, so that each box is held against those of its
     own strip alone.
     """
-    counts = np.zeros((len(scans), len(things)), np.int64)
+    counts = np.zeros((len(scans), len(boxes)), np.int64)
     if not counts.size:
         return counts
     cloud = np.concatenate([world_points(scan) for scan in scans], 1)  # (3, N)
     owner = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
     order = np.argsort(cloud[0])
     x = cloud[0, order]
-    for k, thing in enumerate(things):
-        half = np.asarray(thing.size, float) / 2 + SLACK
-        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+    for k, box in enumerate(boxes):
+        half = np.asarray(box.size, float) / 2 + SLACK
+        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
         reach = abs(cos) * half[0] + abs(sin) * half[1]
-        first = np.searchsorted(x, thing.center[0] - reach)
-        end = np.searchsorted(x, thing.center[0] + reach, side="right")
+        first = np.searchsorted(x, box.center[0] - reach)
+        end = np.searchsorted(x, box.center[0] + reach, side="right")
         near = order[first:end]
-        dy = cloud[1, near] - thing.center[1]
+        dy = cloud[1, near] - box.center[1]
         beside = np.abs(dy) <= abs(sin) * half[0] + abs(cos) * half[1]
         near, dy = near[beside], dy[beside]
-        dx, dz = cloud[0, near] - thing.center[0], cloud[2, near] - thing.center[2]
+        dx, dz = cloud[0, near] - box.center[0], cloud[2, near] - box.center[2]
         inside = (np.abs(cos * dx + sin * dy) <= half[0]) & (np.abs(cos * dy - sin * dx) <= half[1])
         inside &= (dz <= half[2]) & (dz >= 2 * SLACK - half[2])
         counts[:, k] = np.bincount(owner[near[inside]], minlength=len(scans))

@@ -16,6 +16,7 @@ from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model, read_yaml
 from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.plan import (
     SETTINGS,
     Generation,
@@ -86,7 +87,11 @@ def versions(backend: str) -> dict[str, str]:
 
 
 def protocol_of(
-    plan: ScenarioPlan, layout: Mapping[str, Any], backend: str, notes: Sequence[str] = ()
+    plan: ScenarioPlan,
+    layout: Mapping[str, Any],
+    backend: str,
+    notes: Sequence[str] = (),
+    format: str = DEFAULT_FORMAT,
 ) -> dict[str, Any]:
     """What a protocol holds; ``layout`` is what a layout file would, and ``notes`` tell what could
     not be recorded as asked."""
@@ -119,6 +124,7 @@ def protocol_of(
             "layers": list(plan.recording.layers),
             "image_scale": plan.recording.image_scale,
             "seed": plan.seed,
+            **({} if format == DEFAULT_FORMAT else {"format": format}),
         },
         **({"tags": dict(plan.tags)} if plan.tags else {}),
         "layout": dict(layout),
@@ -181,7 +187,8 @@ def _remade(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Gen
         if entry.versions.get(name) != now.get(name)
     ]
     notes = [f"made with {', '.join(sorted(other))}: files may differ"] if other else []
-    return Generation(entry.name, (plan,), entry.recording.backend, tuple(notes))
+    recorded = entry.recording
+    return Generation(entry.name, (plan,), recorded.backend, tuple(notes), recorded.format)
 
 
 def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:

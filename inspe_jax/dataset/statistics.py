@@ -226,15 +226,15 @@ class _Tally:
         self.counts["size"] += _disk_size(scenario.path)
         for number in scenario.frames:
             frame = scenario.frame(number)
-            for thing in frame.things:
-                kind, size = KINDS.index(thing.kind), np.asarray(thing.size).tolist()
-                kind, size, before = users.get(thing.track, (kind, size, 0))
-                users[thing.track] = kind, size, before + 1
+            for box in frame.boxes:
+                kind, size = KINDS.index(box.kind), np.asarray(box.size).tolist()
+                kind, size, before = users.get(box.track, (kind, size, 0))
+                users[box.track] = kind, size, before + 1
             self._add_sensors(frame)
             self._add_hits(frame)
-            self.crowd.append(len(frame.things))
+            self.crowd.append(len(frame.boxes))
             self.counts["frames"] += 1
-            self.counts["boxes"] += len(frame.things)
+            self.counts["boxes"] += len(frame.boxes)
             yield
         self.users += users.values()
 
@@ -249,12 +249,12 @@ class _Tally:
 
     def _add_hits(self, frame: Frame) -> None:
         scans = [scan for station in frame.stations for scan in station.scans]
-        if not (scans and frame.things):
+        if not (scans and frame.boxes):
             return
-        points = count_inside(scans, frame.things)  # (S, B)
-        kind = np.array([KINDS.index(thing.kind) for thing in frame.things])
+        points = count_inside(scans, frame.boxes)  # (S, B)
+        kind = np.array([KINDS.index(box.kind) for box in frame.boxes])
         sensors = np.array([scan.pose[:3] for scan in scans])
-        middles = np.array([thing.center for thing in frame.things])
+        middles = np.array([box.center for box in frame.boxes])
         away = np.linalg.norm(middles - sensors[:, None], axis=-1)  # (S, B)
         self.merged.append(np.stack([kind, away.min(0), points.sum(0)]).astype(np.float32))
         each = np.stack([np.broadcast_to(kind, away.shape), away, points])  # (3, S, B)

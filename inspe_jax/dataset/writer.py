@@ -16,7 +16,7 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
 from inspe_jax.dataset.folders import SPLITS, Scenario
-from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
 
@@ -35,6 +35,8 @@ class DatasetWriter:
         """Raises InspeError where the folder cannot be written, is in use by another run, or has
         another set in it, or anything else."""
         self.folder = prepare_folder(folder)
+        self.format_name = generation.format
+        self.format = FORMATS[generation.format]
         self._lock = FileLock(self.folder / f".{RECORD}.lock")
         try:
             self._lock.acquire(timeout=0)
@@ -70,7 +72,7 @@ class DatasetWriter:
     def finish(self, plan: ScenarioPlan) -> bool:
         """Put a scenario in its place; False, and it stays, where a frame of it is missing."""
         folder = self.unfinished(plan)
-        self.there[plan.name] = _frames(folder)
+        self.there[plan.name] = self._frames(folder)
         if len(self.there[plan.name]) < plan.frames:
             return False
         for part in folder.rglob(".*.part"):  # of a worker that was killed
@@ -92,7 +94,7 @@ class DatasetWriter:
         """Count the frames that there are, of scenarios finished or not."""
         for plan in generation.scenarios:
             place = self.place(plan)
-            self.there[plan.name] = _frames(place if place.exists() else self.unfinished(plan))
+            self.there[plan.name] = self._frames(place if place.exists() else self.unfinished(plan))
         return self.frames
 
     @property
@@ -124,8 +126,8 @@ class DatasetWriter:
         kept = read_yaml(path)
         if not isinstance(kept, dict) or kept.get("format") != FORMAT:
             raise InspeError(f"{path}: not what this version of the package writes; {_ADVICE}")
-        for key in ("backend", "digest"):
-            if kept.get(key) != record[key]:
+        for key in ("backend", "data_format", "digest"):
+            if kept.get(key) != record.get(key):
                 what = f"'{kept.get('name')}'" if key == "digest" else f"{key} {kept.get(key)}"
                 raise InspeError(
                     f"{self.folder}: holds another data set, {what}: not the same scenarios, made "
@@ -142,17 +144,18 @@ class DatasetWriter:
         """Frames that there are of a scenario; one with a frame taken away is unfinished again."""
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
-            there = _frames(place)
+            there = self._frames(place)
             if len(there) == plan.frames:
                 return there
             shutil.rmtree(folder, ignore_errors=True)
             folder.parent.mkdir(parents=True, exist_ok=True)
             os.replace(place, folder)
-        return _frames(folder)
+        return self._frames(folder)
 
-
-def _frames(folder: Path) -> set[int]:
-    return set(Scenario(folder).frames) if (folder / PROTOCOL).exists() else set()
+    def _frames(self, folder: Path) -> set[int]:
+        """Numbers of the complete frames in a scenario's folder."""
+        begun = self.format.is_begun(folder)
+        return set(Scenario(folder, self.format).frames) if begun else set()
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:
@@ -168,4 +171,5 @@ def record_of(generation: Generation, backend: str) -> dict[str, Any]:
             split: [plan.name for plan in plans] for split, plans in generation.splits.items()
         },
         "versions": versions(backend),
+        **({} if generation.format == DEFAULT_FORMAT else {"data_format": generation.format}),
     }

@@ -95,13 +95,13 @@ def frame_table(scenario: Scenario, number: int) -> RenderableType:
     heads = ("x\n[m]", "y\n[m]", "yaw\n[°]", "speed\n[m/s]", *(f"{axis}\n[m]" for axis in _AXES))
     table = table_of(f"{scenario.name}, frame {number}", "track", "class", *heads, "points")
     scans = [scan for station in frame.stations for scan in station.scans]
-    points = count_inside(scans, frame.things).sum(0)
-    for thing, count in zip(frame.things, points, strict=True):
-        place = [f"{value:z.1f}" for value in thing.center[:2]]
-        turn = [f"{np.degrees(thing.yaw):z.0f}", f"{np.linalg.norm(thing.velocity):.1f}"]
-        size = [f"{value:.2f}" for value in thing.size]
+    points = count_inside(scans, frame.boxes).sum(0)
+    for box, count in zip(frame.boxes, points, strict=True):
+        place = [f"{value:z.1f}" for value in box.center[:2]]
+        turn = [f"{np.degrees(box.yaw):z.0f}", f"{np.linalg.norm(box.velocity):.1f}"]
+        size = [f"{value:.2f}" for value in box.size]
         seen = f"{count:,}" if scans else _NONE
-        table.add_row(str(thing.track), thing.kind, *place, *turn, *size, seen)
+        table.add_row(str(box.track), box.kind, *place, *turn, *size, seen)
     return table
 
 

@@ -71,7 +71,7 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
             top = _HEAD + MAP + _FOOT + _WORDS + (k // columns) * step
             own = width * image.rgb.shape[0] / image.rgb.shape[1]
             place = (left / WIDTH, 1 - (top + own) / height, width / WIDTH, own / height)
-            _draw_image(fig.add_axes(place), image, frame.things, words)
+            _draw_image(fig.add_axes(place), image, frame.boxes, words)
     return fig
 
 
@@ -86,7 +86,7 @@ def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Ima
     points = sum(len(scan.points) for scan in scans)
     title = fit(f"{scenario.name}, frame {frame.number}", 68)
     facts = (
-        f"{frame.time:.2f} s; {counted(len(frame.things), 'object')}; "
+        f"{frame.time:.2f} s; {counted(len(frame.boxes), 'object')}; "
         f"{counted(len(frame.stations), 'station')}\n"
         f"{counted(len(images), 'image')}; {counted(len(scans), 'point cloud')}"
         f"{f' of {points:,} points together' if scans else ''}"
@@ -111,8 +111,8 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
             cloud[0], cloud[1], c=cloud[2], s=0.35, lw=0, cmap=_HEIGHTS, vmin=low, vmax=high,
             rasterized=True, zorder=1,
         )  # fmt: skip
-    footprint = corners(frame.things)[:, :4, :2]
-    colors = [_color(thing) for thing in frame.things]
+    footprint = corners(frame.boxes)[:, :4, :2]
+    colors = [_color(box) for box in frame.boxes]
     ax.add_collection(
         PolyCollection(list(footprint), fc="none", ec=colors, lw=0.8, zorder=3), autolim=False
     )
@@ -134,7 +134,7 @@ def _limits(
     frame: Frame, cloud: Float[np.ndarray, "3 N"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """A square about things and stations; about the points, where there are no others."""
-    places = [thing.center[:2] for thing in frame.things]
+    places = [box.center[:2] for box in frame.boxes]
     places += [station.pose[:2] for station in frame.stations]
     if len(places) < 2 and cloud.size:
         places += list(cloud[:2].T)
@@ -147,13 +147,13 @@ def _limits(
 def _heights(frame: Frame, z: Float[np.ndarray, " N"]) -> tuple[float, float]:
     """From the lowest of the ground to the top of the things, or of most points [m]."""
     low = float(np.percentile(z, 1))
-    tops = [thing.center[2] + thing.size[2] / 2 for thing in frame.things]
+    tops = [box.center[2] + box.size[2] / 2 for box in frame.boxes]
     high = max(tops, default=float(np.percentile(z, 99)))
     return low, max(high, low + 1.0)
 
 
-def _color(thing: RoadUserBox) -> str:
-    return CLASS_COLORS[KINDS.index(thing.kind)]
+def _color(box: RoadUserBox) -> str:
+    return CLASS_COLORS[KINDS.index(box.kind)]
 
 
 def _badge(ax: Axes, at: Any, station: Station) -> None:
@@ -175,7 +175,7 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
         panel.text(middle, -1, "height of a point, z [m]", ha="center", va="top")
         y = -42.0
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
-    keys = 10 + len({thing.kind for thing in frame.things})
+    keys = 10 + len({box.kind for box in frame.boxes})
     room = int((MAP * 72 + y) / _ROW - keys) // 2
     for k, station in enumerate(frame.stations):
         if k == room and len(frame.stations) > room + 1:
@@ -192,7 +192,7 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
 
 
 def _keys(frame: Frame, images: bool) -> list[Any]:
-    counts = {kind: sum(thing.kind == kind for thing in frame.things) for kind in KINDS}
+    counts = {kind: sum(box.kind == kind for box in frame.boxes) for kind in KINDS}
     keys: list[Any] = [
         Patch(fc="none", ec=color, lw=0.9, label=f"{kind} ({counts[kind]})")
         for kind, color in zip(KINDS, CLASS_COLORS, strict=True)
@@ -208,18 +208,18 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
     return keys
 
 
-def _draw_image(ax: Axes, image: Image, things: Sequence[RoadUserBox], words: str) -> None:
+def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str) -> None:
     """An image and the boxes that fall on it."""
     height, width = image.rgb.shape[:2]
     ax.imshow(image.rgb, extent=(0, width, height, 0))
-    lines, owner = box_lines(image, things, width, height)
-    seen = set(range(len(things)))
+    lines, owner = box_lines(image, boxes, width, height)
+    seen = set(range(len(boxes)))
     if image.instance is not None:
         found = set(np.unique(image.instance).tolist())
-        seen = {k for k, thing in enumerate(things) if thing.track + 1 in found}
+        seen = {k for k, box in enumerate(boxes) if box.track + 1 in found}
     for shown, look in ((False, dict(lw=0.5, ls=_DOTS)), (True, dict(lw=0.7))):
         own = np.array([(k in seen) == shown for k in owner], bool)
-        colors = [_color(things[k]) for k in owner[own]]
+        colors = [_color(boxes[k]) for k in owner[own]]
         drawn = LineCollection(list(lines[own]), colors=colors, **look)
         if shown:
             drawn.set_path_effects(_RIM)

@@ -3,6 +3,7 @@
 All in world ENU, metres and radians; a pose is (x, y, z, roll, pitch, yaw).
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
@@ -104,26 +105,35 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One moment: every thing that is there, and every station. ``time`` in seconds."""
+    """One moment of a scenario: the box of every road user, and what every station recorded.
+
+    ``number`` counts the frames of the scenario; ``time`` is in seconds.
+    """
 
     number: int
     time: float
-    things: tuple[RoadUserBox, ...]
+    boxes: tuple[RoadUserBox, ...]
     stations: tuple[Station, ...]
+
+    @property
+    def things(self) -> tuple[RoadUserBox, ...]:
+        """Deprecated: the earlier name of ``boxes``."""
+        warnings.warn("Frame.things is now Frame.boxes", DeprecationWarning, stacklevel=2)
+        return self.boxes
 
 
 def check_frame(frame: Frame) -> None:
     """Raise InspeError where a frame cannot be written as it is; loads all that is deferred."""
     where = f"frame {frame.number}"
     _whole_number(frame.number, 0, MOST_FRAME, "frame")
-    for track in (thing.track for thing in frame.things):
+    for track in (box.track for box in frame.boxes):
         _whole_number(track, 0, MOST_TRACK, f"{where}: track")
     for number in (station.number for station in frame.stations):
         _whole_number(number, 1, None, f"{where}: station")
-    _no_two([thing.track for thing in frame.things], f"{where}: track")
+    _no_two([box.track for box in frame.boxes], f"{where}: track")
     _no_two([station.number for station in frame.stations], f"{where}: station")
-    for thing in frame.things:
-        _check_thing(thing, f"{where}: track {thing.track}")
+    for box in frame.boxes:
+        _check_box(box, f"{where}: track {box.track}")
     for station in frame.stations:
         here = f"{where}: station {station.number}"
         _numbers(station.pose, (6,), f"{here}: pose")
@@ -134,15 +144,15 @@ def check_frame(frame: Frame) -> None:
             _check_points(scan.points, f"{here}: scan {i}: points")
 
 
-def _check_thing(thing: RoadUserBox, where: str) -> None:
-    if thing.kind not in KINDS:
-        hint = nearest(str(thing.kind), KINDS)
-        raise InspeError(f"{where}: kind '{thing.kind}': one of {', '.join(KINDS)}{hint}")
+def _check_box(box: RoadUserBox, where: str) -> None:
+    if box.kind not in KINDS:
+        hint = nearest(str(box.kind), KINDS)
+        raise InspeError(f"{where}: kind '{box.kind}': one of {', '.join(KINDS)}{hint}")
     for key in ("center", "size", "velocity"):
-        _numbers(getattr(thing, key), (3,), f"{where}: {key}")
-    _numbers(thing.yaw, (), f"{where}: yaw")
-    if not np.all(np.asarray(thing.size) > 0):
-        raise InspeError(f"{where}: size {np.asarray(thing.size).tolist()} is not above 0")
+        _numbers(getattr(box, key), (3,), f"{where}: {key}")
+    _numbers(box.yaw, (), f"{where}: yaw")
+    if not np.all(np.asarray(box.size) > 0):
+        raise InspeError(f"{where}: size {np.asarray(box.size).tolist()} is not above 0")
 
 
 def _check_image(image: Image, where: str) -> None:

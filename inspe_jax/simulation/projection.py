@@ -21,13 +21,13 @@ EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) 
 """The 12 edges of a box, two of :func:`corners` each; of those at the front, (3, 0) is lowest."""
 
 
-def corners(things: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
+def corners(boxes: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
     """Corners of boxes in the world [m]: front left, rear left, rear right, front right at the
     bottom, and again at the top."""
-    found = np.zeros((len(things), 8, 3))
-    for k, thing in enumerate(things):
-        turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
-        found[k] = np.asarray(thing.center) + (_SIGNS * np.asarray(thing.size) / 2) @ turn.T
+    found = np.zeros((len(boxes), 8, 3))
+    for k, box in enumerate(boxes):
+        turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
+        found[k] = np.asarray(box.center) + (_SIGNS * np.asarray(box.size) / 2) @ turn.T
     return found
 
 
@@ -59,13 +59,13 @@ def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
 
 
 def box_lines(
-    image: Pinhole, things: Sequence[RoadUserBox], width: int, height: int
+    image: Pinhole, boxes: Sequence[RoadUserBox], width: int, height: int
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
     """Edges of boxes, each cut to what is on a picture: (column, row) of their ends, and whose.
 
     A box that is behind the camera, or beside the picture, has none.
     """
-    lines, owner = _in_front(image, corners(things), NEAR)
+    lines, owner = _in_front(image, corners(boxes), NEAR)
     for axis, most in ((0, width), (1, height)):
         lines, owner = _cut(lines, owner, lines[..., axis])
         lines, owner = _cut(lines, owner, most - lines[..., axis])
@@ -73,13 +73,17 @@ def box_lines(
 
 
 def outlines(
-    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], width: int, height: int, margin: float = 0.0
+    image: Pinhole,
+    box_corners: Float[np.ndarray, "B 8 3"],
+    width: int,
+    height: int,
+    margin: float = 0.0,
 ) -> list[Float[np.ndarray, "N 2"]]:
     """What boxes cover of a picture, as polygons of (column, row), each ``margin`` pixels wider.
 
     ``boxes`` are as of :func:`corners`. Those behind the camera or beside the picture have none.
     """
-    lines, owner = _in_front(image, boxes, TOUCHING)
+    lines, owner = _in_front(image, box_corners, TOUCHING)
     _, own = np.unique(np.repeat(owner, 2), return_inverse=True)
     hulls = shapely.convex_hull(shapely.multipoints(lines.reshape(-1, 2), indices=own))
     cut = shapely.clip_by_rect(shapely.buffer(hulls, margin, quad_segs=1), 0, 0, width, height)
@@ -91,12 +95,12 @@ def outlines(
 
 
 def _in_front(
-    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], near: float
+    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], near: float
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
     """Edges of boxes on a picture's plane, cut where they come nearer than ``near`` [m]; whose."""
     pose = np.asarray(image.pose, float)
-    ends = boxes[:, EDGES].reshape(-1, 2, 3)
-    owner = np.repeat(np.arange(len(boxes)), len(EDGES))
+    ends = box_corners[:, EDGES].reshape(-1, 2, 3)
+    owner = np.repeat(np.arange(len(box_corners)), len(EDGES))
     depth = (ends - pose[:3]) @ rotation(pose[3:], np)[:, 0]  # (M, 2)
     ends, owner = _cut(ends, owner, depth - near)
     return pixels(image, ends)[..., :2], owner

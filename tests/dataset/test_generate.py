@@ -68,7 +68,7 @@ def at_home(monkeypatch):
 
     @contextmanager
     def client(scheduler, workers):
-        monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+        monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
         given = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
         with LocalCluster(**given, memory_limit=None) as cluster, Client(cluster) as here:
             yield here
@@ -190,8 +190,8 @@ def test_noise_differs_and_traffic_does_not(undisturbed):
     for plan in load_generation(path).scenarios:
         if plan.layout.name == "two masts":
             stem = f"{plan.split}/{plan.name}/-1/000007"
-            things = yaml.safe_load(files[f"{stem}.yaml"])["vehicles"]
-            each[plan.settings["seed"], plan.settings["light"]] = things, files[f"{stem}.pcd"]
+            boxes = yaml.safe_load(files[f"{stem}.yaml"])["vehicles"]
+            each[plan.settings["seed"], plan.settings["light"]] = boxes, files[f"{stem}.pcd"]
     assert each[0, "midday"][0] == each[0, "night"][0] != each[1, "night"][0]
     assert len({points for _, points in each.values()}) == 4
 
@@ -469,7 +469,7 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
         told.append(("close", conditions.light))
 
     monkeypatch.setattr(chunk, "recorder_of", recorder_of)
-    monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+    monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
     day, night, *_ = load_generation(write(tmp_path)).scenarios
     for number, (plan, first) in enumerate(((day, 0), (day, 10), (night, 0))):
         given = tmp_path / plan.name, tmp_path / f"lock {number}", first, first + 1, 2

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import parse_yaml
-from inspe_jax.dataset import load_generation
+from inspe_jax.dataset import load_generation, write_protocol
 from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.formats.opv2v.writer import write_protocol
 from inspe_jax.dataset.plan import SETTINGS, _split
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.placement.strategies import strategy

@@ -26,12 +26,12 @@ def instances_of(
     depth: Float[np.ndarray, "H W"],
     pose: Float[np.ndarray, "6"],
     intrinsic: Float[np.ndarray, "3 3"],
-    things: tuple[RoadUserBox, ...],
+    boxes: tuple[RoadUserBox, ...],
 ) -> Int[np.ndarray, "H W"]:
     """Track + 1 of each pixel of a camera at ``pose``, 0 where there is no thing."""
     found = np.zeros(tags.shape, np.int32)
     rows, columns = np.nonzero(np.isin(tags, ROAD_USERS) & np.isfinite(depth))
-    if not len(rows) or not things:
+    if not len(rows) or not boxes:
         return found
     _, which, many = np.unique(numbers[rows, columns], return_inverse=True, return_counts=True)
     asked = _some(which, many)
@@ -39,12 +39,12 @@ def instances_of(
     (fx, _, cx), (_, fy, cy), _ = intrinsic
     left, up = (cx - columns[asked] - 0.5) / fx, (cy - rows[asked] - 0.5) / fy
     body = np.stack([away, away * left, away * up], -1)
-    holder = _holders(body @ rotation(pose[3:], np).T + pose[:3], things)  # −1: nobody
-    votes = np.zeros((len(many), len(things) + 1), int)
+    holder = _holders(body @ rotation(pose[3:], np).T + pose[:3], boxes)  # −1: nobody
+    votes = np.zeros((len(many), len(boxes) + 1), int)
     np.add.at(votes, (which[asked], holder), 1)
     votes[:, -1] = 0  # what nobody holds
-    owner = np.where(votes.any(1), votes.argmax(1), len(things))
-    track = np.array([thing.track + 1 for thing in things] + [0])
+    owner = np.where(votes.any(1), votes.argmax(1), len(boxes))
+    track = np.array([box.track + 1 for box in boxes] + [0])
     found[rows, columns] = track[owner[which]]
     return found
 
@@ -58,15 +58,15 @@ def _some(which: Int[np.ndarray, " P"], many: Int[np.ndarray, " N"]) -> Int[np.n
 
 
 def _holders(
-    points: Float[np.ndarray, "Q 3"], things: tuple[RoadUserBox, ...]
+    points: Float[np.ndarray, "Q 3"], boxes: tuple[RoadUserBox, ...]
 ) -> Int[np.ndarray, " Q"]:
     """The thing in or nearest to whose box points lie, −1 where none is near."""
     least, holder = np.full(len(points), BEYOND), np.full(len(points), -1)
-    for k, thing in enumerate(things):
-        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
-        x, y, z = (points - thing.center).T
+    for k, box in enumerate(boxes):
+        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
+        x, y, z = (points - box.center).T
         local = np.abs([cos * x + sin * y, cos * y - sin * x, z])  # (3, Q)
-        out = (local - thing.size[:, None] / 2).max(0)
+        out = (local - box.size[:, None] / 2).max(0)
         nearer = out < least
         least[nearer], holder[nearer] = out[nearer], k
     return holder

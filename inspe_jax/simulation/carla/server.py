@@ -45,7 +45,7 @@ def town_of(place: Intersection) -> str:
 
 
 @contextmanager
-def failing_plainly(server: Server) -> Iterator[None]:
+def plain_errors(server: Server) -> Iterator[None]:
     """What the client raises, a RuntimeError for everything, as an InspeError."""
     try:
         yield
@@ -159,9 +159,9 @@ def session_on(
         _check_empty(world, server)
         world.set_weather(weather(carla))
         session.hidden = [
-            thing.id
+            item.id
             for label in _PARKED
-            for thing in world.get_environment_objects(getattr(carla.CityObjectLabel, label))
+            for item in world.get_environment_objects(getattr(carla.CityObjectLabel, label))
         ]
         if session.hidden:
             world.enable_environment_objects(session.hidden, False)

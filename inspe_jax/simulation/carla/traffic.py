@@ -70,7 +70,7 @@ class Actors:
             ]
         )
 
-    def things(self, t: int, snapshot: Any) -> tuple[RoadUserBox, ...]:
+    def boxes(self, t: int, snapshot: Any) -> tuple[RoadUserBox, ...]:
         """The road users of frame t, as the server has them."""
         found = []
         for b in self._entries(t):

@@ -5,14 +5,13 @@ import numpy as np
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.camera import Camera
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
+from inspe_jax.simulation.embedded.sensors import simulated_sensor
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import build_static_world
-from inspe_jax.simulation.frame import Frame, Image, Scan
+from inspe_jax.simulation.embedded.surroundings import Surroundings
+from inspe_jax.simulation.frame import Frame
 from inspe_jax.simulation.recorder import Recording, stations_of
 
 BELOW = 2.5
@@ -38,32 +37,29 @@ class EmbeddedRecorder:
         layout = conditions.layout(layout)
         poses = np.asarray(layout.poses, float)
         self.layout = layout
-        self.statics = build_static_world(
+        self.static_world = build_static_world(
             scene.intersection, scene.voxels.radius, _masts(layout, poses)
         )
-        self.still = Caster(self.statics.triangles)
-        shading = Shading(conditions, self.statics.poles - self.statics.center)
-        scale = self.recording.image_scale
-        self.sensors: list[Camera | Lidar] = [
-            Camera(sensor.spec, pose, self.statics, self.still, shading, scale)
-            if isinstance(sensor.spec, CameraSpec)
-            else Lidar(sensor.spec, pose, self.statics, self.still)
+        self.static_caster = Caster(self.static_world.triangles)
+        shading = Shading(conditions, self.static_world.poles - self.static_world.center)
+        surroundings = Surroundings(
+            self.static_world, self.static_caster, shading, self.recording, seed
+        )
+        self.sensors = [
+            simulated_sensor(sensor.spec, pose, surroundings)
             for sensor, pose in zip(layout.sensors, poses, strict=True)
         ]
 
     def frame(self, t: int) -> Frame:
-        """Frame t, as every station recorded it."""
-        things = boxes_at(self.scene.traffic, t, self.seed)
-        company = FrameActors(things, self.statics.center)
-        seen: list[Image | Scan] = []
-        for s, sensor in enumerate(self.sensors):
-            rng = np.random.default_rng([self.seed, t, s, 3])
-            if isinstance(sensor, Camera):
-                seen.append(sensor.image(company, self.seed, rng, self.recording.layers))
-            else:
-                returns = sensor.cast(company, 1.0 / self.recording.rate)
-                seen.append(sensor.scan(returns, self.recording.noise, rng))
-        return Frame(t, float(self.scene.traffic.time[t]), things, stations_of(self.layout, seen))
+        """Frame t of the scene's traffic, as every station recorded it."""
+        boxes = boxes_at(self.scene.traffic, t, self.seed)
+        actors = FrameActors(boxes, self.static_world.center)
+        recorded = [
+            sensor.record(actors, np.random.default_rng([self.seed, t, s, 3]))
+            for s, sensor in enumerate(self.sensors)
+        ]
+        stations = stations_of(self.layout, recorded)
+        return Frame(t, float(self.scene.traffic.time[t]), boxes, stations)
 
 
 def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:

@@ -17,11 +17,11 @@ STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
 
 
 @dataclass(frozen=True, eq=False)
-class Movers:
+class RoadUserTriangles:
     """Triangles (F, 3, 3) about a centre; which thing each is of, and which part of it."""
 
     triangles: Float[np.ndarray, "F 3 3"]
-    thing: Int[np.ndarray, " F"]
+    box: Int[np.ndarray, " F"]
     part: Int[np.ndarray, " F"]
 
 
@@ -45,31 +45,35 @@ def _variant(kind: str, track: int, seed: int) -> int:
     return int(np.random.default_rng([seed, track, 1]).integers(len(VARIANTS[kind])))
 
 
-def pose_things(things: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> Movers:
+def pose_road_users(
+    boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]
+) -> RoadUserTriangles:
     """Things as triangles, where the frame has them."""
     found, owner, part = [np.zeros((0, 3, 3))], [], []
-    for k, thing in enumerate(things):
-        shape = shape_of(thing.kind, VARIANTS[thing.kind].index(thing.name), _phase(thing))
-        turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
-        at = thing.center - center
-        found.append(((shape.vertices * thing.size) @ turn.T + at)[shape.faces])
+    for k, box in enumerate(boxes):
+        shape = shape_of(box.kind, VARIANTS[box.kind].index(box.name), _phase(box))
+        turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
+        at = box.center - center
+        found.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
         owner.append(np.full(len(shape.faces), k))
         part.append(shape.part)
     none = [np.zeros(0, int)]
-    return Movers(np.concatenate(found), np.concatenate(none + owner), np.concatenate(none + part))
+    return RoadUserTriangles(
+        np.concatenate(found), np.concatenate(none + owner), np.concatenate(none + part)
+    )
 
 
-def _phase(thing: RoadUserBox) -> float:
+def _phase(box: RoadUserBox) -> float:
     """Where in its stride somebody is: by how far along its heading it has come."""
-    if thing.kind not in STRIDE:
+    if box.kind not in STRIDE:
         return 0.0
-    along = thing.center[0] * np.cos(thing.yaw) + thing.center[1] * np.sin(thing.yaw)
-    return float(thing.track * 0.381966 + along / STRIDE[thing.kind])
+    along = box.center[0] * np.cos(box.yaw) + box.center[1] * np.sin(box.yaw)
+    return float(box.track * 0.381966 + along / STRIDE[box.kind])
 
 
-def paints(things: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
+def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
     """Linear albedo of every part of every thing, which keeps its paint."""
-    each = [_paint(thing.kind, thing.track, seed) for thing in things]
+    each = [_paint(box.kind, box.track, seed) for box in boxes]
     return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
 
 
@@ -81,17 +85,17 @@ def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
 class FrameActors:
     """Everybody in one frame, ready to be met by rays at any moment about it."""
 
-    def __init__(self, things: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
-        self.things = things
-        self.velocity = np.array([thing.velocity for thing in things], float).reshape(-1, 3)
-        self._now = pose_things(things, center)
-        self._at: dict[float, tuple[Movers, Caster]] = {}
+    def __init__(self, boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
+        self.boxes = boxes
+        self.velocity = np.array([box.velocity for box in boxes], float).reshape(-1, 3)
+        self._now = pose_road_users(boxes, center)
+        self._at: dict[float, tuple[RoadUserTriangles, Caster]] = {}
 
-    def at(self, after: float) -> tuple[Movers, Caster]:
+    def at(self, after: float) -> tuple[RoadUserTriangles, Caster]:
         """Where they are ``after`` seconds from the frame's time: each goes on as its velocity
         says."""
         if after not in self._at:
-            way = after * self.velocity[self._now.thing]
-            movers = replace(self._now, triangles=self._now.triangles + way[:, None])
-            self._at[after] = movers, Caster(movers.triangles)
+            way = after * self.velocity[self._now.box]
+            road_users = replace(self._now, triangles=self._now.triangles + way[:, None])
+            self._at[after] = road_users, Caster(road_users.triangles)
         return self._at[after]

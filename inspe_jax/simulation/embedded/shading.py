@@ -36,7 +36,7 @@ class Shading:
         direct: np.ndarray = albedo * facing[:, None] * self.sun
         return direct
 
-    def other(
+    def ambient_light(
         self,
         point: Float[np.ndarray, "R 3"],
         normal: Float[np.ndarray, "R 3"],

@@ -7,22 +7,18 @@ of the keys of both. Not in any file are a frame's time, which is its number tim
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from inspe_jax.core.carla_frame import between, flip, to_carla
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import whole_file, write_text
 from inspe_jax.dataset.formats.pcd import write_pcd
 from inspe_jax.dataset.formats.png import write_depth, write_instance, write_rgb, write_semantic
+from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
-
-PROTOCOL = "data_protocol.yaml"
-"""What made a scenario; in the scenario's folder."""
 
 SECTIONS: dict[str, str] = {
     "car": "cars",
@@ -45,43 +41,6 @@ the sum of ``location`` and ``center``."""
 MATRIX_DECIMALS = 12
 """So are the entries of matrices, which are multiplied by as much as kilometres."""
 
-_WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
-
-_Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-class _Dumper(_Base):
-    """YAML without anchors: an object that is in two dictionaries is written twice."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """Always."""
-        return True
-
-
-def write_protocol(
-    scenario: str | os.PathLike[str],
-    protocol: Mapping[str, Any],
-    stations: Iterable[Station] = (),
-) -> None:
-    """Write ``data_protocol.yaml``, in the order given; the folder is made where there is none.
-
-    ``protocol`` must have ``world`` with fixed_delta_seconds (the tick [s]), client_port, seed,
-    weather and town, which some readers want. The names of ``stations`` are added under
-    ``stations``. Raises InspeError where a key is missing or a value is not for YAML.
-    """
-    path = _folder(Path(scenario)) / PROTOCOL
-    world = protocol.get("world")
-    for key in _WORLD:
-        if not isinstance(world, Mapping) or key not in world:
-            raise InspeError(f"{path}: world.{key}: missing key")
-    names = {-station.number: station.name for station in stations}
-    content = {**protocol, "stations": names} if names else dict(protocol)
-    try:
-        text = _dump(content)
-    except yaml.YAMLError as e:
-        raise InspeError(f"{path}: {' '.join(str(e).split())}") from e
-    write_text(path, text)
-
 
 def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
     """Write a frame into each station's folder of a scenario, over what was there of it.
@@ -92,8 +51,8 @@ def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
     """
     check_frame(frame)
     stem = f"{frame.number:06d}"
-    things = _dump(_sections(frame.things))
-    agents = [_folder(Path(scenario) / str(-station.number)) for station in frame.stations]
+    boxes = dump_yaml(_sections(frame.boxes))
+    agents = [make_folder(Path(scenario) / str(-station.number)) for station in frame.stations]
     for agent in agents:
         _clear(agent, stem)
     for station, agent in zip(frame.stations, agents, strict=True):
@@ -101,15 +60,7 @@ def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
         for i, image in enumerate(station.images):
             _write_image(agent, stem, i, image)
     for station, agent in zip(frame.stations, agents, strict=True):
-        write_text(agent / f"{stem}.yaml", _dump(_sensors(station)) + things)
-
-
-def _folder(path: Path) -> Path:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise InspeError(f"{path}: cannot be made a folder: {e.strerror}") from e
-    return path
+        write_text(agent / f"{stem}.yaml", dump_yaml(_sensors(station)) + boxes)
 
 
 def _clear(agent: Path, stem: str) -> None:
@@ -177,31 +128,31 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
     }
 
 
-def _sections(things: Sequence[RoadUserBox]) -> dict[str, dict[int, Any]]:
+def _sections(boxes: Sequence[RoadUserBox]) -> dict[str, dict[int, Any]]:
     """What the YAML says of the things: all in ``vehicles``, and again by kind."""
-    ordered = sorted(things, key=lambda thing: thing.track)
-    entries = {int(thing.track): _entry(thing) for thing in ordered}
+    ordered = sorted(boxes, key=lambda box: box.track)
+    entries = {int(box.track): _entry(box) for box in ordered}
     sections: dict[str, dict[int, Any]] = {"vehicles": entries}
     for kind, section in SECTIONS.items():
-        tracks = [int(thing.track) for thing in ordered if thing.kind == kind]
+        tracks = [int(box.track) for box in ordered if box.kind == kind]
         sections[section] = {track: entries[track] for track in tracks}
     return sections
 
 
-def _entry(thing: RoadUserBox) -> dict[str, Any]:
+def _entry(box: RoadUserBox) -> dict[str, Any]:
     """A thing as an entry. Readers add ``center`` to ``location`` as it is, unrotated: it is
     straight up from the middle of the bottom."""
-    half = np.asarray(thing.size, float) / 2
-    x, y, z = np.asarray(thing.center, float)
-    cords = to_carla([x, y, z - half[2], 0.0, 0.0, thing.yaw])
-    speed = np.linalg.norm(np.asarray(thing.velocity, float))
+    half = np.asarray(box.size, float) / 2
+    x, y, z = np.asarray(box.center, float)
+    cords = to_carla([x, y, z - half[2], 0.0, 0.0, box.yaw])
+    speed = np.linalg.norm(np.asarray(box.velocity, float))
     return {
         "angle": _rounded(cords[3:]),
         "center": _rounded([0.0, 0.0, half[2]]),
         "extent": _rounded(half),
         "location": _rounded(cords[:3]),
-        "name": thing.name,
-        "obj_type": thing.kind.capitalize(),
+        "name": box.name,
+        "obj_type": box.kind.capitalize(),
         "speed": _rounded(speed * KMH),
     }
 
@@ -212,11 +163,3 @@ def _cords(pose: Any) -> list[float]:
 
 def _rounded(values: Any, decimals: int = DECIMALS) -> Any:
     return (np.round(np.asarray(values, float), decimals) + 0.0).tolist()  # + 0.0: no −0.0
-
-
-def _dump(content: Mapping[str, Any]) -> str:
-    """YAML in the order given, a list of numbers on one line."""
-    text: str = yaml.dump(
-        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=2**31 - 1
-    )
-    return text

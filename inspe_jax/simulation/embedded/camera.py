@@ -1,7 +1,7 @@
-"""A camera in the triangles: a ray through every pixel, shaded by sun, sky and street lamps.
+"""A camera in a world of triangles: a ray through every pixel, lit by sun, sky and street lamps.
 
-What stands still is met and shaded once for each camera. In each frame only those pixels are looked
-at anew that a road user or its shadow may fall on.
+The static world is rendered once for each camera. In each frame only those pixels are rendered
+again on which a road user or its shadow may fall.
 """
 
 from typing import Any, NamedTuple
@@ -36,14 +36,14 @@ from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
 SHADOWED = 150.0
-"""Shadows of road users are looked for so far from the centre [m]."""
+"""Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
 LONGEST = 200.0
-"""… and anybody's so far from what throws them [m]."""
+"""Longest shadow of anything [m]."""
 ASIDE = 8.0
-"""What a road user reaches from its centre in plan, at most [m]."""
+"""No road user reaches further from its centre in plan [m]."""
 SKY = 11
 SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
-"""CARLA's labels (0.9.14 and later) of the classes."""
+"""CARLA's semantic labels (0.9.14 and later) of the classes, as all other labels here."""
 _OF_MATERIAL = {KERB: 2, BUILDING: 3, ROOF: 3, TRUNK: 9, CROWN: 9, POLE: 6}
 _OF_LABEL = {
     Region.DRIVEWAY: 1,
@@ -55,17 +55,19 @@ _OF_LABEL = {
     PAINT: 24,
 }
 _GLOSS = np.zeros(len(PARTS), np.float32)
-for _part, _share in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
-    _GLOSS[PARTS.index(_part)] = _share
+for _part, _reflectance in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
+    _GLOSS[PARTS.index(_part)] = _reflectance
 _GLOW = np.zeros((len(PARTS), 3), np.float32)
 _GLOW[PARTS.index("lamp")] = [1.0, 0.95, 0.85]
 _GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
 
 
 class Background(NamedTuple):
-    """What lies behind every pixel when nobody is there: R pixels, row by row.
+    """What each of R pixels, row by row, shows of the static world.
 
-    ``other`` is its colour without the sun, before what the air does to it.
+    ``distance`` along the ray and ``point`` [m], the latter relative to the centre; ``in_sun``
+    where the sun shines; ``ambient`` the colour without sunlight and before haze; ``colour`` the
+    colour in the picture, linear; ``semantic`` CARLA's label.
     """
 
     distance: Float[np.ndarray, " R"]
@@ -77,14 +79,17 @@ class Background(NamedTuple):
 
 
 class SunlitPoints:
-    """Points (R, 3) sorted by the square metre that each is over, those in the sun alone."""
+    """Those of R points that are in the sun, sorted by the square metre of the plan they lie in.
+
+    ``reach`` is the distance from the centre, along x and y, up to which points count [m].
+    """
 
     def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
         self.reach, self.size = reach, int(2 * reach)
         x, y = np.abs(point[:, :2].T)
         pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
         cell = np.floor(point[pixels, :2] + reach).astype(int)
-        cell = np.minimum(cell, self.size - 1)  # sums in single precision round up to the rim
+        cell = np.minimum(cell, self.size - 1)  # float32 sums may round up to the rim
         number = cell[:, 1] * self.size + cell[:, 0]
         order = np.argsort(number, kind="stable")
         self.pixels = pixels[order]
@@ -92,11 +97,11 @@ class SunlitPoints:
         lowest = np.full(self.size**2, np.inf, np.float32)
         np.minimum.at(lowest, number, point[pixels, 2])
         square = lowest.reshape(self.size, self.size)
-        around = 2 * (int(ASIDE) + 1) + 1  # and a metre more: that from step to step in ``ends``
+        around = 2 * (int(ASIDE) + 1) + 1  # one metre more, which is the step in ``ends``
         self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
-        """Those over the squares that a rectangle touches."""
+        """Pixels of the points in the squares that a rectangle touches, from ``low`` to ``high``."""
         x0, y0 = np.clip(np.floor(low + self.reach), 0, self.size - 1).astype(int)
         x1, y1 = np.clip(np.floor(high + self.reach), 0, self.size - 1).astype(int)
         rows = np.arange(y0, y1 + 1) * self.size
@@ -106,8 +111,11 @@ class SunlitPoints:
     def ends(
         self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, " B"]:
-        """How far in plan one may go from each top along a sinking direction until no point is
-        beneath any more [m]: on ground that sinks with it, further than on level ground."""
+        """How far in plan shadows of points ``top`` reach along a direction that points down [m].
+
+        A shadow ends where no sunlit point is below its upper edge any more. On ground that falls
+        in this direction it is longer than on level ground.
+        """
         far = np.arange(0, LONGEST)
         unit = along / np.hypot(*along[:2])
         at = top[:, None] + far[:, None] * unit
@@ -119,8 +127,8 @@ class SunlitPoints:
 
 
 class ChangedPixels(NamedTuple):
-    """P pixels that look otherwise than when nobody is there: their colours, how far away what is
-    seen is [m], and which road user it is (−1: what stands still, in somebody's shadow)."""
+    """P pixels that differ from the static world's picture: their linear colours, the distance of
+    what they show [m], and the index of the road user (−1: the static world, in a shadow)."""
 
     pixels: Int[np.ndarray, " P"]
     colour: Float[np.ndarray, "P 3"]
@@ -158,7 +166,7 @@ class Camera:
         self.background = self._background()
         self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
-    # ── What stands still ───────────────────────────────────────────────────
+    # ── The static world ────────────────────────────────────────────────────
 
     def _background(self) -> Background:
         hits = self.static_caster.cast(self.origin, self.directions, FAR)
@@ -175,7 +183,7 @@ class Camera:
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """The look of some of the pixels, as in :class:`GroundTexture` but for the distance."""
+        """The fields of :class:`Background` but ``distance``, for some of the pixels."""
         shading, met = self.shading, face >= 0
         point = self._points(pixels, np.where(met, distance, 0))
         albedo, semantic = static_look(self.static_world, face, point, normal)
@@ -190,13 +198,13 @@ class Camera:
         return point, in_sun, ambient, colour, np.where(met, semantic, SKY)
 
     def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
-        """What is seen at pixels, by how far away it is, about the centre."""
+        """The points at given distances along the rays of pixels, relative to the centre [m]."""
         return self.origin + self.directions[pixels] * distance[:, None]
 
     def _in_shadow(
         self, caster: Caster, point: np.ndarray, normal: np.ndarray
     ) -> Bool[np.ndarray, " R"]:
-        """Whether something stands between points and the sun."""
+        """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 
     # ── A frame ─────────────────────────────────────────────────────────────
@@ -212,7 +220,10 @@ class Camera:
         rng: np.random.Generator,
         layers: tuple[str, ...] = (),
     ) -> Image:
-        """The picture of one frame; the middle of the exposure is the frame's time."""
+        """The picture of one frame; the middle of the exposure is the frame's time.
+
+        ``seed`` is that of the road users' colours, ``rng`` is for the noise.
+        """
         moments = self.light.moments
         painted = paints(actors.boxes, seed)
         middle = None
@@ -246,7 +257,7 @@ class Camera:
         }
 
     def _changes_at(self, actors: FrameActors, painted: np.ndarray, after: float) -> ChangedPixels:
-        """What road users change at one moment."""
+        """The pixels that road users change, ``after`` seconds from the frame's time."""
         road_users, caster = actors.at(after)
         box_corners = corners(actors.boxes) + after * actors.velocity[:, None]
         pixels = self._pixels_near(box_corners)
@@ -280,7 +291,7 @@ class Camera:
         face: np.ndarray,
         normal: np.ndarray,
     ) -> Float[np.ndarray, "P 3"]:
-        """Colours of road users at the pixels where they are met."""
+        """Linear colours of road users at the pixels ``at`` that show them."""
         shading, part = self.shading, road_users.part[face]
         point = self._points(at, distance)
         albedo = painted[road_users.box[face], part]
@@ -299,7 +310,7 @@ class Camera:
     def _shadows(
         self, caster: Caster, boxes: tuple[RoadUserBox, ...], after: float
     ) -> Int[np.ndarray, " P"]:
-        """The pixels of what stands still, in the sun but for the shadow of a road user."""
+        """The pixels of the static world that the sun would light if no road user stood in it."""
         if not (self.light.has_sun and boxes):
             return np.zeros(0, int)
         near = np.zeros(len(self.directions), bool)
@@ -310,14 +321,14 @@ class Camera:
         end = at[:, :2] + long[:, None] * away[:2] / np.hypot(*away[:2])
         reach = np.hypot(size[:, :1], size[:, 1:2]) / 2
         low, high = np.minimum(at[:, :2], end) - reach, np.maximum(at[:, :2], end) + reach
-        for corners_of_one in zip(low, high, strict=True):
-            near[self.sunlit.within(*corners_of_one)] = True
+        for rectangle in zip(low, high, strict=True):
+            near[self.sunlit.within(*rectangle)] = True
         pixels = np.flatnonzero(near)
         up = np.array([0, 0, 1], np.float32)
         return pixels[self._in_shadow(caster, self.background.point[pixels], up)]
 
     def _pixels_near(self, box_corners: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
-        """The pixels within the outlines of boxes, and a little around them."""
+        """The pixels inside the outlines of boxes, and close around them."""
         wanted = Pillow.new("1", (self.width, self.height))
         pen = ImageDraw.Draw(wanted)
         for outline in outlines(self, box_corners, self.width, self.height, margin=2.0):
@@ -328,7 +339,7 @@ class Camera:
 def static_look(
     static_world: StaticWorld, face: np.ndarray, point: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(linear albedo, CARLA's label) of what stands still, by where it is met."""
+    """(linear albedo, CARLA's label) of the static world at points where rays hit its faces."""
     material = np.where(face >= 0, static_world.material[face], -1)
     body = np.where(face >= 0, static_world.body[face], 0)
     albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
@@ -364,7 +375,7 @@ _WALLS = np.array(
 
 
 def _facade_colours(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """Plaster or brick with rows of windows, 3 m by 3 m."""
+    """Linear albedo of walls: plaster or brick with rows of windows, one every 2.8 m and 3 m."""
     along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
     across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
     pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)

@@ -1,4 +1,4 @@
-"""What the sensors of a layout record in a world of triangles, frame by frame."""
+"""The embedded recorder: simulates the sensors of a layout in a world of triangles."""
 
 import numpy as np
 
@@ -15,11 +15,15 @@ from inspe_jax.simulation.frame import Frame
 from inspe_jax.simulation.recorder import Recording, stations_of
 
 BELOW = 2.5
-"""A mast ends so far beneath its unit's lowest sensor [m], out of the sensors' sight."""
+"""A mast ends this far below the lowest sensor of its unit [m], so that no sensor sees it."""
 
 
 class EmbeddedRecorder:
-    """The sensors in a world of triangles, by Embree: no simulator needed."""
+    """Records a scene's traffic with ray casting; it needs Embree, but no simulator.
+
+    Raises InspeError where Embree is missing, the recording is not valid, or a sensor is of a kind
+    that this recorder does not know.
+    """
 
     notes: tuple[str, ...] = ()
 
@@ -63,7 +67,7 @@ class EmbeddedRecorder:
 
 
 def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:
-    """Foot and height of each unit's mast (U, 4): it ends beneath what its own sensors see."""
+    """Foot (x, y, z) and height of each unit's mast, (U, 4) [m]."""
     heights = [min(poses[s, 2] for s in members) - BELOW for members in layout.members()]
     return np.array(
         [

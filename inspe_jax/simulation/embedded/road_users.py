@@ -1,4 +1,4 @@
-"""Who moves: the road users of a frame as things with names, and as triangles."""
+"""The road users of a frame: as boxes with names, and as triangles that rays can hit."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -13,12 +13,13 @@ from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, paint, shape_o
 from inspe_jax.simulation.frame import RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
-"""How far a whole stride or a turn of the crank leads [m]."""
+"""Distance of a whole stride, or of a turn of the crank [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoadUserTriangles:
-    """Triangles (F, 3, 3) about a centre; which thing each is of, and which part of it."""
+    """Triangles relative to a centre [m]. ``box`` is the index of the road user that each belongs
+    to, ``part`` the index of its part in ``PARTS``."""
 
     triangles: Float[np.ndarray, "F 3 3"]
     box: Int[np.ndarray, " F"]
@@ -26,7 +27,11 @@ class RoadUserTriangles:
 
 
 def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
-    """The road users of frame t; who has a name keeps it, for it hangs on track and seed alone."""
+    """The road users of frame t.
+
+    A road user's name, which is its shape, depends only on its track and the seed, so it is the
+    same in every frame.
+    """
     return tuple(
         RoadUserBox(
             track=int(traffic.track[t, b]),
@@ -48,23 +53,23 @@ def _variant(kind: str, track: int, seed: int) -> int:
 def pose_road_users(
     boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]
 ) -> RoadUserTriangles:
-    """Things as triangles, where the frame has them."""
-    found, owner, part = [np.zeros((0, 3, 3))], [], []
+    """The shapes of road users, each in its box; positions are relative to ``center`` [m]."""
+    triangles, box_index, part = [np.zeros((0, 3, 3))], [], []
     for k, box in enumerate(boxes):
         shape = shape_of(box.kind, VARIANTS[box.kind].index(box.name), _phase(box))
         turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
         at = box.center - center
-        found.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
-        owner.append(np.full(len(shape.faces), k))
+        triangles.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
+        box_index.append(np.full(len(shape.faces), k))
         part.append(shape.part)
     none = [np.zeros(0, int)]
     return RoadUserTriangles(
-        np.concatenate(found), np.concatenate(none + owner), np.concatenate(none + part)
+        np.concatenate(triangles), np.concatenate(none + box_index), np.concatenate(none + part)
     )
 
 
 def _phase(box: RoadUserBox) -> float:
-    """Where in its stride somebody is: by how far along its heading it has come."""
+    """The phase of a stride or a crank, in cycles: it follows the position along the heading."""
     if box.kind not in STRIDE:
         return 0.0
     along = box.center[0] * np.cos(box.yaw) + box.center[1] * np.sin(box.yaw)
@@ -72,7 +77,7 @@ def _phase(box: RoadUserBox) -> float:
 
 
 def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
-    """Linear albedo of every part of every thing, which keeps its paint."""
+    """Linear albedo of every part of every road user; it depends only on track and seed."""
     each = [_paint(box.kind, box.track, seed) for box in boxes]
     return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
 
@@ -83,7 +88,7 @@ def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
 
 
 class FrameActors:
-    """Everybody in one frame, ready to be met by rays at any moment about it."""
+    """The road users of one frame, ready for rays at any moment close to the frame's time."""
 
     def __init__(self, boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
         self.boxes = boxes
@@ -92,8 +97,7 @@ class FrameActors:
         self._at: dict[float, tuple[RoadUserTriangles, Caster]] = {}
 
     def at(self, after: float) -> tuple[RoadUserTriangles, Caster]:
-        """Where they are ``after`` seconds from the frame's time: each goes on as its velocity
-        says."""
+        """The road users ``after`` seconds from the frame's time: each moves on at its velocity."""
         if after not in self._at:
             way = after * self.velocity[self._now.box]
             road_users = replace(self._now, triangles=self._now.triangles + way[:, None])

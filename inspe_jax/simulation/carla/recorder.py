@@ -1,9 +1,9 @@
-"""What the sensors of a layout record of a scene's traffic, by a CARLA server.
+"""The CARLA recorder: the sensors of a layout and the traffic of a scene, in a CARLA server.
 
-The server has the town; the traffic is the scene's, put in place frame by frame. A frame is the
-same however often it is asked for as far as the simulator lets it be: exposure, weather and wind
-go on from tick to tick. Unlike the embedded recorder's, a LiDAR's turn is all at one moment, as
-CARLA has it, and sensors hang in the air.
+The server has the town; the recorder places the scene's road users in it frame by frame. The same
+frame is the same every time as far as the simulator allows: exposure, weather and wind change from
+tick to tick. There are two differences to the embedded recorder: all rays of a LiDAR's turn are
+fired at one moment, and sensors have no masts.
 """
 
 import time
@@ -26,18 +26,19 @@ from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording, Server, stations_of
 
 SETTLE = 1.0
-"""The world goes on for so long before the first frame [s]: cameras find their exposure."""
+"""Simulated time before the first frame [s], in which cameras adjust their exposure."""
 PATIENCE = 1.0
-"""So long we wait for a sensor's first measurement before we tick once more [s]."""
+"""How long to wait for the sensors' first measurements before the next tick [s]."""
 
 
 class CarlaRecorder:
-    """The sensors in a CARLA server's world, within a ``with`` block.
+    """Records in a CARLA server's world, within a ``with`` block.
 
-    ``notes`` tell what CARLA cannot record as the layout has it. Entering raises InspeError where
-    the client is missing; there is no server or one of another version; it has not the map that
-    the scene is of; others' traffic is there; or a sensor does not answer. However the block is
-    left, what was spawned is destroyed and settings and weather are as they were; the map stays.
+    ``notes`` say what CARLA cannot record as the layout has it. Entering the block raises
+    InspeError where the client is missing, no server answers, the server has another version than
+    the client, it does not have the map of the scene, other clients' traffic is there, or a sensor
+    measures nothing. When the block ends, in whichever way, all spawned actors are destroyed, and
+    settings and weather are as before; only the map stays.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class CarlaRecorder:
     def frame(self, t: int) -> Frame:
         """Frame t, as every station recorded it.
 
-        Raises InspeError where the server or a sensor does not answer.
+        Raises InspeError where the server or a sensor does not answer in time.
         """
         with plain_errors(self.server):
             self.actors.move(t)
@@ -94,8 +95,8 @@ class CarlaRecorder:
             snapshot = self.session.world.get_snapshot()
             if snapshot.frame != number:
                 raise InspeError(
-                    f"CARLA at {self.server}: time went on to frame {snapshot.frame} after we "
-                    f"asked for {number}: does another client tick?"
+                    f"CARLA at {self.server}: the world is at frame {snapshot.frame}, and not at "
+                    f"{number}, as it was told: does another client tick?"
                 )
             boxes = self.actors.boxes(t, snapshot)
             recorded = [self._record(s, t, number, boxes) for s in range(len(self.layout))]

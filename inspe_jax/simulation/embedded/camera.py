@@ -101,7 +101,7 @@ class SunlitPoints:
         self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
-        """Pixels of the points in the squares that a rectangle touches, from ``low`` to ``high``."""
+        """Pixels of the points in the squares that the rectangle ``low`` to ``high`` touches."""
         x0, y0 = np.clip(np.floor(low + self.reach), 0, self.size - 1).astype(int)
         x1, y1 = np.clip(np.floor(high + self.reach), 0, self.size - 1).astype(int)
         rows = np.arange(y0, y1 + 1) * self.size

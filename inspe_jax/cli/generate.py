@@ -1,6 +1,6 @@
-"""Data sets: every layout on every scene in every setting, recorded: `inspe generate`.
+"""The command `inspe generate`: records every layout on every scene in every setting.
 
-Imports stay inside the command, as of Dask.
+Modules that take long to import, such as Dask, are imported inside the command.
 """
 
 from collections import Counter
@@ -13,7 +13,7 @@ from inspe_jax.cli.common import app, busy, err, note, out, progress
 from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
 
 SHOWN = 3
-"""Scenarios that could not be made whose error is printed."""
+"""Number of failed scenarios whose error is printed."""
 
 
 @app.command()
@@ -21,7 +21,7 @@ def generate(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="STUDY.yaml", help="What to record, see below; or a data_protocol.yaml."
+            metavar="STUDY.yaml", help="What to record (see below), or a data_protocol.yaml."
         ),
     ],
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
@@ -43,20 +43,23 @@ def generate(
         typer.Option(
             "--server",
             metavar="HOST:PORT",
-            help="Where CARLA listens, with --backend carla; 127.0.0.1:2000 if not given.",
+            help="Address of the CARLA server, with --backend carla; 127.0.0.1:2000 if not given.",
         ),
     ] = None,
     files: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of the map that a data_protocol.yaml names."),
+        typer.Option(
+            metavar="DIR", help="Folder of the map or saved scene that a data_protocol.yaml names."
+        ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check the study and say what it would make.")
+        bool, typer.Option("--dry-run", help="Check the study and say what it would generate.")
     ] = False,
 ) -> None:
-    """Make a data set in the format of OPV2V: what sensors record at every layout, scene, setting.
+    """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
 
-    A study says what to combine; every setting is one value or a list of them:
+    A study file says which scenes, layouts and settings to combine. A setting is one value or a
+    list:
 
         scenes:
           - built_in: four_way
@@ -71,11 +74,11 @@ def generate(
         layers: [depth, instance]
         splits: {train: 7, validate: 1, test: 2}
 
-    Into --out go train, validate and test with a folder for each scenario, which appears when it
-    is whole. A run that was stopped or killed goes on when the same command is given again, to
-    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more; what
-    could not be recorded as asked is noted in it, and at the end. Where scenarios cannot be made,
-    the others are, and the exit status is 1.
+    Every combination is a scenario. It gets a folder in train, validate or test in --out, which
+    appears when the scenario is complete. If a run was stopped or killed, the same command goes on,
+    and gives the same bytes. If a scenario cannot be generated, the others are, and the exit status
+    is 1. What the backend cannot record as the layout has it is printed at the end, and noted in
+    the scenario's data_protocol.yaml. This file in place of the study generates the scenario again.
 
     Examples:
 
@@ -129,7 +132,7 @@ def generate(
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:
         err.print(
-            f"{_counted(len(failures), 'scenario')} could not be made; "
+            f"{_counted(len(failures), 'scenario')} could not be generated; "
             "the same command tries again",
             soft_wrap=True,
         )

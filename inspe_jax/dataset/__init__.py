@@ -1,4 +1,4 @@
-"""Data sets of frames: made, written and read, as OPV2V and its Infra-Set variant have them."""
+"""Data sets of recorded frames: generate, write and read them, in OPV2V's format or another."""
 
 import warnings
 
@@ -38,7 +38,7 @@ _RENAMED = {"Thing": RoadUserBox, "Made": GenerationResult}
 
 
 def __getattr__(name: str) -> type:
-    """Names of before, with a warning that says the new one."""
+    """Deprecated names: each gives its object and a warning with the new name."""
     if name not in _RENAMED:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     new = _RENAMED[name]

@@ -1,4 +1,4 @@
-"""Data sets as folders: splits, scenarios, and frames that load what is asked for."""
+"""Data sets on disk: splits, scenarios, and frames that read their files when they are used."""
 
 import os
 from collections.abc import Mapping
@@ -17,16 +17,17 @@ from inspe_jax.dataset.formats.registry import (
 from inspe_jax.simulation.frame import Frame
 
 SPLITS = ("train", "validate", "test")
-"""The splits that come first; a set may have others, such as ``test_culvercity``."""
+"""The usual splits, in their order; a data set may have others, such as ``test_culvercity``."""
 
 
 MOST_LISTED = 20
-"""Scenarios that an error lists."""
+"""Largest number of scenarios that an error lists."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario on disk, as it was when first asked."""
+    """A scenario on disk. What has been read once is kept: later changes to the files do not
+    show."""
 
     path: Path
     format: DatasetFormat = FORMATS[DEFAULT_FORMAT]
@@ -38,17 +39,17 @@ class Scenario:
 
     @cached_property
     def protocol(self) -> Mapping[str, Any]:
-        """What made it; empty where it does not tell."""
+        """What made the scenario; empty if nothing says so."""
         return self.format.read_protocol(self.path)
 
     @cached_property
     def agents(self) -> tuple[int, ...]:
-        """Ids of its agents: infrastructure −1, −2, … first, then vehicles."""
+        """Ids of the agents: infrastructure −1, −2, … first, then vehicles."""
         return self.format.agents(self.path)
 
     @cached_property
     def frames(self) -> tuple[int, ...]:
-        """Numbers of the frames that every agent has."""
+        """Numbers of the complete frames, which every agent has."""
         return self.format.frames(self.path, self.agents)
 
     def frame(self, number: int) -> Frame:
@@ -58,7 +59,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Scenarios by split. ``splits`` has train, validate and test first, of those there are."""
+    """The scenarios of a data set. ``splits`` has train, validate and test first, if they exist."""
 
     path: Path
     splits: Mapping[str, tuple[Scenario, ...]]
@@ -69,9 +70,10 @@ class Dataset:
         return tuple(scenario for split in self.splits.values() for scenario in split)
 
     def scenario(self, name: str | None = None) -> Scenario:
-        """The scenario of a name, or the only one; as ``SPLIT/NAME`` where two splits have it.
+        """A scenario by its name, or the only scenario if no name is given.
 
-        Raises InspeError, which lists them, where the name is of none or of several.
+        The name may be ``SPLIT/NAME``, where two splits have a scenario of this name. Raises
+        InspeError, which lists the scenarios, if none or several have the name.
         """
         named = {
             f"{split}/{scenario.name}": scenario
@@ -96,10 +98,11 @@ class Dataset:
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Dataset:
-    """A data set on disk: a folder of splits, one split, or one scenario.
+    """Open a data set on disk: a folder of splits, one split, or one scenario.
 
-    A split is named for the folder that holds its scenarios. Nothing but names is read until
-    asked for. Raises InspeError where there is no such folder, or it is none of the three.
+    A split has the name of the folder that holds its scenarios. Scenarios may be in any format of
+    :data:`~inspe_jax.dataset.formats.registry.FORMATS`. Only the names of files are read here.
+    Raises InspeError if there is no such folder, or it is none of the three.
     """
     given = Path(path)
     if not given.is_dir():

@@ -1,4 +1,4 @@
-"""Which points of a scan lie in which box: the count that says how well a thing was seen."""
+"""Counts the points of LiDAR scans inside the boxes of road users."""
 
 from collections.abc import Sequence
 
@@ -9,15 +9,15 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.simulation.frame import RoadUserBox, Scan
 
 SLACK = 1e-3
-"""A box is wider and higher by this on every side but below [m]: points on its faces are in it,
-whatever rounding did to them, and those of the road that it stands on are not."""
+"""A box is made larger by this on every side but the bottom [m]. So points on its faces are inside
+in spite of rounding, and points of the road below are not."""
 
 
 def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
-    """How many points of each scan lie in the box of each thing, both in the world.
+    """How many points of each of S scans lie in each of B boxes.
 
-    The points of all scans are sorted by x once, so that each box is held against those of its
-    own strip alone.
+    The points of all scans are sorted by x once, so that each box is compared only with the points
+    in its own range of x.
     """
     counts = np.zeros((len(scans), len(boxes)), np.int64)
     if not counts.size:
@@ -44,7 +44,7 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
 
 
 def world_points(scan: Scan) -> Float[np.ndarray, "3 N"]:
-    """A scan's points in the world, x, y and z apart [m]."""
+    """The points of a scan in the world, as rows of x, y and z [m]."""
     pose = np.asarray(scan.pose, float)
     points: np.ndarray = rotation(pose[3:], np) @ np.asarray(scan.points[:, :3], float).T
     return points + pose[:3, None]

@@ -196,7 +196,7 @@ def test_broken_pictures(tmp_path, name, cut):
     path = tmp_path / "-1" / f"000068_{name}.png"
     path.write_bytes(path.read_bytes()[:cut])
     picture = read_frame(tmp_path, 68).stations[0].images[0]
-    with pytest.raises(InspeError, match=f"{path}: not a PNG that can be read"):
+    with pytest.raises(InspeError, match=f"{path}: not a readable PNG file"):
         getattr(picture, {"camera0": "rgb"}.get(name, name[:-1]))
 
 

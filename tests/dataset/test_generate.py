@@ -376,20 +376,22 @@ def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
         STUDY | dict(splits=dict(train=1, test=1)),
         STUDY | dict(settings=STUDY["settings"] | dict(seed=[0, 2])),
     ):
-        with pytest.raises(InspeError, match=r"out: holds another data set, 'study': not the same"):
+        with pytest.raises(
+            InspeError, match=r"out: holds another data set, 'study', with other scenarios"
+        ):
             generate(load_generation(write(tmp_path, **other)), out)
     with pytest.raises(InspeError, match="out: holds another data set, backend embedded"):
         generate(load_generation(path), out, "carla")
     record = out / "generation.yaml"
     record.write_text(record.read_text().replace("numpy: ", "numpy: 0."))
-    with pytest.raises(InspeError, match=r"was begun with numpy 0.\d.*, and this is \d"):
+    with pytest.raises(InspeError, match=r"was begun with numpy 0.\d.*, but this is \d"):
         generate(load_generation(path), out)
     for text in ("a: [", "- 1", "format: 3"):
         record.write_text(text)
         with pytest.raises(InspeError, match=r"generation.yaml: not"):
             generate(load_generation(path), out)
     record.unlink()
-    with pytest.raises(InspeError, match=r"out: has no generation.yaml, so this is no data set"):
+    with pytest.raises(InspeError, match=r"out: has no generation.yaml, so it is no data set"):
         generate(load_generation(path), out)
     record.write_bytes(files["generation.yaml"])
     assert content(out) == files
@@ -427,7 +429,7 @@ def test_one_run_at_a_time(tmp_path):
     generation = load_generation(write(tmp_path))
     with (
         DatasetWriter(generation, tmp_path / "out", "embedded"),
-        pytest.raises(InspeError, match="another run is at work in it"),
+        pytest.raises(InspeError, match="is in use by another run"),
     ):
         generate(generation, tmp_path / "out")
 

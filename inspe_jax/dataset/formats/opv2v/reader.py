@@ -1,7 +1,7 @@
-"""A frame out of the files of a scenario: ours, and OPV2V-style sets of others.
+"""Reads frames from OPV2V files: those of this package, and data sets of other people.
 
-Of others only ``lidar_pose`` or ``true_ego_pos`` is needed, and of a thing ``angle``, ``extent``
-and ``location``. Keys that we do not know are passed over.
+The latter need only have ``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``extent`` and
+``location`` of each road user. Unknown keys are ignored.
 """
 
 import os
@@ -24,7 +24,7 @@ from inspe_jax.dataset.formats.protocol_file import as_mapping, brief, load_yaml
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
 TICK = 0.05
-"""Time [s] from one frame number to the next, where no protocol tells it."""
+"""Time from one frame number to the next [s], if no protocol says it."""
 
 OBJ_TYPES: dict[str, str] = {
     "car": "car",
@@ -37,26 +37,26 @@ OBJ_TYPES: dict[str, str] = {
     "pedestrian": "pedestrian",
     "walker": "pedestrian",
 }
-"""The kind that each ``obj_type`` stands for, in small letters."""
+"""The kind of road user for each ``obj_type``, in lower case."""
 
 _BOXES = b"\nvehicles:"
 
 
 def agent_ids(scenario: Path) -> tuple[int, ...]:
-    """Agents of a scenario: infrastructure −1, −2, … first, then vehicles."""
+    """Ids of a scenario's agents: infrastructure −1, −2, … first, then vehicles."""
     with os.scandir(scenario) as entries:
         names = [e.name for e in entries if re.fullmatch(r"0|-?[1-9]\d*", e.name) and e.is_dir()]
     return tuple(sorted(map(int, names), key=lambda agent: (agent > 0, abs(agent))))
 
 
 def stems(agent: Path) -> dict[int, str]:
-    """The beginning of the file names of each frame that an agent has, by number."""
+    """The stem of the file names of each frame that an agent has, by the frame's number."""
     found = [m[1] for m in (re.fullmatch(r"(\d+)\.yaml", name) for name in os.listdir(agent)) if m]
     return {int(stem): stem for stem in sorted(found)}
 
 
 def frame_numbers(scenario: Path, agents: tuple[int, ...]) -> tuple[int, ...]:
-    """Numbers of the frames that all these agents have: the YAML file is written last."""
+    """Numbers of the frames that all ``agents`` have; a frame's YAML files are written last."""
     each = [set(stems(scenario / str(agent))) for agent in agents]
     return tuple(sorted(set.intersection(*each))) if each else ()
 
@@ -108,11 +108,11 @@ def _frame_file(agent: Path, number: int) -> Path:
 
 
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
-    """What a frame's YAML holds.
+    """What a frame's YAML file holds.
 
-    Of our own sets most is the things, the same for each agent: they are parsed once, by their
-    text, into ``known``. A file that cannot be cut in two so, since it is broken or has an
-    anchor in one half that is meant in the other, is parsed whole.
+    In this package's own data sets most of it is road users, which are the same for every agent.
+    This text is parsed only once; ``known`` keeps what it holds. A file that cannot be divided so,
+    because it is broken or an anchor in one half is used in the other, is parsed as a whole.
     """
     check_input(path)
     text = path.read_bytes()
@@ -123,14 +123,14 @@ def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
                 known[tail] = as_mapping(load_yaml(mark + tail, path), path)
             return {**as_mapping(load_yaml(head, path), path), **known[tail]}
         except InspeError:
-            pass  # the whole file says where the fault is, if there is one
+            pass  # if the file is broken, parsing it as a whole says where
     return as_mapping(load_yaml(text, path), path)
 
 
 def _numbers(
     content: Mapping[str, Any], key: str, shape: tuple[int, ...], where: object
 ) -> Float[np.ndarray, "..."]:
-    """The numbers under a key. Raises InspeError where they are missing, or something else."""
+    """The numbers under a key. Raises InspeError if they are missing or not of this shape."""
     if key not in content:
         raise InspeError(f"{where}: {key}: missing key")
     try:
@@ -144,7 +144,10 @@ def _numbers(
 
 
 def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> tuple[RoadUserBox, ...]:
-    """The things of all agents; an entry by kind tells more than one in ``vehicles``."""
+    """The boxes that all agents list, each track once.
+
+    The sections of one kind come before ``vehicles``, which does not say the kind.
+    """
     found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):
@@ -191,13 +194,13 @@ def _station(agent: int, name: str, content: dict[str, Any], path: Path) -> Stat
 
 
 def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
-    """Keys that are a word and a number, by the number."""
+    """The keys that consist of ``word`` and a number, by the number."""
     found = (re.fullmatch(rf"{word}(\d+)", key) for key in content if isinstance(key, str))
     return dict(sorted((int(m[1]), m[0]) for m in found if m))
 
 
 def _scans(content: dict[str, Any], lidars: dict[int, str], path: Path) -> Iterator[Scan]:
-    """Scans, their points to be read; none where the file says that there is no LiDAR."""
+    """The scans of an agent, their points not yet read; none if the file says "no LiDAR"."""
     for i, key in lidars.items():
         points = path.with_name(f"{path.stem}_lidar{i}.pcd")
         if i == 0 and not points.is_file():
@@ -213,7 +216,7 @@ def _points(path: Path) -> Float[np.ndarray, "N 4"]:
 
 
 def _images(content: dict[str, Any], path: Path) -> Iterator[Image]:
-    """Images, their pixels to be read; those of which there is a picture."""
+    """The images of an agent, their pixels not yet read; cameras without a picture are left out."""
     for i, key in _numbered(content, "camera").items():
         where = f"{path}: {key}"
         camera = as_mapping(content[key], where)

@@ -1,4 +1,4 @@
-"""What a data set or a frame of it holds, as tables for people and as records for JSON."""
+"""Tables for people, and records for JSON, of a data set and of a frame."""
 
 from dataclasses import asdict
 from typing import Any
@@ -19,7 +19,7 @@ _NONE = "–"
 
 
 def statistics_table(found: Statistics) -> RenderableType:
-    """A set for people: its splits, its classes, and its row of a table that compares sets."""
+    """Tables of a data set: its splits, its classes, and its row of a table that compares sets."""
     counts = (
         "scenarios",
         "frames",
@@ -61,10 +61,10 @@ def statistics_table(found: Statistics) -> RenderableType:
 
 
 def statistics_record(found: Statistics) -> dict[str, Any]:
-    """A set as a JSON-serialisable record.
+    """The statistics of a data set as a JSON-serialisable record.
 
-    ``points`` has the bands of range of each class, of one scan and of all scans of a frame; sizes
-    [m] have their quartiles.
+    ``points`` has the range bands of each class, for single scans and for all scans of a frame
+    together. Sizes [m] are given as quartiles.
     """
     return {
         "name": found.name,
@@ -87,9 +87,9 @@ def statistics_record(found: Statistics) -> dict[str, Any]:
 
 
 def frame_table(scenario: Scenario, number: int) -> RenderableType:
-    """A frame for people: each thing, and the points within its box of all scans together.
+    """A table of the road users of a frame, with the points of all scans inside the box of each.
 
-    Raises InspeError where there is no such frame or a file of it is broken.
+    Raises InspeError if there is no such frame, or one of its files is broken.
     """
     frame = scenario.frame(number)
     heads = ("x\n[m]", "y\n[m]", "yaw\n[°]", "speed\n[m/s]", *(f"{axis}\n[m]" for axis in _AXES))
@@ -113,5 +113,5 @@ def _sizes(found: Statistics, kind: int) -> dict[str, list[float] | None]:
     return dict(zip(_AXES, quartiles, strict=True))
 
 
-def _bands(hits: PointCounts) -> dict[str, list[dict[str, Any]]]:
-    return {kind: [asdict(band) for band in bands(hits, k)] for k, kind in enumerate(KINDS)}
+def _bands(counts: PointCounts) -> dict[str, list[dict[str, Any]]]:
+    return {kind: [asdict(band) for band in bands(counts, k)] for k, kind in enumerate(KINDS)}

@@ -1,4 +1,4 @@
-"""A frame of a data set, as a figure: the point cloud in plan, the images, and boxes on both."""
+"""A figure of a frame: the point cloud in plan and the images, with the boxes on both."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,10 +22,10 @@ from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
 from inspe_jax.simulation.projection import box_lines, corners
 
 MARGIN = 6.0
-"""What the plan shows about the things and the stations [m]."""
+"""Margin of the plan around road users and stations [m]."""
 
 BADGE_COLOR = "#00543d"
-"""Of stations: a green that is none of the classes'."""
+"""Colour of stations: a green that no class has."""
 
 _HEIGHTS = LinearSegmentedColormap.from_list(
     "heights", ["#d4d4d4", "#9db8c8", "#4c7f94", "#0d3b4a"]
@@ -37,11 +37,11 @@ _ROW = 9.5  # height of a row of the panel [pt]
 
 
 def frame_view(scenario: Scenario, number: int) -> Figure:
-    """A frame: every point in plan, coloured by height, and every image, with the boxes on both.
+    """A figure of a frame: all points in plan, coloured by height, all images, and boxes on both.
 
-    A box has its class's colour, and in plan a line to its front. Where an image has its
-    instances beside it, boxes of which no pixel is to be seen are dotted. Raises InspeError
-    where there is no such frame or a file of it is broken.
+    A box has the colour of its class, and in plan a line to its front. If an image has a layer of
+    instances, boxes without a visible pixel are dotted. Raises InspeError if there is no such
+    frame, or one of its files is broken.
     """
     frame = scenario.frame(number)
     images = [
@@ -76,7 +76,7 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
 
 
 def name_of(station: Station) -> str:
-    """What a station is called by: its number, or ``v641`` for the vehicle 641."""
+    """The label of a station: its number, or ``v641`` for the vehicle 641."""
     return str(station.number) if station.number > 0 else f"v{-station.number}"
 
 
@@ -97,7 +97,7 @@ def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Ima
 
 
 def _draw_plan(ax: Axes, frame: Frame) -> Any:
-    """Points, boxes and stations in plan, north up; the points as drawn, or None."""
+    """Draw points, boxes and stations in plan, north up; gives the drawn points, or None."""
     scans = [scan for station in frame.stations for scan in station.scans]
     cloud = np.concatenate([np.zeros((3, 0)), *map(world_points, scans)], 1)
     (x0, x1), (y0, y1) = _limits(frame, cloud)
@@ -133,7 +133,8 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
 def _limits(
     frame: Frame, cloud: Float[np.ndarray, "3 N"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A square about things and stations; about the points, where there are no others."""
+    """Limits of x and y: a square around boxes and stations; around the points if there is at most
+    one of these."""
     places = [box.center[:2] for box in frame.boxes]
     places += [station.pose[:2] for station in frame.stations]
     if len(places) < 2 and cloud.size:
@@ -145,7 +146,7 @@ def _limits(
 
 
 def _heights(frame: Frame, z: Float[np.ndarray, " N"]) -> tuple[float, float]:
-    """From the lowest of the ground to the top of the things, or of most points [m]."""
+    """Limits of the colours [m]: from the ground to the top of the boxes, or of most points."""
     low = float(np.percentile(z, 1))
     tops = [box.center[2] + box.size[2] / 2 for box in frame.boxes]
     high = max(tops, default=float(np.percentile(z, 99)))
@@ -165,7 +166,7 @@ def _badge(ax: Axes, at: Any, station: Station) -> None:
 
 
 def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool) -> None:
-    """The heights' colours, the stations by name, and the keys."""
+    """The colour bar of heights, the names of the stations, and the legend."""
     y = 0.0
     if cloud is not None:
         axes = panel.inset_axes((0.02, 1 - 21 / (MAP * 72), 0.94, 7 / (MAP * 72)))
@@ -199,17 +200,17 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
         if counts[kind]
     ]
     if images:
-        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="a camera looks this way"))
+        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
     told = [image.instance for station in frame.stations for image in station.images]
     if any(layer is not None for layer in told):
         keys.append(
-            Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel is seen of it")
+            Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel of it is visible")
         )
     return keys
 
 
 def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str) -> None:
-    """An image and the boxes that fall on it."""
+    """An image, and the boxes that fall into it."""
     height, width = image.rgb.shape[:2]
     ax.imshow(image.rgb, extent=(0, width, height, 0))
     lines, owner = box_lines(image, boxes, width, height)

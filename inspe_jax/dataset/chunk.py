@@ -189,7 +189,7 @@ def _missing(chunk: Chunk) -> Iterator[int]:
     """Frames of a chunk that are not written yet; stops when the sending process is gone."""
     sender = multiprocessing.parent_process()
     stored, folder = FORMATS[chunk.format], chunk.folder
-    # Nobody else writes frames of this chunk meanwhile: its lock is held.
+    # No other process writes frames of this chunk now: this one holds the lock.
     there = stored.frames(folder, stored.agents(folder)) if stored.is_begun(folder) else ()
     for t in sorted(set(range(chunk.first, chunk.last + 1)) - set(there)):
         if sender is not None and not sender.is_alive():

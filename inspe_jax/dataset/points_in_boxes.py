@@ -34,8 +34,8 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
         end = np.searchsorted(x, box.center[0] + reach, side="right")
         near = order[first:end]
         dy = cloud[1, near] - box.center[1]
-        beside = np.abs(dy) <= abs(sin) * half[0] + abs(cos) * half[1]
-        near, dy = near[beside], dy[beside]
+        close_in_y = np.abs(dy) <= abs(sin) * half[0] + abs(cos) * half[1]
+        near, dy = near[close_in_y], dy[close_in_y]
         dx, dz = cloud[0, near] - box.center[0], cloud[2, near] - box.center[2]
         inside = (np.abs(cos * dx + sin * dy) <= half[0]) & (np.abs(cos * dy - sin * dx) <= half[1])
         inside &= (dz <= half[2]) & (dz >= 2 * SLACK - half[2])

@@ -155,11 +155,13 @@ def load_generation(
         return make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
         raise InspeError(f"{path}: a protocol that was not written by this package")
-    beside = path.resolve().parents
-    return _remade(content, str(path), [*([Path(files)] if files else beside[:3]), Path.cwd()])
+    above = path.resolve().parents
+    return _from_protocol(
+        content, str(path), [*([Path(files)] if files else above[:3]), Path.cwd()]
+    )
 
 
-def _remade(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
+def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
     entry = check_model(_Protocol, content, where)
     for key, value, known in (
         ("format", entry.format, (FORMAT,)),

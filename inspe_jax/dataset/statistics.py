@@ -171,10 +171,10 @@ def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
     found = []
     for k in np.unique(place):
         within = points[place == k]
-        met = within[within > 0]
-        quartiles = tuple(np.percentile(met, [25, 50, 75]).tolist()) if len(met) else None
+        nonempty = within[within > 0]
+        quartiles = tuple(np.percentile(nonempty, [25, 50, 75]).tolist()) if len(nonempty) else None
         low, high = RANGE_EDGES[k : k + 2].tolist()
-        found.append(Band(low, high, len(within), len(met) / len(within), quartiles))
+        found.append(Band(low, high, len(within), len(nonempty) / len(within), quartiles))
     return tuple(found)
 
 

@@ -282,10 +282,10 @@ def _middle(band: Band) -> float:
 
 def _curve(of: Sequence[Band]) -> tuple[np.ndarray, np.ndarray]:
     """Ranges (N,), and quartiles of the points there (N, 3), of bands where a box has a point."""
-    met = [band for band in of if band.quartiles]
+    nonempty = [band for band in of if band.quartiles]
     return (
-        np.array([_middle(band) for band in met]),
-        np.array([band.quartiles for band in met]).reshape(-1, 3),
+        np.array([_middle(band) for band in nonempty]),
+        np.array([band.quartiles for band in nonempty]).reshape(-1, 3),
     )
 
 

@@ -201,8 +201,8 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
     ]
     if images:
         keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
-    told = [image.instance for station in frame.stations for image in station.images]
-    if any(layer is not None for layer in told):
+    layers = [image.instance for station in frame.stations for image in station.images]
+    if any(layer is not None for layer in layers):
         keys.append(
             Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel of it is visible")
         )

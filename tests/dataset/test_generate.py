@@ -491,4 +491,6 @@ def test_a_fault_of_the_disk_is_not_the_scenario_s(tmp_path):
     given = tmp_path / "file" / "scenario", tmp_path / "lock", 0, 9, 10
     todo = chunk.Chunk(plan, "embedded", *given)
     found = made_up.work(chunk.build(todo), todo)
-    assert found == chunk.Outcome(fault=f"{given[0]}: cannot be made a folder: Not a directory")
+    assert found == chunk.Outcome(
+        fault=f"{given[0]}: the folder cannot be created: Not a directory"
+    )

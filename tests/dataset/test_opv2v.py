@@ -404,7 +404,7 @@ def test_protocols_must_be_plain(tmp_path):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(InspeError, match="file/-1: cannot be made a folder"):
+    with pytest.raises(InspeError, match="file/-1: the folder cannot be created"):
         write_frame(tmp_path / "file", frame())
 
 

@@ -60,7 +60,7 @@ def make_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as e:
-        raise InspeError(f"{path}: cannot be made a folder: {e.strerror}") from e
+        raise InspeError(f"{path}: the folder cannot be created: {e.strerror}") from e
     return path
 
 

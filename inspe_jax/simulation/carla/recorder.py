@@ -20,7 +20,7 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.carla.sensor_kinds import Measured, notes_of, sensor_kind
 from inspe_jax.simulation.carla.sensors import SensorQueue, weather_of
-from inspe_jax.simulation.carla.server import OURS, CarlaSession, plain_errors, session_on
+from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession, plain_errors, session_on
 from inspe_jax.simulation.carla.traffic import Actors
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording, Server, stations_of
@@ -113,7 +113,7 @@ class CarlaRecorder:
         queues, unit = {}, self.layout.units[sensor.unit].name
         for key, name in row.blueprints(self.recording).items():
             blueprint = self.actors.library.find(name)
-            for attribute, value in {**attributes, "role_name": OURS}.items():
+            for attribute, value in {**attributes, "role_name": ROLE_NAME}.items():
                 blueprint.set_attribute(attribute, value)
             actor = self.session.spawn(blueprint, cords)
             self.session.listening.append(actor)

@@ -17,7 +17,7 @@ LOADING = 180.0
 """How long a map may take to load [s]."""
 ENDING = 5.0
 """How long a call may take while everything is restored [s]: the server may be gone."""
-OURS = "inspe"
+ROLE_NAME = "inspe"
 """The role name of the actors that this package spawns."""
 
 _OPENDRIVE = " (OpenDRIVE)"
@@ -160,10 +160,10 @@ def session_on(
     world = _on_map(client, world, town, server)
     session = CarlaSession(carla, client, world, server, settings, world.get_weather())
     try:
-        ours = world.get_settings()
-        ours.synchronous_mode, ours.fixed_delta_seconds = True, 1.0 / rate
-        ours.no_rendering_mode = False
-        world.apply_settings(ours)
+        synchronous = world.get_settings()
+        synchronous.synchronous_mode, synchronous.fixed_delta_seconds = True, 1.0 / rate
+        synchronous.no_rendering_mode = False
+        world.apply_settings(synchronous)
         world.tick(server.timeout)  # without a tick the client may not know all actors yet
         _check_empty(world, server)
         world.set_weather(weather(carla))

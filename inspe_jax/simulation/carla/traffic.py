@@ -15,7 +15,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.carla_log import kind_of
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, TrafficFrames
-from inspe_jax.simulation.carla.server import OURS, CarlaSession
+from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession
 from inspe_jax.simulation.frame import RoadUserBox
 
 SPAWN_HEIGHT = 300.0
@@ -197,7 +197,7 @@ class Actors:
 
     def _blueprint(self, name: str, rng: np.random.Generator) -> Any:
         blueprint = self.library.find(name)
-        blueprint.set_attribute("role_name", OURS)
+        blueprint.set_attribute("role_name", ROLE_NAME)
         if blueprint.has_attribute("color"):
             colours = blueprint.get_attribute("color").recommended_values
             blueprint.set_attribute("color", colours[int(rng.integers(len(colours)))])

@@ -184,18 +184,18 @@ class Camera:
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """The fields of :class:`Background` but ``distance``, for some of the pixels."""
-        shading, met = self.shading, face >= 0
-        point = self._points(pixels, np.where(met, distance, 0))
+        shading, hit = self.shading, face >= 0
+        point = self._points(pixels, np.where(hit, distance, 0))
         albedo, semantic = static_look(self.static_world, face, point, normal)
         ambient = shading.ambient_light(point, normal, albedo)
-        ambient[~met] = shading.sky(self.directions[pixels][~met])
+        ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0
         shaded = np.flatnonzero(in_sun)
         shaded = shaded[self._in_shadow(self.static_caster, point[shaded], normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
         colour = shading.through_air(direct + ambient, distance)
-        return point, in_sun, ambient, colour, np.where(met, semantic, SKY)
+        return point, in_sun, ambient, colour, np.where(hit, semantic, SKY)
 
     def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
         """The points at given distances along the rays of pixels, relative to the centre [m]."""
@@ -245,9 +245,9 @@ class Camera:
         """Depth, instance and semantic of every pixel."""
         distance, semantic = self.background.distance.copy(), self.background.semantic.copy()
         instance = np.zeros(len(distance), np.int32)
-        met = seen.box >= 0
-        at, box = seen.pixels[met], seen.box[met]
-        distance[at] = seen.distance[met]
+        hit = seen.box >= 0
+        at, box = seen.pixels[hit], seen.box[hit]
+        distance[at] = seen.distance[hit]
         instance[at] = np.array([t.track + 1 for t in boxes], int)[box]
         semantic[at] = np.array([SEMANTIC[t.kind] for t in boxes], int)[box]
         return {
@@ -263,10 +263,10 @@ class Camera:
         pixels = self._pixels_near(box_corners)
         reach = np.minimum(self.background.distance[pixels], FAR)
         hits = caster.cast(self.origin, self.directions[pixels], reach)
-        met = hits.face >= 0
-        at, distance, face = pixels[met], hits.distance[met], hits.face[met]
+        hit = hits.face >= 0
+        at, distance, face = pixels[hit], hits.distance[hit], hits.face[hit]
         look = self._road_user_colours(
-            caster, road_users, painted, at, distance, face, hits.normal[met]
+            caster, road_users, painted, at, distance, face, hits.normal[hit]
         )
         covered = np.zeros(len(self.directions), bool)
         covered[at] = True

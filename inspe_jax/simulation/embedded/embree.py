@@ -43,12 +43,12 @@ class Caster:
             return RayHits(distance, np.full(many, -1), normal)
         start, to, reach = _rays(origins, directions, reach)
         found = self._scene.run(start, to, dists=reach, output=True)
-        met = np.flatnonzero(found["primID"] >= 0)
-        distance[met] = found["tfar"][met]
-        across = found["Ng"][met]
-        along = np.einsum("rk,rk->r", across, to[met])
+        hit = np.flatnonzero(found["primID"] >= 0)
+        distance[hit] = found["tfar"][hit]
+        across = found["Ng"][hit]
+        along = np.einsum("rk,rk->r", across, to[hit])
         across /= np.copysign(np.sqrt(np.einsum("rk,rk->r", across, across)), -along)[:, None]
-        normal[met] = across
+        normal[hit] = across
         return RayHits(distance, found["primID"], normal)
 
     def meets(

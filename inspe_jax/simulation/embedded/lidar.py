@@ -67,9 +67,9 @@ class Lidar:
             road_users, caster = actors.at(((k + 0.5) / sectors - 0.5) * period)
             own = np.flatnonzero(sector == k)
             hits = caster.cast(self.origin, self.directions[own], distance[own])
-            met = hits.face >= 0
-            distance[own[met]] = hits.distance[met]
-            box[own[met]] = road_users.box[hits.face[met]]
+            hit = hits.face >= 0
+            distance[own[hit]] = hits.distance[hit]
+            box[own[hit]] = road_users.box[hits.face[hit]]
         return Returns(self.body, distance, box, after)
 
     def scan(self, returns: Returns, noise: LidarNoise, rng: np.random.Generator) -> Scan:

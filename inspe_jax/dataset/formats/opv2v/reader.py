@@ -64,13 +64,13 @@ def frame_numbers(scenario: Path, agents: tuple[int, ...]) -> tuple[int, ...]:
 def frame_of(
     scenario: Path, number: int, agents: tuple[int, ...], protocol: Mapping[str, Any]
 ) -> Frame:
-    """A frame of a scenario; pictures and points are read when they are first asked for.
+    """A frame of a scenario; pictures and points are read when they are first used.
 
     Its boxes are those of all ``agents`` together, in the order of their tracks. Where agents
     differ in one, the first agent that lists it is taken. A road user is taken to move the way it
     faces, since files hold the speed alone; roll and pitch of its box are left out. A camera
     without its picture is left out, too. Raises InspeError where there is no such frame, or a file
-    is broken: for pixels and points, only when they are asked for.
+    is broken: for pixels and points, only when they are used.
     """
     if not agents:
         raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")

@@ -22,7 +22,7 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.embedded.lidar import LidarNoise
+from inspe_jax.simulation.lidar_noise import LidarNoise
 from inspe_jax.simulation.recorder import Recording, Server
 
 TOWN, JUNCTION = "Town10HD", 189
@@ -75,7 +75,7 @@ def record(port: int, file: Path) -> None:
     write_protocol(folder, {"world": world}, frames[0].stations)
     for frame in frames:
         write_frame(folder, frame)
-    for one, other in zip(frames[AGAIN].things, again.things, strict=True):
+    for one, other in zip(frames[AGAIN].boxes, again.boxes, strict=True):
         assert (one.track, one.name, one.kind) == (other.track, other.name, other.kind)
         np.testing.assert_array_equal(one.center, other.center)
     (one,), (other,) = frames[AGAIN].stations, again.stations

@@ -72,13 +72,13 @@ def station(number: int = 1, cameras: int = 2, lidars: int = 1, layers: bool = T
     )
 
 
-def frame(number: int = 68, things=None, stations=None) -> Frame:
+def frame(number: int = 68, boxes=None, stations=None) -> Frame:
     """A car, a truck, a cyclist and a pedestrian, seen by two stations."""
-    if things is None:
+    if boxes is None:
         kinds = {"car": 3, "truck": 40, "cyclist": 7, "pedestrian": 0}
-        things = [car(track, kind=kind, name=f"a {kind}") for kind, track in kinds.items()]
+        boxes = [car(track, kind=kind, name=f"a {kind}") for kind, track in kinds.items()]
     stations = (station(1), station(2)) if stations is None else stations
-    return Frame(number, number * 0.05, tuple(things), tuple(stations))
+    return Frame(number, number * 0.05, tuple(boxes), tuple(stations))
 
 
 def assert_same(read: Frame, given: Frame) -> None:
@@ -89,9 +89,9 @@ def assert_same(read: Frame, given: Frame) -> None:
     """
     assert read.number == given.number
     assert read.time == given.number * 0.05
-    ordered = sorted(given.things, key=lambda thing: thing.track)
-    assert [t.track for t in read.things] == [t.track for t in ordered]
-    for a, b in zip(read.things, ordered, strict=True):
+    ordered = sorted(given.boxes, key=lambda box: box.track)
+    assert [t.track for t in read.boxes] == [t.track for t in ordered]
+    for a, b in zip(read.boxes, ordered, strict=True):
         assert (a.kind, a.name) == (b.kind, b.name)
         np.testing.assert_allclose(a.center, b.center, atol=1e-6, rtol=0)
         np.testing.assert_allclose(a.size, b.size, atol=1e-6, rtol=0)
@@ -136,7 +136,7 @@ def vectors(low: list[float], high: list[float]) -> st.SearchStrategy[np.ndarray
 POSES = vectors([-2000, -2000, -50, -4, -1.5, -7], [2000, 2000, 50, 4, 1.5, 7])
 """Anywhere on a map, turned any way, and more than once round."""
 
-THINGS = st.builds(
+BOXES = st.builds(
     RoadUserBox,
     track=st.integers(0, MOST_TRACK),
     kind=st.sampled_from(KINDS),
@@ -159,6 +159,6 @@ STATIONS = st.builds(
 FRAMES = st.builds(
     frame,
     st.integers(0, 999_999),
-    st.lists(THINGS, max_size=4, unique_by=lambda thing: thing.track),
+    st.lists(BOXES, max_size=4, unique_by=lambda box: box.track),
     st.lists(STATIONS, min_size=1, max_size=2, unique_by=lambda station: station.number),
 )

@@ -39,14 +39,14 @@ class Recorder:
             os._exit(1)
         time.sleep(float(os.environ.get(SLOW, "0")))
         rng, traffic = np.random.default_rng([self.seed, t]), self.scene.traffic
-        things = []
+        boxes = []
         for b in np.flatnonzero(traffic.valid[t]):
             kind = CLASSES[traffic.kind[t, b]]
             place = traffic.center[t, b], float(traffic.yaw[t, b]), traffic.size[t, b]
             track, velocity = int(traffic.track[t, b]), traffic.velocity[t, b]
-            things.append(RoadUserBox(track, kind, f"a {kind}", *place, velocity))
+            boxes.append(RoadUserBox(track, kind, f"a {kind}", *place, velocity))
         stations = [self.station(u, rng) for u in range(len(self.layout.units))]
-        return Frame(t, t / self.recording.rate, tuple(things), tuple(stations))
+        return Frame(t, t / self.recording.rate, tuple(boxes), tuple(stations))
 
     def station(self, u, rng):
         own = [(self.layout.sensors[s], self.layout.poses[s]) for s in self.layout.members()[u]]

@@ -1,6 +1,6 @@
-"""Look at data sets: `inspe dataset stats` and `inspe dataset show`.
+"""The commands `inspe dataset stats` and `inspe dataset show`.
 
-Imports stay inside the commands, as of matplotlib.
+Modules that take long to import, such as matplotlib, are imported inside the commands.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ import typer
 from inspe_jax.cli.common import PlotOption, app, busy, check_record, err, out, progress, show
 
 dataset_app = typer.Typer(
-    help="Look at data sets: what they hold, and single frames.",
+    help="Look at data sets: statistics, and single frames.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -28,18 +28,24 @@ def stats(
     plot: PlotOption = None,
     record: Annotated[
         str | None,
-        typer.Option("--json", metavar="FILE", help="Write the numbers; - for stdout alone."),
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            help="Write the numbers as JSON; - writes them to stdout only.",
+        ),
     ] = None,
     row: Annotated[
         Path | None,
         typer.Option(
-            "--csv", metavar="FILE.csv", help="Write its row of a table that compares data sets."
+            "--csv",
+            metavar="FILE.csv",
+            help="Write the data set's row of a table that compares data sets.",
         ),
     ] = None,
 ) -> None:
-    """Count what a data set holds: frames, boxes, sizes, and points in boxes against range.
+    """Count the content of a data set: frames, boxes, sizes, and points in boxes by range.
 
-    Reads OPV2V's format and the Infra-Set variant's. Pictures are counted, not read.
+    Reads OPV2V's format and its Infra-Set variant. Pictures are counted, but not read.
 
     Examples:
 
@@ -76,16 +82,16 @@ def stats(
 @dataset_app.command("show")
 def show_frame(
     folder: SetArgument,
-    frame: Annotated[int, typer.Argument(metavar="FRAME", help="The number of a frame.")],
+    frame: Annotated[int, typer.Argument(metavar="FRAME", help="The number of the frame.")],
     scenario: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Which scenario, where there are several."),
+        typer.Option(metavar="NAME", help="The scenario, if there are several."),
     ] = None,
     plot: PlotOption = None,
 ) -> None:
-    """List what is in a frame, and draw its boxes on its images and on its point cloud.
+    """List the road users of a frame, and draw their boxes on its images and its point cloud.
 
-    The boxes are put onto the images by the calibration that is written in the files.
+    The boxes are projected onto the images with the calibration in the files.
 
     Examples:
 

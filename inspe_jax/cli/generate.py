@@ -1,6 +1,6 @@
-"""Data sets: every layout on every scene in every setting, recorded: `inspe generate`.
+"""The command `inspe generate`: records every layout on every scene in every setting.
 
-Imports stay inside the command, as of Dask.
+Modules that take long to import, such as Dask, are imported inside the command.
 """
 
 from collections import Counter
@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 
 from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
 
 SHOWN = 3
-"""Scenarios that could not be made whose error is printed."""
+"""Number of failed scenarios whose error is printed."""
 
 
 @app.command()
@@ -20,36 +21,45 @@ def generate(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="STUDY.yaml", help="What to record, see below; or a data_protocol.yaml."
+            metavar="STUDY.yaml", help="What to record (see below), or a data_protocol.yaml."
         ),
     ],
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
     backend: Annotated[
         str | None,
-        typer.Option(help="What records: embedded or carla; embedded, or as the protocol says."),
+        typer.Option(
+            help=f"What records: {' or '.join(BACKENDS)}. If not given, {DEFAULT_BACKEND}, or as "
+            "the data_protocol.yaml says."
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes; one a core if not given, and one with carla.")
+        int | None,
+        typer.Option(
+            help="Number of processes. If not given, one per core, or as the backend allows."
+        ),
     ] = None,
     address: Annotated[
         str | None,
         typer.Option(
             "--server",
             metavar="HOST:PORT",
-            help="Where CARLA listens, with --backend carla; 127.0.0.1:2000 if not given.",
+            help="Address of the CARLA server, with --backend carla; 127.0.0.1:2000 if not given.",
         ),
     ] = None,
     files: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of the map that a data_protocol.yaml names."),
+        typer.Option(
+            metavar="DIR", help="Folder of the map or saved scene that a data_protocol.yaml names."
+        ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check the study and say what it would make.")
+        bool, typer.Option("--dry-run", help="Check the study and say what it would generate.")
     ] = False,
 ) -> None:
-    """Make a data set in the format of OPV2V: what sensors record at every layout, scene, setting.
+    """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
 
-    A study says what to combine; every setting is one value or a list of them:
+    A study file says which scenes, layouts and settings to combine. A setting is one value or a
+    list:
 
         scenes:
           - built_in: four_way
@@ -64,11 +74,11 @@ def generate(
         layers: [depth, instance]
         splits: {train: 7, validate: 1, test: 2}
 
-    Into --out go train, validate and test with a folder for each scenario, which appears when it
-    is whole. A run that was stopped or killed goes on when the same command is given again, to
-    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more; what
-    could not be recorded as asked is noted in it, and at the end. Where scenarios cannot be made,
-    the others are, and the exit status is 1.
+    Every combination is a scenario. It gets a folder in train, validate or test in --out, which
+    appears when the scenario is complete. If a run was stopped or killed, the same command goes on,
+    and gives the same bytes. If a scenario cannot be generated, the others are, and the exit status
+    is 1. What the backend cannot record as the layout has it is printed at the end, and noted in
+    the scenario's data_protocol.yaml. This file in place of the study generates the scenario again.
 
     Examples:
 
@@ -102,25 +112,27 @@ def generate(
         return
     try:
         with progress("frames") as report:
-            made = run(generation, folder, backend, workers=workers, server=server, progress=report)
+            result = run(
+                generation, folder, backend, workers=workers, server=server, progress=report
+            )
     except KeyboardInterrupt:
         err.print("stopped; the same command goes on from here", soft_wrap=True)
         raise typer.Exit(130) from None
-    speed = f", {made.seconds / made.recorded:.2g} s a frame" if made.recorded else ""
+    speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
     out.print(
-        f"{_counted(made.scenarios, 'scenario')}, {_counted(made.frames, 'frame')}, "
-        f"{made.size / 1e6:.1f} MB{speed}",
+        f"{_counted(result.scenarios, 'scenario')}, {_counted(result.frames, 'frame')}, "
+        f"{result.size / 1e6:.1f} MB{speed}",
         highlight=False,
         soft_wrap=True,
     )
-    out.print(f"wrote {made.folder}", highlight=False, soft_wrap=True)
-    counts = Counter(words for notes in made.notes.values() for words in notes)
+    out.print(f"wrote {result.folder}", highlight=False, soft_wrap=True)
+    counts = Counter(words for notes in result.notes.values() for words in notes)
     note(f"{words} ({_counted(count, 'scenario')})" for words, count in counts.items())
-    failures = list(made.failures.items())
+    failures = list(result.failures.items())
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:
         err.print(
-            f"{_counted(len(failures), 'scenario')} could not be made; "
+            f"{_counted(len(failures), 'scenario')} could not be generated; "
             "the same command tries again",
             soft_wrap=True,
         )

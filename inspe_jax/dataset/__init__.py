@@ -1,11 +1,10 @@
-"""Data sets of frames: made, written and read, as OPV2V and its Infra-Set variant have them."""
+"""Data sets of recorded frames: generate, write and read them, in OPV2V's format or another."""
 
 import warnings
 
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
-from inspe_jax.dataset.formats.opv2v.reader import read_frame
-from inspe_jax.dataset.formats.opv2v.writer import write_frame, write_protocol
+from inspe_jax.dataset.formats.registry import read_frame, write_frame, write_protocol
 from inspe_jax.dataset.generate import GenerationResult, generate
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
@@ -39,7 +38,7 @@ _RENAMED = {"Thing": RoadUserBox, "Made": GenerationResult}
 
 
 def __getattr__(name: str) -> type:
-    """Names of before, with a warning that says the new one."""
+    """Deprecated names: each gives its object and a warning with the new name."""
     if name not in _RENAMED:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     new = _RENAMED[name]

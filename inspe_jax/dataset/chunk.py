@@ -1,4 +1,4 @@
-"""What a worker does for a data set: records and writes a few frames of a scenario."""
+"""The work of a worker process: it records and writes a few frames of a scenario."""
 
 import errno
 import multiprocessing
@@ -12,8 +12,7 @@ from typing import Any
 from filelock import FileLock
 
 from inspe_jax.core.files import parse_yaml
-from inspe_jax.dataset.formats.opv2v.reader import agent_ids
-from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL, write_frame, write_protocol
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.scene.scene import Scene
@@ -24,16 +23,18 @@ from inspe_jax.study.sources import SceneSource
 from inspe_jax.study.work import make_room, message_of, placed, scene_of
 
 SIZE = 10
-"""Frames of a chunk."""
+"""Number of frames in a chunk."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Error numbers of a full disk."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Frames ``first`` to ``last`` of a scenario that is written in ``folder``.
+    """Frames ``first`` to ``last`` of a scenario that is written to ``folder``.
 
-    ``left`` of them were not there when it was sent. Only one process at a time writes a chunk:
-    it holds the file ``lock``. ``server`` is where the backend records, if it needs one.
+    ``missing`` of them were not written yet when the chunk was sent. A process that writes a chunk
+    holds the file ``lock``, so that only one does. ``server`` is the one that the backend records
+    with, if it needs one; ``format`` is that of the data set.
     """
 
     plan: ScenarioPlan
@@ -42,30 +43,33 @@ class Chunk:
     lock: Path
     first: int
     last: int
-    left: int
+    missing: int
     server: Server | None = None
+    format: str = DEFAULT_FORMAT
 
     @property
     def key(self) -> str:
-        """A short text that is this chunk's own."""
+        """A short text that identifies the chunk."""
         return f"{self.plan.key}-{self.first}"
 
     @property
     def scene(self) -> str:
-        """The same for its scene."""
+        """A short text that identifies its scene."""
         return self.plan.scene
 
     @property
     def source(self) -> SceneSource:
-        """Where its scene comes from."""
+        """The source of its scene."""
         return self.plan.source
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a chunk: ``error`` if it cannot be made, ``fault`` if it cannot be written.
+    """The result of a chunk.
 
-    ``full``: since there is no room. ``notes`` tell what its recorder cannot do as asked.
+    ``error`` says why it could not be recorded, ``fault`` why it could not be written; both are
+    empty on success. ``full`` is true if the disk is full. ``notes`` say what the recorder cannot
+    record as the layout has it.
     """
 
     error: str = ""
@@ -75,52 +79,56 @@ class Outcome:
 
 
 @dataclass
-class _Desk:
-    """The one recorder that a worker has open; what it is of, and its scenario's protocol."""
+class WorkerState:
+    """The recorder that a worker process has open, of the scenario with this ``key``, if any.
 
-    of: str = ""
+    ``protocol`` is that of the scenario. ``error`` says why the recorder could not be opened.
+    ``closing`` is true once no further frame may be recorded.
+    """
+
+    key: str = ""
     recorder: Recorder | None = None
     protocol: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
     error: str = ""
-    left: ExitStack | None = None
+    stack: ExitStack | None = None
     closing: bool = False
 
-    def set(self, scene: Scene, chunk: Chunk) -> None:
-        """Open the recorder of a chunk, if it is another one; ``error`` says why it cannot be."""
-        if self.of == chunk.plan.key:
+    def open(self, scene: Scene, chunk: Chunk) -> None:
+        """Open the recorder of a chunk's scenario, unless it is open; close that of another one."""
+        if self.key == chunk.plan.key:
             return
-        self.clear()
+        self.close()
         make_room(chunk.scene)
-        self.of, plan = chunk.plan.key, chunk.plan
+        self.key, plan = chunk.plan.key, chunk.plan
         try:
             source = plan.layout
             text = source.text or layout_text(placed(source, scene))
             content = {"name": source.name, **parse_yaml(text, source.name)}
             layout = parse_layout(content, source.name, source.name, scene)
             given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
-            self.left = ExitStack()
-            self.recorder = self.left.enter_context(recorder_of(chunk.backend, *given))
+            self.stack = ExitStack()
+            self.recorder = self.stack.enter_context(recorder_of(chunk.backend, *given))
             self.notes = self.recorder.notes
-            self.protocol = protocol_of(plan, content, chunk.backend, self.notes)
+            self.protocol = protocol_of(plan, content, chunk.backend, self.notes, chunk.format)
         except Exception as e:
             self.error = message_of(e)
 
-    def clear(self) -> None:
-        """Close the recorder."""
-        left = self.left
-        self.of, self.recorder, self.protocol, self.notes = "", None, None, ()
-        self.error, self.left = "", None
-        if left is not None:
-            left.close()
+    def close(self) -> None:
+        """Close the recorder, if one is open."""
+        stack = self.stack
+        self.key, self.recorder, self.protocol, self.notes = "", None, None, ()
+        self.error, self.stack = "", None
+        if stack is not None:
+            stack.close()
 
 
-_desk = _Desk()
-_at_work = threading.Lock()
+_worker = WorkerState()
+_recording = threading.Lock()
 
 
 def build(chunk: Chunk) -> Scene | str:
-    """The scene of a chunk; or what is wrong with it, for every chunk that is on it."""
+    """The scene of a chunk; or the message of the error, if it cannot be built."""
     try:
         return scene_of(chunk.source, chunk.plan.build)
     except Exception as e:
@@ -128,30 +136,32 @@ def build(chunk: Chunk) -> Scene | str:
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
-    """Record and write the frames of a chunk that are not there.
+    """Record and write the missing frames of a chunk.
 
-    The files of a frame are the same whenever, and by whomever, it is made.
+    The bytes of a frame do not depend on when, or by which worker, it is recorded. ``scene`` may be
+    a message of :func:`build`, which then is the error of the chunk.
     """
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes: tuple[str, ...] = ()
+    stored = FORMATS[chunk.format]
     try:
         with FileLock(chunk.lock):
-            for t in _left(chunk):
-                with _at_work:
-                    if _desk.closing:
+            for t in _missing(chunk):
+                with _recording:
+                    if _worker.closing:
                         break
-                    _desk.set(scene, chunk)
-                    if _desk.error:
-                        return Outcome(error=_desk.error)
-                    notes = _desk.notes
+                    _worker.open(scene, chunk)
+                    if _worker.error:
+                        return Outcome(error=_worker.error)
+                    notes = _worker.notes
                     try:
-                        frame = replace(_desk.recorder.frame(t), number=t)  # type: ignore[union-attr]
+                        frame = replace(_worker.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
                         return Outcome(error=f"frame {t}: {message_of(e)}")
-                    if not (chunk.folder / PROTOCOL).exists():
-                        write_protocol(chunk.folder, _desk.protocol or {}, frame.stations)
-                    write_frame(chunk.folder, frame)
+                    if not stored.is_begun(chunk.folder):
+                        stored.write_protocol(chunk.folder, _worker.protocol or {}, frame.stations)
+                    stored.write(chunk.folder, frame)
     except Exception as e:
         fault = os_error(e)
         if fault is None:
@@ -161,28 +171,27 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
 
 
 def close() -> None:
-    """Close the worker's recorder when it is done with its frame; it begins no other."""
-    _desk.closing = True
-    with _at_work:
-        _desk.clear()
+    """Close the worker's recorder after its current frame; no other frame is begun."""
+    _worker.closing = True
+    with _recording:
+        _worker.close()
 
 
 def os_error(e: BaseException) -> OSError | None:
-    """The fault of the system that an error came from, if any."""
-    seen: BaseException | None = e
-    while seen is not None and not isinstance(seen, OSError):
-        seen = seen.__cause__
-    return seen
+    """The OSError that caused an error, if any."""
+    cause: BaseException | None = e
+    while cause is not None and not isinstance(cause, OSError):
+        cause = cause.__cause__
+    return cause
 
 
-def _left(chunk: Chunk) -> Iterator[int]:
-    """Frames of a chunk that are not there; no more once who sent it is gone."""
+def _missing(chunk: Chunk) -> Iterator[int]:
+    """Frames of a chunk that are not written yet; stops when the sending process is gone."""
     sender = multiprocessing.parent_process()
-    begun = (chunk.folder / PROTOCOL).exists()
-    agents = [chunk.folder / str(agent) for agent in agent_ids(chunk.folder)] if begun else []
-    for t in range(chunk.first, chunk.last + 1):
+    stored, folder = FORMATS[chunk.format], chunk.folder
+    # No other process writes frames of this chunk now: this one holds the lock.
+    there = stored.frames(folder, stored.agents(folder)) if stored.is_begun(folder) else ()
+    for t in sorted(set(range(chunk.first, chunk.last + 1)) - set(there)):
         if sender is not None and not sender.is_alive():
             return
-        # A frame's YAML files are its last, and all agents' folders are there before any.
-        if not agents or not all((agent / f"{t:06d}.yaml").exists() for agent in agents):
-            yield t
+        yield t

@@ -1,4 +1,4 @@
-"""Data sets as folders: splits, scenarios, and frames that load what is asked for."""
+"""Data sets on disk: splits, scenarios, and frames that read their files when they are used."""
 
 import os
 from collections.abc import Mapping
@@ -8,23 +8,29 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.dataset.formats.opv2v.reader import agent_ids, frame_of, read_protocol, stems
-from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL
+from inspe_jax.dataset.formats.registry import (
+    DEFAULT_FORMAT,
+    FORMATS,
+    DatasetFormat,
+    format_of,
+)
 from inspe_jax.simulation.frame import Frame
 
 SPLITS = ("train", "validate", "test")
-"""The splits that come first; a set may have others, such as ``test_culvercity``."""
+"""The usual splits, in their order; a data set may have others, such as ``test_culvercity``."""
 
 
 MOST_LISTED = 20
-"""Scenarios that an error lists."""
+"""Largest number of scenarios that an error lists."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario on disk, as it was when first asked."""
+    """A scenario on disk. What has been read once is kept: later changes to the files do not
+    show."""
 
     path: Path
+    format: DatasetFormat = FORMATS[DEFAULT_FORMAT]
 
     @property
     def name(self) -> str:
@@ -33,28 +39,27 @@ class Scenario:
 
     @cached_property
     def protocol(self) -> Mapping[str, Any]:
-        """What made it; empty where it does not tell."""
-        return read_protocol(self.path)
+        """What made the scenario; empty if nothing says so."""
+        return self.format.read_protocol(self.path)
 
     @cached_property
     def agents(self) -> tuple[int, ...]:
-        """Ids of its agents: infrastructure −1, −2, … first, then vehicles."""
-        return agent_ids(self.path)
+        """Ids of the agents: infrastructure −1, −2, … first, then vehicles."""
+        return self.format.agents(self.path)
 
     @cached_property
     def frames(self) -> tuple[int, ...]:
-        """Numbers of the frames that every agent has."""
-        each = [set(stems(self.path / str(agent))) for agent in self.agents]
-        return tuple(sorted(set.intersection(*each))) if each else ()
+        """Numbers of the complete frames, which every agent has."""
+        return self.format.frames(self.path, self.agents)
 
     def frame(self, number: int) -> Frame:
         """A frame, as :func:`~inspe_jax.dataset.read_frame` reads it."""
-        return frame_of(self.path, number, self.agents, self.protocol)
+        return self.format.read(self.path, number, self.agents, self.protocol)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Scenarios by split. ``splits`` has train, validate and test first, of those there are."""
+    """The scenarios of a data set. ``splits`` has train, validate and test first, if they exist."""
 
     path: Path
     splits: Mapping[str, tuple[Scenario, ...]]
@@ -65,9 +70,10 @@ class Dataset:
         return tuple(scenario for split in self.splits.values() for scenario in split)
 
     def scenario(self, name: str | None = None) -> Scenario:
-        """The scenario of a name, or the only one; as ``SPLIT/NAME`` where two splits have it.
+        """A scenario by its name, or the only scenario if no name is given.
 
-        Raises InspeError, which lists them, where the name is of none or of several.
+        The name may be ``SPLIT/NAME``, where two splits have a scenario of this name. Raises
+        InspeError, which lists the scenarios, if none or several have the name.
         """
         named = {
             f"{split}/{scenario.name}": scenario
@@ -92,17 +98,19 @@ class Dataset:
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Dataset:
-    """A data set on disk: a folder of splits, one split, or one scenario.
+    """Open a data set on disk: a folder of splits, one split, or one scenario.
 
-    A split is named for the folder that holds its scenarios. Nothing but names is read until
-    asked for. Raises InspeError where there is no such folder, or it is none of the three.
+    A split has the name of the folder that holds its scenarios. Scenarios may be in any format of
+    :data:`~inspe_jax.dataset.formats.registry.FORMATS`. Only the names of files are read here.
+    Raises InspeError if there is no such folder, or it is none of the three.
     """
     given = Path(path)
     if not given.is_dir():
         raise InspeError(f"{given}: no such folder")
     folder = given.resolve()
-    if _is_scenario(folder):
-        return Dataset(folder, {folder.parent.name: (Scenario(folder),)})
+    row = format_of(folder)
+    if row is not None:
+        return Dataset(folder, {folder.parent.name: (Scenario(folder, row),)})
     scenarios = _scenarios(folder)
     if scenarios:
         return Dataset(folder, {folder.name: scenarios})
@@ -111,21 +119,19 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     ordered = [*first, *(name for name in splits if name not in first)]
     found = {name: splits[name] for name in ordered if splits[name]}
     if not found:
-        raise InspeError(
-            f"{given}: not a data set: expected SPLIT/SCENARIO/AGENT/000000.yaml, "
-            f"SCENARIO/AGENT/000000.yaml or AGENT/000000.yaml in it"
+        expected = ", ".join(
+            f"{above}{row.example}"
+            for row in FORMATS.values()
+            for above in ("SPLIT/SCENARIO/", "SCENARIO/", "")
         )
+        raise InspeError(f"{given}: not a data set: expected one of {expected} in it")
     return Dataset(folder, found)
 
 
 def _scenarios(split: Path) -> tuple[Scenario, ...]:
-    return tuple(Scenario(child) for child in _folders(split) if _is_scenario(child))
+    found = ((child, format_of(child)) for child in _folders(split))
+    return tuple(Scenario(child, row) for child, row in found if row is not None)
 
 
 def _folders(path: Path) -> list[Path]:
     return sorted(child for child in path.iterdir() if child.is_dir())
-
-
-def _is_scenario(path: Path) -> bool:
-    """Whether a folder has a protocol, or an agent with a frame."""
-    return (path / PROTOCOL).is_file() or any(stems(path / str(a)) for a in agent_ids(path))

@@ -1,4 +1,4 @@
-"""A data set, made by worker processes on this machine."""
+"""Generates a data set with worker processes on this machine."""
 
 import os
 import shutil
@@ -12,25 +12,24 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
-from inspe_jax.simulation.backends import check_backend, server_of
+from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
 from inspe_jax.study.engine import dask, done
 from inspe_jax.study.work import message_of
 
 MB = 1e6
-MOST_WORKERS = {"carla": 1}
-"""By how many workers a backend can record, where that is limited: a CARLA server has one world."""
-GO_ON = "make room, and the same command goes on from here"
+CONTINUE = "make room, and the same command goes on from here"
 
 
 @dataclass(frozen=True)
 class GenerationResult:
-    """What a run came to.
+    """The result of a run.
 
-    ``scenarios`` and ``frames`` that are there now, and the ``size`` of all files [bytes];
-    ``recorded`` frames of this run and the ``seconds`` it took; ``failures``, what is wrong with
-    each scenario that could not be made, by name; ``notes``, what of each scenario could not be
-    recorded as asked, of those recorded in this run.
+    ``scenarios`` and ``frames`` are the numbers of those that are complete now; ``size`` is that of
+    all files [bytes]. ``recorded`` is the number of frames of this run, and ``seconds`` the time
+    that it took. ``failures`` says, by the name of the scenario, why it could not be generated.
+    ``notes`` says what of a scenario could not be recorded as its layout has it; it covers the
+    scenarios that were recorded in this run.
     """
 
     folder: Path
@@ -52,37 +51,38 @@ def generate(
     server: Server | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GenerationResult:
-    """Make every scenario of a data set that ``folder`` does not have yet.
+    """Generate the scenarios of a data set that ``folder`` does not have yet.
 
-    As ``folder/SPLIT/SCENARIO``, each of which appears when it is whole. ``backend`` records:
-    ``embedded`` or ``carla``; that of the generation, if not given. The work is shared out, a few
-    frames at a time, among ``workers`` processes, one a core if not given; with ``carla`` one,
-    which records at ``server``, CARLA's usual address if not given. A run that is killed is taken
-    up again by calling it again, to the same bytes. A scenario that cannot be made is told in
-    ``failures``, while the others are. ``progress`` is called with (frames done, frames).
+    A scenario appears as ``folder/SPLIT/SCENARIO`` when it is complete. ``backend`` is one of
+    :data:`~inspe_jax.simulation.backends.BACKENDS`, that of the generation if not given. The work
+    is divided among ``workers`` processes, a few frames at a time: one per core if not given, or
+    as many as the backend allows. ``server`` is the address of the server if the backend needs one,
+    the usual one if not given. ``progress`` is called with (frames done, all frames).
 
-    Scripts that call this need the usual ``if __name__ == "__main__":``, as workers are processes
-    of their own. Raises InspeError where Dask is missing, no server answers, the disk is full or
-    cannot be written to, or the folder has anything else in it; what is there is valid, and can
-    be gone on from.
+    After a run was killed, call this again: it continues, and gives the same bytes. If a scenario
+    cannot be generated, its error is in the result's ``failures``, and the others are generated.
+
+    Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
+    processes. Raises InspeError if Dask is missing, no server answers, the disk is full or cannot
+    be written to, or the folder contains something else. The files written until then are valid.
     """
     began = time.monotonic()
     backend = generation.backend if backend is None else backend
     workers = _checked(backend, workers)
     server = server_of(backend, server)
     try:
-        with DatasetWriter(generation, folder, backend) as making:
-            had = making.frames
-            failures, notes = _record(making, generation, backend, workers, server, progress)
+        with DatasetWriter(generation, folder, backend) as writer:
+            had = writer.frames
+            failures, notes = _record(writer, generation, backend, workers, server, progress)
             if not failures:
-                making.clear()
-            placed = [plan.frames for plan in generation.scenarios if making.place(plan).exists()]
+                writer.clear()
+            placed = [plan.frames for plan in generation.scenarios if writer.place(plan).exists()]
             return GenerationResult(
-                folder=making.folder,
+                folder=writer.folder,
                 scenarios=len(placed),
                 frames=sum(placed),
-                size=making.size,
-                recorded=making.frames - had,
+                size=writer.size,
+                recorded=writer.frames - had,
                 seconds=time.monotonic() - began,
                 failures=failures,
                 notes=notes,
@@ -90,13 +90,13 @@ def generate(
     except OSError as e:
         if e.errno not in FULL:
             raise
-        raise InspeError(f"{folder}: the disk is full; {GO_ON}") from e
+        raise InspeError(f"{folder}: the disk is full; {CONTINUE}") from e
 
 
 def _checked(backend: str, workers: int | None) -> int | None:
-    """How many workers there are to be. Raises InspeError where there cannot be so many."""
+    """The number of workers to use. Raises InspeError if ``workers`` is not allowed."""
     check_backend(backend)
-    most = MOST_WORKERS.get(backend)
+    most = BACKENDS[backend].most_workers
     if workers is not None and (workers < 1 or (most is not None and workers > most)):
         allowed = "1 or more" if most is None else f"{most} with backend {backend}"
         raise InspeError(f"workers {workers}: {allowed}")
@@ -104,79 +104,84 @@ def _checked(backend: str, workers: int | None) -> int | None:
 
 
 def _record(
-    making: DatasetWriter,
+    writer: DatasetWriter,
     generation: Generation,
     backend: str,
     workers: int | None,
     server: Server | None,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
-    """Do what is left to do; gives what is wrong with each scenario that cannot be made, and the
-    notes of those that are."""
-    chunks = {plan.name: _chunks(making, plan, backend, server) for plan in generation.scenarios}
-    left = {name: len(own) for name, own in chunks.items()}
-    recorded, failures, notes = making.frames, dict[str, str](), dict[str, tuple[str, ...]]()
+    """Record what is missing. Gives the failures and the notes, see :class:`GenerationResult`."""
+    chunks = {plan.name: _chunks(writer, plan, backend, server) for plan in generation.scenarios}
+    unsettled = {name: len(own) for name, own in chunks.items()}
+    recorded, failures, notes = writer.frames, dict[str, str](), dict[str, tuple[str, ...]]()
 
-    def tell() -> None:
+    def report() -> None:
         if progress:
             progress(recorded, generation.frames)
 
     def settle(plan: ScenarioPlan) -> None:
-        if not left[plan.name] and plan.name not in failures and not making.finish(plan):
-            failures[plan.name] = "some of its files are gone again; give the same command again"
+        if not unsettled[plan.name] and plan.name not in failures and not writer.finish(plan):
+            failures[plan.name] = "some of its files were deleted; give the same command again"
 
-    tell()
+    report()
     for plan in generation.scenarios:
-        if not making.place(plan).exists():
+        if not writer.place(plan).exists():
             settle(plan)
     todo = [chunk for own in chunks.values() for chunk in own]
     if not todo:
         return failures, notes
     if server is not None:
-        server.reach()  # or every scenario would fail by itself
+        server.reach()  # else every scenario would fail on its own
     with dask().client(None, workers) as client:
         try:
             for chunk, found in done(client, todo, build, work, ahead=1):
                 plan = chunk.plan
                 outcome = Outcome(message_of(found)) if isinstance(found, Exception) else found
                 if outcome.fault:
-                    raise InspeError(_room(making, generation) if outcome.full else outcome.fault)
-                left[plan.name] -= 1
+                    raise InspeError(
+                        _disk_full(writer, generation) if outcome.full else outcome.fault
+                    )
+                unsettled[plan.name] -= 1
                 if outcome.error:
                     failures.setdefault(plan.name, outcome.error)
                 else:
-                    recorded += chunk.left
+                    recorded += chunk.missing
                     if outcome.notes:
                         notes[plan.name] = outcome.notes
                 settle(plan)
-                tell()
+                report()
         finally:
             with suppress(Exception):
                 client.run(close, on_error="ignore")
-    made = [plan.name for plan in generation.scenarios if plan.name not in failures]
-    return failures, {name: notes[name] for name in made if name in notes}
+    succeeded = [plan.name for plan in generation.scenarios if plan.name not in failures]
+    return failures, {name: notes[name] for name in succeeded if name in notes}
 
 
 def _chunks(
-    making: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
+    writer: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
 ) -> list[Chunk]:
-    """Chunks of a scenario with a frame that is not there."""
+    """The chunks of a scenario that have missing frames."""
     found = []
     for first in range(0, plan.frames, SIZE):
         last = min(first + SIZE, plan.frames) - 1
-        left = len(set(range(first, last + 1)) - making.there[plan.name])
-        if left:
-            files = making.unfinished(plan), making.lock(plan, first)
-            found.append(Chunk(plan, backend, *files, first, last, left, server))
+        missing = len(set(range(first, last + 1)) - writer.there[plan.name])
+        if missing:
+            files = writer.unfinished(plan), writer.lock(plan, first)
+            found.append(
+                Chunk(plan, backend, *files, first, last, missing, server, writer.format_name)
+            )
     return found
 
 
-def _room(making: DatasetWriter, generation: Generation) -> str:
-    """That the disk is full, and how much more the set will need."""
-    there = making.take_stock(generation)
-    told = f"{making.folder}: the disk is full: {there} of {generation.frames} frames are there"
-    if there:
-        needed = making.size / there * (generation.frames - there)
-        free = shutil.disk_usage(making.folder).free
-        told += f", about {needed / MB:.1f} MB more are needed, and {free / MB:.1f} MB are free"
-    return f"{told}; {GO_ON}"
+def _disk_full(writer: DatasetWriter, generation: Generation) -> str:
+    """The error of a full disk, with an estimate of the space that is still needed."""
+    complete = writer.count_frames(generation)
+    message = (
+        f"{writer.folder}: the disk is full: {complete} of {generation.frames} frames are there"
+    )
+    if complete:
+        needed = writer.size / complete * (generation.frames - complete)
+        free = shutil.disk_usage(writer.folder).free
+        message += f", about {needed / MB:.1f} MB more are needed, and {free / MB:.1f} MB are free"
+    return f"{message}; {CONTINUE}"

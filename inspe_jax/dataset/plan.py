@@ -1,6 +1,8 @@
-"""A data set to be made: every layout on every scene in every setting. Read from YAML.
+"""The plan of a data set: every layout on every scene in every setting. Read from YAML.
 
-The file is that of a study (:mod:`inspe_jax.study.plan`) but for what it sets::
+The file is like that of a study (:mod:`inspe_jax.study.plan`), with other settings. Both modules
+share :mod:`inspe_jax.study.settings` and :mod:`inspe_jax.study.sources`; what is left in each is
+its own: scenarios, splits and names here, jobs and searches there. The file::
 
     scenes:
       - built_in: four_way
@@ -10,19 +12,20 @@ The file is that of a study (:mod:`inspe_jax.study.plan`) but for what it sets::
       density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed
       light: [midday, night]         # of the sensors: light, weather
       seed: [0, 1, 2]
-      seconds: 20                    # how long a scenario is
-    rate_hz: 10                      # frames a second
-    layers: [depth, instance]        # beside the pictures; or semantic
+      seconds: 20                    # length of a scenario
+    rate_hz: 10                      # frames per second
+    layers: [depth, instance]        # in addition to the pictures; or semantic
     image_scale: 0.5                 # of the cameras' own resolution, up to 1
+    format: opv2v                    # how files are written
     splits: {train: 7, validate: 1, test: 2}
     split_by: scenario               # or scene: see below
 
-A saved scene must have frames 1 / ``rate_hz`` apart, and all that are wanted; without ``seconds``
-it is all of them.
+The frames of a saved scene must be 1 / ``rate_hz`` apart, and there must be enough of them. Without
+``seconds`` all of them are used.
 
-Scenarios that differ only in their layout, light or weather are of one scene, and have the same
-traffic. So that no traffic is in two splits, split by scene, of which there should then be many:
-by ``seed``.
+Scenarios that differ only in layout, light or weather are of the same scene, and have the same
+traffic. If no traffic may be in two splits, use ``split_by: scene``, and give several values of
+``seed``, so that there are many scenes.
 """
 
 import hashlib
@@ -41,8 +44,10 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
 from inspe_jax.scene.traffic.frames import MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
+from inspe_jax.simulation.backends import DEFAULT_BACKEND
 from inspe_jax.simulation.recorder import Recording
 from inspe_jax.study.settings import (
     CONDITIONS,
@@ -68,19 +73,19 @@ from inspe_jax.study.sources import (
 )
 
 SECONDS = 10.0
-"""How long a scenario is if nobody says [s]."""
+"""Length of a scenario, if none is given [s]."""
 SETTINGS = (*WORLD, *CONDITIONS, "seconds")
-SHARES: dict[Any, float] = {"train": 7, "validate": 1, "test": 2}
-"""Scenarios of each split, in proportion."""
+PROPORTIONS: dict[Any, float] = {"train": 7, "validate": 1, "test": 2}
+"""Proportions of the scenarios in the splits, if none are given."""
 LONGEST_NAME = 120
 
 
 @dataclass(frozen=True)
 class ScenarioPlan:
-    """A scenario to be made; ``settings`` has every key of :data:`SETTINGS`.
+    """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`.
 
-    ``seed`` is that of the sensors' noise: another one in every scenario, while scenarios of one
-    scene have the same traffic.
+    ``seed`` is that of the sensors' noise. It differs in every scenario, also where scenarios of
+    one scene have the same traffic.
     """
 
     name: str
@@ -94,7 +99,7 @@ class ScenarioPlan:
 
     @property
     def frames(self) -> int:
-        """How many it has."""
+        """Number of frames."""
         return round(self.settings["seconds"] * self.recording.rate)
 
     @property
@@ -104,38 +109,44 @@ class ScenarioPlan:
 
     @property
     def build(self) -> dict[str, Any]:
-        """Settings that its scene is built with."""
+        """Settings that the scene is built with."""
         world = {key: self.settings[key] for key in WORLD}
         return world | dict(frames=self.frames, step=1 / self.recording.rate)
 
     @cached_property
     def scene(self) -> str:
-        """A short text that its scene is known by."""
+        """A short text that identifies the scene."""
         return digest([self.source.anywhere, self.build])[:16]
 
     @cached_property
     def key(self) -> str:
-        """A short text that is its own: of what it shows and how, not of what it is called."""
+        """A short text that identifies the scenario: by its content, not by its name."""
         return digest([self.source.anywhere, self.layout, self.settings, self.recording])[:16]
 
 
 @dataclass(frozen=True)
 class Generation:
-    """A data set to be made: its scenarios in order. ``notes`` say what a person should know."""
+    """A data set to be generated: its scenarios, in order.
+
+    ``notes`` are messages for the user; ``format`` is one of
+    :data:`~inspe_jax.dataset.formats.registry.FORMATS`.
+    """
 
     name: str
     scenarios: tuple[ScenarioPlan, ...]
-    backend: str = "embedded"
+    backend: str = DEFAULT_BACKEND
     notes: tuple[str, ...] = ()
+    format: str = DEFAULT_FORMAT
 
     @property
     def frames(self) -> int:
-        """Of all scenarios together."""
+        """Number of frames of all scenarios together."""
         return sum(plan.frames for plan in self.scenarios)
 
     @property
     def splits(self) -> dict[str, tuple[ScenarioPlan, ...]]:
-        """Scenarios by split: of each, or none."""
+        """The scenarios of each split of :data:`~inspe_jax.dataset.folders.SPLITS`, perhaps
+        none."""
         return {
             split: tuple(plan for plan in self.scenarios if plan.split == split) for split in SPLITS
         }
@@ -145,7 +156,7 @@ class Generation:
 
 
 class Settings(WorldSettings):
-    """What a file may set."""
+    """The section ``settings`` of the file."""
 
     light: Several[str] = Field(default=[])
     weather: Several[str] = Field(default=[])
@@ -156,18 +167,23 @@ class _SceneEntry(SceneEntry, WorldSettings):
     pass
 
 
-_Share = Annotated[float, Field(ge=0)]
+_Proportion = Annotated[float, Field(ge=0)]
 
 
 class RecordingEntry(Strict):
-    """What a file says of the recording."""
+    """The keys of the file that concern the recording."""
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
     image_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    format: str = DEFAULT_FORMAT
 
     def recording(self, where: str) -> Recording:
-        """The same. Raises InspeError where a layer is given twice."""
+        """The settings of the recording.
+
+        Raises InspeError where a layer is given twice, or the format of the data set is unknown.
+        """
+        check_format(self.format, f"{where}: format")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
         return Recording(rate=self.rate_hz, layers=tuple(self.layers), image_scale=self.image_scale)
 
@@ -175,14 +191,18 @@ class RecordingEntry(Strict):
 class _File(Sources, RecordingEntry):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: Settings = Settings()
-    splits: dict[Literal["train", "validate", "test"], _Share] = Field(default=SHARES)
+    splits: dict[Literal["train", "validate", "test"], _Proportion] = Field(default=PROPORTIONS)
     split_by: Literal["scenario", "scene"] = "scenario"
 
 
 def make_generation(
     content: Mapping[str, Any], folder: Path, where: str = "study", name: str = "study"
 ) -> Generation:
-    """A data set from what a file holds; paths in it are relative to ``folder``."""
+    """The plan of a data set, from the content of a file; paths in it are relative to ``folder``.
+
+    ``where`` is the name of the file for errors, ``name`` that of the data set if the file gives
+    none. Raises InspeError that names the file, the key and what is allowed.
+    """
     entry = check_model(_File, with_named_layouts(content), where)
     recording = entry.recording(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
@@ -190,8 +210,8 @@ def make_generation(
     for seconds in whole["seconds"]:
         check_seconds(seconds, recording.rate, f"{where}: settings.seconds")
     each: Mapping[Any, float] = entry.splits
-    shares = [each.get(split, 0) for split in SPLITS]
-    if not sum(shares):
+    proportions = [each.get(split, 0) for split in SPLITS]
+    if not sum(proportions):
         raise InspeError(f"{where}: splits: one of {', '.join(SPLITS)} must be above 0")
     layouts = layout_sources(entry, folder, where)
     defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
@@ -213,27 +233,28 @@ def make_generation(
         group: (plan.source.name, *([] if by_scene else [plan.conditions.light]))
         for group, plan in zip(groups, done, strict=True)
     }
-    splits = _split(kinds, shares)
+    splits = _split(kinds, proportions)
     done = [replace(plan, split=splits[group]) for group, plan in zip(groups, done, strict=True)]
-    return Generation(entry.name or name, tuple(done))
+    return Generation(entry.name or name, tuple(done), format=entry.format)
 
 
 def check_seconds(seconds: float, rate: float, where: str) -> None:
-    """Raise InspeError where so long a scenario has no whole number of frames, or too many."""
+    """Raise InspeError if a scenario of this length [s] has no whole number of frames, or too
+    many."""
     frames = seconds * rate
     if abs(frames - round(frames)) > 1e-6 * frames or not 1 <= round(frames) <= MOST_FRAMES:
         raise InspeError(
-            f"{where}: {seconds:g} s are {frames:g} frames at {rate:g} Hz: a whole number, 1 to "
-            f"{MOST_FRAMES}"
+            f"{where}: {seconds:g} s are {frames:g} frames at {rate:g} Hz: must be a whole number, "
+            f"1 to {MOST_FRAMES}"
         )
 
 
 def saved_seconds(
     source: SceneSource, wanted: Sequence[float], rate: float, where: str
 ) -> list[float]:
-    """How long scenarios of a saved scene are [s]: as wanted, or as long as it is.
+    """Lengths of the scenarios of a saved scene [s]: those wanted, or the length of the scene.
 
-    Raises InspeError where it is shorter, or its frames are not 1 / rate apart.
+    Raises InspeError if the scene is shorter, or its frames are not 1 / ``rate`` apart.
     """
     from inspe_jax.scene.scene import load_scene
 
@@ -241,13 +262,13 @@ def saved_seconds(
     step = float(traffic.time[1] - traffic.time[0]) if traffic.frame_count > 1 else 1 / rate
     if not math.isclose(step, 1 / rate, rel_tol=1e-5):
         raise InspeError(
-            f"{where}: {source.file} has frames {step:g} s apart, and rate_hz {rate:g} needs "
-            f"{1 / rate:g} s: build it with this step, or set rate_hz: {1 / step:g}"
+            f"{where}: {source.file} has frames {step:g} s apart, but rate_hz {rate:g} needs "
+            f"{1 / rate:g} s: build the scene with this step, or set rate_hz: {1 / step:g}"
         )
     for seconds in wanted:
         if round(seconds * rate) > traffic.frame_count:
             raise InspeError(
-                f"{where}: {source.file} has {traffic.frame_count} frames, and {seconds:g} s at "
+                f"{where}: {source.file} has {traffic.frame_count} frames, but {seconds:g} s at "
                 f"{rate:g} Hz are {round(seconds * rate)}"
             )
     return list(wanted) or [traffic.frame_count / rate]
@@ -261,7 +282,7 @@ def _seed(key: str) -> int:
 
 
 def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
-    """The same by names that tell what they are, fit for folders."""
+    """The same plans with names that say what varies, and that are valid names of folders."""
     varied: dict[tuple[str, str], set[Any]] = defaultdict(set)
     for plan in plans:
         for key in ("radius", "voxel", "mix", "traffic", "seconds"):
@@ -276,7 +297,7 @@ def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
         ]
         parts += [f"{key}-{_word(given[key])}" for key in more]
         names.append("__".join(map(_fit, (*parts, given["seed"])))[:LONGEST_NAME])
-    counts = Counter(name.lower() for name in names)  # some disks know no capitals
+    counts = Counter(name.lower() for name in names)  # some disks ignore upper case
     return [
         replace(plan, name=name if counts[name.lower()] == 1 else f"{name}__{plan.key}")
         for plan, name in zip(plans, names, strict=True)
@@ -288,20 +309,20 @@ def _word(value: Any) -> str:
 
 
 def _fit(part: Any) -> str:
-    """A part of a name: letters, digits and a few signs."""
+    """A part of a name: letters, digits and a few signs; others become ``_``."""
     return re.sub(r"[^A-Za-z0-9.+-]+", "_", str(part)).strip("._") or "_"
 
 
-def _split(kinds: Mapping[str, tuple[str, ...]], shares: Sequence[float]) -> dict[str, str]:
-    """The split of each key; ``kinds`` are those of the keys.
+def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -> dict[str, str]:
+    """The split of each key of ``kinds``, which maps keys to their kinds.
 
-    As many of each split as whole numbers allow. Keys are put in order by the hash of their kind
-    and then by their own, and dealt out so that every stretch of that order has its shares: each
-    kind is in all splits where there are enough of it, and which keys of it go where depends on
-    nothing but hashes.
+    The sizes of the splits follow the proportions as closely as whole numbers allow. Keys are
+    sorted by the hash of their kind, then by their own hash, and dealt out so that every stretch of
+    this order is split in proportion. So each kind is in all splits, if there are enough keys of
+    it, and which keys go where depends on hashes only.
     """
-    total, count = sum(shares), len(kinds)
-    exact = [share * count / total for share in shares]
+    total, count = sum(proportions), len(kinds)
+    exact = [proportion * count / total for proportion in proportions]
     quota = [math.floor(value + 1e-9) for value in exact]
     rest = sorted(range(len(quota)), key=lambda s: (round(quota[s] - exact[s], 9), quota[s]))
     for s in rest[: count - sum(quota)]:

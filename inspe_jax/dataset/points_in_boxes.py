@@ -1,4 +1,4 @@
-"""Which points of a scan lie in which box: the count that says how well a thing was seen."""
+"""Counts the points of LiDAR scans inside the boxes of road users."""
 
 from collections.abc import Sequence
 
@@ -9,34 +9,34 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.simulation.frame import RoadUserBox, Scan
 
 SLACK = 1e-3
-"""A box is wider and higher by this on every side but below [m]: points on its faces are in it,
-whatever rounding did to them, and those of the road that it stands on are not."""
+"""A box is made larger by this on every side but the bottom [m]. So points on its faces are inside
+in spite of rounding, and points of the road below are not."""
 
 
-def count_inside(scans: Sequence[Scan], things: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
-    """How many points of each scan lie in the box of each thing, both in the world.
+def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
+    """How many points of each of S scans lie in each of B boxes.
 
-    The points of all scans are sorted by x once, so that each box is held against those of its
-    own strip alone.
+    The points of all scans are sorted by x once, so that each box is compared only with the points
+    in its own range of x.
     """
-    counts = np.zeros((len(scans), len(things)), np.int64)
+    counts = np.zeros((len(scans), len(boxes)), np.int64)
     if not counts.size:
         return counts
     cloud = np.concatenate([world_points(scan) for scan in scans], 1)  # (3, N)
     owner = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
     order = np.argsort(cloud[0])
     x = cloud[0, order]
-    for k, thing in enumerate(things):
-        half = np.asarray(thing.size, float) / 2 + SLACK
-        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+    for k, box in enumerate(boxes):
+        half = np.asarray(box.size, float) / 2 + SLACK
+        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
         reach = abs(cos) * half[0] + abs(sin) * half[1]
-        first = np.searchsorted(x, thing.center[0] - reach)
-        end = np.searchsorted(x, thing.center[0] + reach, side="right")
+        first = np.searchsorted(x, box.center[0] - reach)
+        end = np.searchsorted(x, box.center[0] + reach, side="right")
         near = order[first:end]
-        dy = cloud[1, near] - thing.center[1]
-        beside = np.abs(dy) <= abs(sin) * half[0] + abs(cos) * half[1]
-        near, dy = near[beside], dy[beside]
-        dx, dz = cloud[0, near] - thing.center[0], cloud[2, near] - thing.center[2]
+        dy = cloud[1, near] - box.center[1]
+        close_in_y = np.abs(dy) <= abs(sin) * half[0] + abs(cos) * half[1]
+        near, dy = near[close_in_y], dy[close_in_y]
+        dx, dz = cloud[0, near] - box.center[0], cloud[2, near] - box.center[2]
         inside = (np.abs(cos * dx + sin * dy) <= half[0]) & (np.abs(cos * dy - sin * dx) <= half[1])
         inside &= (dz <= half[2]) & (dz >= 2 * SLACK - half[2])
         counts[:, k] = np.bincount(owner[near[inside]], minlength=len(scans))
@@ -44,7 +44,7 @@ def count_inside(scans: Sequence[Scan], things: Sequence[RoadUserBox]) -> Int[np
 
 
 def world_points(scan: Scan) -> Float[np.ndarray, "3 N"]:
-    """A scan's points in the world, x, y and z apart [m]."""
+    """The points of a scan in the world, as rows of x, y and z [m]."""
     pose = np.asarray(scan.pose, float)
     points: np.ndarray = rotation(pose[3:], np) @ np.asarray(scan.points[:, :3], float).T
     return points + pose[:3, None]

@@ -1,6 +1,7 @@
-"""A scenario's ``data_protocol.yaml``: all that it takes to make the scenario again.
+"""The protocol of a scenario, ``data_protocol.yaml``: everything needed to generate it again.
 
-The layout is in it whole. A map or a saved scene is by its name and the digest of its content.
+It contains the whole layout. Of a map or a saved scene it has the name and the digest of the
+content.
 """
 
 import os
@@ -16,6 +17,7 @@ from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model, read_yaml
 from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.plan import (
     SETTINGS,
     Generation,
@@ -43,7 +45,7 @@ from inspe_jax.study.sources import LayoutSource, SceneEntry, SceneSource, diges
 
 FORMAT = "inspe_jax scenario 1"
 PORT = 2000
-"""CARLA's own; it is only told."""
+"""CARLA's usual port. Readers of OPV2V data sets expect one in the protocol; it has no effect."""
 
 
 class _Scene(SceneEntry):
@@ -80,16 +82,23 @@ class _Protocol(Strict):
 
 
 def versions(backend: str) -> dict[str, str]:
-    """Versions of what the bytes of a set depend on beside its plan."""
+    """Versions of the packages that the bytes of a data set depend on."""
     own = {name for name in BACKENDS[backend].packages if find_spec(name)}
     return version.versions(("jax", "numpy", "pillow", "scipy", "shapely", *own))
 
 
 def protocol_of(
-    plan: ScenarioPlan, layout: Mapping[str, Any], backend: str, notes: Sequence[str] = ()
+    plan: ScenarioPlan,
+    layout: Mapping[str, Any],
+    backend: str,
+    notes: Sequence[str] = (),
+    format: str = DEFAULT_FORMAT,
 ) -> dict[str, Any]:
-    """What a protocol holds; ``layout`` is what a layout file would, and ``notes`` tell what could
-    not be recorded as asked."""
+    """The content of a scenario's protocol.
+
+    ``layout`` is the content of a layout file; ``notes`` say what could not be recorded as the
+    layout has it; ``format`` is that of the data set.
+    """
     source = plan.source.anywhere
     scene = {
         "name": source.name,
@@ -119,6 +128,7 @@ def protocol_of(
             "layers": list(plan.recording.layers),
             "image_scale": plan.recording.image_scale,
             "seed": plan.seed,
+            **({} if format == DEFAULT_FORMAT else {"format": format}),
         },
         **({"tags": dict(plan.tags)} if plan.tags else {}),
         "layout": dict(layout),
@@ -130,12 +140,12 @@ def protocol_of(
 def load_generation(
     path: str | os.PathLike[str], files: str | os.PathLike[str] | None = None
 ) -> Generation:
-    """Read a generation study, its form as in :mod:`inspe_jax.dataset.plan`, or a scenario's
-    ``data_protocol.yaml``, which is a data set of this one.
+    """Read the plan of a data set: a study file, see :mod:`inspe_jax.dataset.plan`, or the
+    ``data_protocol.yaml`` of a scenario, which is the plan of this scenario alone.
 
-    The map or the saved scene that a protocol names is looked for in ``files``, beside the
-    protocol, in the folders of its set and in the current one. Raises InspeError that names the
-    file, the key and what is allowed.
+    The map or the saved scene that a protocol names is searched in the folder ``files`` if given,
+    otherwise in the protocol's folder and the two above it; then in the current folder. Raises
+    InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
     content = read_yaml(path)
@@ -144,12 +154,14 @@ def load_generation(
     if "world" not in content:
         return make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
-        raise InspeError(f"{path}: the protocol of a set that this package has not made")
-    beside = path.resolve().parents
-    return _remade(content, str(path), [*([Path(files)] if files else beside[:3]), Path.cwd()])
+        raise InspeError(f"{path}: a protocol that was not written by this package")
+    above = path.resolve().parents
+    return _from_protocol(
+        content, str(path), [*([Path(files)] if files else above[:3]), Path.cwd()]
+    )
 
 
-def _remade(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
+def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
     entry = check_model(_Protocol, content, where)
     for key, value, known in (
         ("format", entry.format, (FORMAT,)),
@@ -162,7 +174,7 @@ def _remade(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Gen
             )
     source = _source(entry.scene, folders, f"{where}: scene")
     recording = entry.recording.recording(f"{where}: recording")
-    parse_layout(entry.layout, f"{where}: layout", "layout")  # it is what it should be
+    parse_layout(entry.layout, f"{where}: layout", "layout")  # raises where it is not valid
     text = yaml.safe_dump(entry.layout, sort_keys=False)
     plan = ScenarioPlan(
         name=entry.name,
@@ -175,17 +187,18 @@ def _remade(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Gen
         tags=entry.tags,
     )
     now = versions(entry.recording.backend)
-    other = [
+    differ = [
         f"{name} {entry.versions.get(name)} (here {now.get(name)})"
         for name in entry.versions.keys() | now.keys()
         if entry.versions.get(name) != now.get(name)
     ]
-    notes = [f"made with {', '.join(sorted(other))}: files may differ"] if other else []
-    return Generation(entry.name, (plan,), entry.recording.backend, tuple(notes))
+    notes = [f"made with {', '.join(sorted(differ))}: files may differ"] if differ else []
+    recorded = entry.recording
+    return Generation(entry.name, (plan,), recorded.backend, tuple(notes), recorded.format)
 
 
 def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
-    """Where the scene comes from, its file found by name in one of the folders."""
+    """The source of the scene; its file is searched in the folders, by name and content."""
     given = entry.map or entry.file
     plain = SceneEntry(**entry.model_dump(exclude={"content"}))
     if given is None:
@@ -194,16 +207,18 @@ def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
     there = [folder for folder in folders if (folder / Path(given).name).is_file()]
     same = [folder for folder in there if digest_of(folder / Path(given).name) == entry.content]
     if not same:
-        looked = ", ".join(map(str, there or folders))
-        what = "has another content there than it had" if there else "is not there"
-        raise InspeError(f"{where}: {given} {what}; looked in {looked}; name its folder: --files")
+        searched = ", ".join(map(str, there or folders))
+        what = "has changed since the protocol was written" if there else "was not found"
+        raise InspeError(
+            f"{where}: {given} {what}; searched in {searched}; name its folder: --files"
+        )
     return scene_source(plain, same[0], where)
 
 
 def _settings(
     given: dict[str, Any], source: SceneSource, rate: float, where: str
 ) -> dict[str, Any]:
-    """The settings of a protocol, of which a saved scene has most itself."""
+    """The settings of a protocol. For a saved scene, most of them are taken from its file."""
     for key in SETTINGS:
         if key not in given:
             raise InspeError(f"{where}: {key}: missing key")

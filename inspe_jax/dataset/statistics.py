@@ -1,4 +1,4 @@
-"""What a data set holds, counted: of each split, of each class, and points against range."""
+"""Statistics of a data set: of each split, of each class of road user, and points by range."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,19 +11,20 @@ from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
+from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, Frame
 
 RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
-"""Ends of the bands of range [m], √2 apart: 1.25, 1.8, 2.5 … 5, 7.1, 10 … 453."""
+"""Limits of the range bands [m], each √2 times the one before: 1.25, 1.8, 2.5 … 453."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """What a split holds. An agent is counted once a scenario, a box once a frame.
+    """The counts of a split. An agent counts once per scenario, a box once per frame.
 
-    ``images`` have a picture, ``clouds`` are point clouds with ``points`` together; ``size`` in
-    bytes on disk, of everything in the scenarios' folders.
+    ``clouds`` is the number of point clouds, ``points`` that of all points in them; ``size`` is
+    that of all files in the scenarios' folders [bytes].
     """
 
     name: str
@@ -39,8 +40,8 @@ class Split:
 
 @dataclass(frozen=True, eq=False)
 class Users:
-    """Road users, each once a scenario: an index into KINDS, the size of the box where it was
-    first met (length, width, height) [m], and in how many frames it is."""
+    """The K road users of all scenarios: the index of each in KINDS, the size (length, width,
+    height) of its first box [m], and the number of frames that it is in."""
 
     kind: Int[np.ndarray, " K"]
     size: Float[np.ndarray, "K 3"]
@@ -49,7 +50,8 @@ class Users:
 
 @dataclass(frozen=True, eq=False)
 class PointCounts:
-    """Points within boxes: index into KINDS, metres from LiDAR to the box's middle, points."""
+    """The points inside N boxes: the index of each box in KINDS, the distance from the LiDAR to the
+    middle of the box [m], and the number of points."""
 
     kind: Int[np.ndarray, " N"]
     range: Float[np.ndarray, " N"]
@@ -58,7 +60,10 @@ class PointCounts:
 
 @dataclass(frozen=True)
 class Band:
-    """Boxes of a band of range [m]. ``share`` of them have a point; of these are the quartiles."""
+    """The boxes between two ranges ``low`` and ``high`` [m].
+
+    ``share`` of them (0…1) have a point inside; ``quartiles`` are of the points of these boxes.
+    """
 
     low: float
     high: float
@@ -69,12 +74,13 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """What a data set holds.
+    """The statistics of a data set.
 
-    ``merged`` has each box of each frame once, with the points of all the scans of that frame,
-    and the range to the nearest of their LiDARs; ``single`` has it once for each scan. Both leave
-    frames without a scan out. ``crowd`` is the number of things in each frame; ``cameras`` and
-    ``lidars`` the least and the most that a frame has. ``protocols`` are those of the scenarios.
+    ``merged`` has each box of each frame once, with the points of all scans of that frame, and
+    with the range to the nearest LiDAR. ``single`` has each box once per scan. Both leave out
+    frames without a scan. ``crowd`` is the number of road users in each of F frames; ``cameras``
+    and ``lidars`` are the smallest and the largest number in a frame. ``agents`` and ``protocols``
+    are those of each scenario.
     """
 
     path: Path
@@ -105,20 +111,20 @@ class Statistics:
 
     @property
     def mean_points(self) -> float | None:
-        """Points of a point cloud on average; None where there is no point cloud."""
+        """Mean number of points in a point cloud; None if there is no point cloud."""
         total = self.total
         return total.points / total.clouds if total.clouds else None
 
     @property
     def boxes(self) -> dict[str, int]:
-        """Boxes of each class, each once a frame."""
+        """Number of boxes of each class; a road user counts once per frame."""
         return {
             kind: int(self.users.frames[self.users.kind == k].sum()) for k, kind in enumerate(KINDS)
         }
 
     @property
     def tracks(self) -> dict[str, int]:
-        """Road users of each class, each once a scenario."""
+        """Number of road users of each class; each counts once per scenario."""
         return {kind: int((self.users.kind == k).sum()) for k, kind in enumerate(KINDS)}
 
 
@@ -126,59 +132,61 @@ def statistics(
     given: Dataset | str | os.PathLike[str],
     progress: Callable[[int, int], None] | None = None,
 ) -> Statistics:
-    """Count what a data set holds, frame by frame; pictures are not read.
+    """Count the content of a data set, frame by frame. Pictures are not read.
 
-    ``progress`` is told how many frames are done and how many there are. Raises InspeError
-    where there is no such set, it has no frame, or a file of it is broken.
+    ``progress`` is called with the number of frames done and the number of all frames. Raises
+    InspeError if there is no such data set, it has no frame, or one of its files is broken.
     """
     data = given if isinstance(given, Dataset) else open_dataset(given)
-    many = sum(len(scenario.frames) for scenario in data.scenarios)
-    if not many:
+    total_frames = sum(len(scenario.frames) for scenario in data.scenarios)
+    if not total_frames:
         count = len(data.scenarios)
+        examples = " or ".join(row.example for row in FORMATS.values())
         raise InspeError(
-            f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: one is a YAML file of "
-            f"the same number in the folder of every agent"
+            f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
+            f"for every agent"
         )
-    tally = _Tally()
+    counter = _Counts()
     splits = []
     for name, scenarios in data.splits.items():
-        start = dict(tally.counts)
+        start = dict(counter.counts)
         for scenario in scenarios:
-            for _ in tally.add(scenario):
+            for _ in counter.add(scenario):
                 if progress:
-                    progress(len(tally.crowd), many)
-        counts = {key: count - start[key] for key, count in tally.counts.items()}
+                    progress(len(counter.crowd), total_frames)
+        counts = {key: count - start[key] for key, count in counter.counts.items()}
         splits.append(Split(name=name, scenarios=len(scenarios), **counts))
-    return tally.statistics(data, tuple(splits))
+    return counter.statistics(data, tuple(splits))
 
 
-def bands(hits: PointCounts, kind: int) -> tuple[Band, ...]:
-    """The points of a class's boxes by range, those bands that have any; KINDS[kind].
+def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
+    """The boxes of the class KINDS[kind] by range; bands without a box are left out.
 
-    What is nearer or further than all of :data:`RANGE_EDGES` is in the first or the last.
+    Boxes closer or further than all of :data:`RANGE_EDGES` are in the first or the last band.
     """
-    own = hits.kind == kind
-    points = hits.points[own]
+    own = counts.kind == kind
+    points = counts.points[own]
     last = len(RANGE_EDGES) - 2
-    place = np.clip(np.searchsorted(RANGE_EDGES, hits.range[own], side="right") - 1, 0, last)
+    place = np.clip(np.searchsorted(RANGE_EDGES, counts.range[own], side="right") - 1, 0, last)
     found = []
     for k in np.unique(place):
         within = points[place == k]
-        met = within[within > 0]
-        quartiles = tuple(np.percentile(met, [25, 50, 75]).tolist()) if len(met) else None
+        nonempty = within[within > 0]
+        quartiles = tuple(np.percentile(nonempty, [25, 50, 75]).tolist()) if len(nonempty) else None
         low, high = RANGE_EDGES[k : k + 2].tolist()
-        found.append(Band(low, high, len(within), len(met) / len(within), quartiles))
+        found.append(Band(low, high, len(within), len(nonempty) / len(within), quartiles))
     return tuple(found)
 
 
 def table_row(found: Statistics) -> dict[str, str | int | None]:
-    """The set's own row of a table that compares data sets; None where the set does not tell.
+    """The row of a data set in a table that compares data sets; unknown values are None.
 
-    Counted: ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I where no
-    scenario has two agents); ``cameras`` and ``LiDARs`` are of a frame; ``maps`` are the
-    protocols' ``world.town``. Told by the protocols, where at all: ``year`` and ``source``, and
-    ``intersection``, of which those of each map are counted. Who gives no source but a
-    simulator's tick, ``world.fixed_delta_seconds``, is taken to be ``sim``.
+    Counted: ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario
+    has two agents); ``cameras`` and ``LiDARs`` are per frame; ``maps`` are the different
+    ``world.town`` of the protocols. Taken from the protocols, if they have them: ``year``,
+    ``source``, and ``intersection``, of which the different ones of each map are counted. If a
+    protocol has no ``source`` but a simulator's time step, ``world.fixed_delta_seconds``, the
+    source is ``sim``.
     """
     total = found.total
     towns = [_world(protocol).get("town") for protocol in found.protocols]
@@ -206,8 +214,8 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
     }
 
 
-class _Tally:
-    """What has been counted so far."""
+class _Counts:
+    """The counts so far."""
 
     def __init__(self) -> None:
         keys = ("frames", "agents", "images", "clouds", "points", "boxes", "size")
@@ -220,21 +228,21 @@ class _Tally:
         self.lidars: set[int] = set()
 
     def add(self, scenario: Scenario) -> Iterator[None]:
-        """A scenario, one step a frame."""
+        """Count a scenario; gives control back after every frame."""
         users: dict[int, tuple[int, list[float], int]] = {}
         self.counts["agents"] += len(scenario.agents)
         self.counts["size"] += _disk_size(scenario.path)
         for number in scenario.frames:
             frame = scenario.frame(number)
-            for thing in frame.things:
-                kind, size = KINDS.index(thing.kind), np.asarray(thing.size).tolist()
-                kind, size, before = users.get(thing.track, (kind, size, 0))
-                users[thing.track] = kind, size, before + 1
+            for box in frame.boxes:
+                kind, size = KINDS.index(box.kind), np.asarray(box.size).tolist()
+                kind, size, before = users.get(box.track, (kind, size, 0))
+                users[box.track] = kind, size, before + 1
             self._add_sensors(frame)
-            self._add_hits(frame)
-            self.crowd.append(len(frame.things))
+            self._add_points(frame)
+            self.crowd.append(len(frame.boxes))
             self.counts["frames"] += 1
-            self.counts["boxes"] += len(frame.things)
+            self.counts["boxes"] += len(frame.boxes)
             yield
         self.users += users.values()
 
@@ -247,21 +255,21 @@ class _Tally:
         self.counts["clouds"] += len(scans)
         self.counts["points"] += sum(len(scan.points) for scan in scans)
 
-    def _add_hits(self, frame: Frame) -> None:
+    def _add_points(self, frame: Frame) -> None:
         scans = [scan for station in frame.stations for scan in station.scans]
-        if not (scans and frame.things):
+        if not (scans and frame.boxes):
             return
-        points = count_inside(scans, frame.things)  # (S, B)
-        kind = np.array([KINDS.index(thing.kind) for thing in frame.things])
+        points = count_inside(scans, frame.boxes)  # (S, B)
+        kind = np.array([KINDS.index(box.kind) for box in frame.boxes])
         sensors = np.array([scan.pose[:3] for scan in scans])
-        middles = np.array([thing.center for thing in frame.things])
+        middles = np.array([box.center for box in frame.boxes])
         away = np.linalg.norm(middles - sensors[:, None], axis=-1)  # (S, B)
         self.merged.append(np.stack([kind, away.min(0), points.sum(0)]).astype(np.float32))
         each = np.stack([np.broadcast_to(kind, away.shape), away, points])  # (3, S, B)
         self.single.append(each.reshape(3, -1).astype(np.float32))
 
     def statistics(self, data: Dataset, splits: tuple[Split, ...]) -> Statistics:
-        """All together."""
+        """The statistics of all that was counted."""
         kind, size, frames = zip(*self.users, strict=True) if self.users else ((), (), ())
         return Statistics(
             path=data.path,
@@ -272,8 +280,8 @@ class _Tally:
                 np.array(frames, int),
             ),
             crowd=np.array(self.crowd),
-            merged=_hits(self.merged),
-            single=_hits(self.single),
+            merged=_point_counts(self.merged),
+            single=_point_counts(self.single),
             cameras=(min(self.cameras), max(self.cameras)),
             lidars=(min(self.lidars), max(self.lidars)),
             agents=tuple(scenario.agents for scenario in data.scenarios),
@@ -281,13 +289,13 @@ class _Tally:
         )
 
 
-def _hits(parts: list[np.ndarray]) -> PointCounts:
+def _point_counts(parts: list[np.ndarray]) -> PointCounts:
     kind, away, points = np.concatenate(parts, 1) if parts else np.zeros((3, 0), np.float32)
     return PointCounts(kind.astype(np.int8), away, points.astype(np.int32))
 
 
 def _disk_size(folder: Path) -> int:
-    """Bytes of the files in a folder and below it; one that has two names counts once."""
+    """Size of all files in a folder and below it [bytes]; a file with two names counts once."""
     sizes = {}
     for place, _, names in os.walk(folder):
         for name in names:
@@ -320,5 +328,5 @@ def _joined(words: Sequence[Any]) -> str | None:
 
 
 def _distinct(values: Sequence[Any], needed: Sequence[Any]) -> int | None:
-    """How many values differ; None where one of those needed is not told."""
+    """The number of different values; None if one of those ``needed`` is unknown."""
     return None if any(value is None for value in needed) else len({str(v) for v in values})

@@ -1,7 +1,8 @@
-"""A data set on disk while it is made: a scenario takes its place when all its frames are there.
+"""A data set on disk while it is generated.
 
-Until then it is under ``.unfinished``, where no reader looks. So whatever happens to a run, what
-is in the splits is whole; and what is not is taken up again frame by frame.
+A scenario is written under ``.unfinished``, where readers do not look, and moves into its split
+when it is complete. So the splits hold complete scenarios only, even if a run is killed. The next
+run records the missing frames only.
 """
 
 import os
@@ -16,33 +17,38 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
 from inspe_jax.dataset.folders import SPLITS, Scenario
-from inspe_jax.dataset.formats.opv2v.writer import PROTOCOL
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
 
 RECORD, UNFINISHED = "generation.yaml", ".unfinished"
 FORMAT = "inspe_jax data set 1"
 
-_ADVICE = "name another folder, or delete it to begin anew"
+_ADVICE = "name another folder, or delete this one to start again"
 
 
 class DatasetWriter:
-    """A data set in a folder; only one run at a time may hold it."""
+    """The folder of a data set, locked for one run.
+
+    ``there`` holds the numbers of the complete frames of each scenario, by name, as last counted.
+    """
 
     def __init__(
         self, generation: Generation, folder: str | os.PathLike[str], backend: str
     ) -> None:
-        """Raises InspeError where the folder cannot be written, is in use by another run, or has
-        another set in it, or anything else."""
+        """Raises InspeError if the folder cannot be written to, another run uses it, or it contains
+        another data set or other files."""
         self.folder = prepare_folder(folder)
+        self.format_name = generation.format
+        self.format = FORMATS[generation.format]
         self._lock = FileLock(self.folder / f".{RECORD}.lock")
         try:
             self._lock.acquire(timeout=0)
         except Timeout:
-            raise InspeError(f"{self.folder}: another run is at work in it") from None
+            raise InspeError(f"{self.folder}: is in use by another run") from None
         try:
             self._check(record_of(generation, backend))
-            self.there = {plan.name: self._taken_up(plan) for plan in generation.scenarios}
+            self.there = {plan.name: self._resume(plan) for plan in generation.scenarios}
         except BaseException:
             self._lock.release()
             raise
@@ -54,50 +60,51 @@ class DatasetWriter:
         self._lock.release()
 
     def place(self, plan: ScenarioPlan) -> Path:
-        """Where a scenario is when it is finished."""
+        """The folder of a finished scenario."""
         return self.folder / plan.split / plan.name
 
     def unfinished(self, plan: ScenarioPlan) -> Path:
-        """Where it is until then."""
+        """The folder of a scenario that is not finished yet."""
         return self.folder / UNFINISHED / plan.split / plan.name
 
     def lock(self, plan: ScenarioPlan, first: int) -> Path:
-        """The file that tells who writes the chunk of a scenario with this frame."""
+        """The lock file of the chunk of a scenario that begins with frame ``first``."""
         locks = self.folder / UNFINISHED / ".locks"
         locks.mkdir(parents=True, exist_ok=True)
         return locks / f"{plan.key}-{first}.lock"
 
     def finish(self, plan: ScenarioPlan) -> bool:
-        """Put a scenario in its place; False, and it stays, where a frame of it is missing."""
+        """Move a scenario into its split. Gives False, and does not move it, if a frame is
+        missing."""
         folder = self.unfinished(plan)
-        self.there[plan.name] = _frames(folder)
+        self.there[plan.name] = self._frames(folder)
         if len(self.there[plan.name]) < plan.frames:
             return False
-        for part in folder.rglob(".*.part"):  # of a worker that was killed
+        for part in folder.rglob(".*.part"):  # half-written files of a worker that was killed
             part.unlink()
         self.place(plan).parent.mkdir(exist_ok=True)
         os.replace(folder, self.place(plan))
         return True
 
     def clear(self) -> None:
-        """Take away what was needed only while the set was made."""
+        """Delete the files that were needed only while the data set was generated."""
         shutil.rmtree(self.folder / UNFINISHED, ignore_errors=True)
 
     @property
     def frames(self) -> int:
-        """How many there were when they were last counted."""
+        """Number of complete frames, as last counted."""
         return sum(map(len, self.there.values()))
 
-    def take_stock(self, generation: Generation) -> int:
-        """Count the frames that there are, of scenarios finished or not."""
+    def count_frames(self, generation: Generation) -> int:
+        """Count the complete frames of all scenarios again, finished or not."""
         for plan in generation.scenarios:
             place = self.place(plan)
-            self.there[plan.name] = _frames(place if place.exists() else self.unfinished(plan))
+            self.there[plan.name] = self._frames(place if place.exists() else self.unfinished(plan))
         return self.frames
 
     @property
     def size(self) -> int:
-        """What is there, finished or not, takes up [bytes]; a file of two names counts once."""
+        """Size of all scenarios, finished or not [bytes]; a file with two names counts once."""
         found = {}
         for top in (*SPLITS, UNFINISHED):
             for folder, _, names in os.walk(self.folder / top):
@@ -107,7 +114,7 @@ class DatasetWriter:
         return sum(found.values())
 
     def _check(self, record: dict[str, Any]) -> None:
-        """Write what the set is to be, or see that it is what is there."""
+        """Write the record of the data set, or compare it with the one that is there."""
         path = self.folder / RECORD
         text = yaml.safe_dump(record, sort_keys=False, default_flow_style=None)
         if not path.exists():
@@ -116,47 +123,51 @@ class DatasetWriter:
             ]
             if strange:
                 raise InspeError(
-                    f"{self.folder}: has no {RECORD}, so this is no data set begun here, and is "
-                    f"not empty: {strange[0]}; name another folder"
+                    f"{self.folder}: has no {RECORD}, so it is no data set, but it is not empty: "
+                    f"{strange[0]}; name another folder"
                 )
             write_text(path, text)
             return
         kept = read_yaml(path)
         if not isinstance(kept, dict) or kept.get("format") != FORMAT:
-            raise InspeError(f"{path}: not what this version of the package writes; {_ADVICE}")
-        for key in ("backend", "digest"):
-            if kept.get(key) != record[key]:
+            raise InspeError(f"{path}: not written by this version of the package; {_ADVICE}")
+        for key in ("backend", "data_format", "digest"):
+            if kept.get(key) != record.get(key):
                 what = f"'{kept.get('name')}'" if key == "digest" else f"{key} {kept.get(key)}"
                 raise InspeError(
-                    f"{self.folder}: holds another data set, {what}: not the same scenarios, made "
-                    f"in the same way; {_ADVICE}"
+                    f"{self.folder}: holds another data set, {what}, with other scenarios or "
+                    f"recorded in another way; {_ADVICE}"
                 )
         for name, version in record["versions"].items():
             was = (kept.get("versions") or {}).get(name)
             if was != version:
                 raise InspeError(
-                    f"{self.folder}: was begun with {name} {was}, and this is {version}; {_ADVICE}"
+                    f"{self.folder}: was begun with {name} {was}, but this is {version}; {_ADVICE}"
                 )
 
-    def _taken_up(self, plan: ScenarioPlan) -> set[int]:
-        """Frames that there are of a scenario; one with a frame taken away is unfinished again."""
+    def _resume(self, plan: ScenarioPlan) -> set[int]:
+        """Numbers of the complete frames of a scenario.
+
+        A finished scenario of which a frame was deleted becomes unfinished again.
+        """
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
-            there = _frames(place)
+            there = self._frames(place)
             if len(there) == plan.frames:
                 return there
             shutil.rmtree(folder, ignore_errors=True)
             folder.parent.mkdir(parents=True, exist_ok=True)
             os.replace(place, folder)
-        return _frames(folder)
+        return self._frames(folder)
 
-
-def _frames(folder: Path) -> set[int]:
-    return set(Scenario(folder).frames) if (folder / PROTOCOL).exists() else set()
+    def _frames(self, folder: Path) -> set[int]:
+        """Numbers of the complete frames in a scenario's folder."""
+        begun = self.format.is_begun(folder)
+        return set(Scenario(folder, self.format).frames) if begun else set()
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:
-    """What ``generation.yaml`` tells of a set."""
+    """The content of a data set's ``generation.yaml``."""
     plans = [[p.name, p.split, p.seed, p.tags, p.key] for p in generation.scenarios]
     return {
         "format": FORMAT,
@@ -168,4 +179,5 @@ def record_of(generation: Generation, backend: str) -> dict[str, Any]:
             split: [plan.name for plan in plans] for split, plans in generation.splits.items()
         },
         "versions": versions(backend),
+        **({} if generation.format == DEFAULT_FORMAT else {"data_format": generation.format}),
     }

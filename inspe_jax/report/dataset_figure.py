@@ -1,4 +1,4 @@
-"""What a data set holds, as a figure: classes, sizes, crowds, and points against range."""
+"""A figure of a data set: classes, sizes, road users per frame, and points by range."""
 
 import textwrap
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ from inspe_jax.report.sheet import NOTE_LINE, WIDTH, fit, house_style
 from inspe_jax.simulation.frame import KINDS
 
 FEWEST = 5
-"""Bands of range with fewer boxes than this are left out of the curves."""
+"""Range bands with fewer boxes than this are left out of the curves."""
 
 MOST_DOTS = 2000
-"""Boxes of a class that are drawn as dots, at most; then every n-th."""
+"""Largest number of boxes of a class that are drawn as dots; of more, every n-th is drawn."""
 
 _LEFT, _RIGHT, _GAP = 0.72, 0.12, 0.42  # margins and between panels [inch]
 _HEAD, _BETWEEN, _SHARE = 0.84, 0.66, 0.53  # above, between rows, of the lower panels [inch]
@@ -37,10 +37,10 @@ _FINE_TICKS = np.array([1, 1.5, 2, 3, 4, 5, 7]) * 10.0 ** np.arange(-2, 4)[:, No
 
 
 def statistics_view(found: Statistics) -> Figure:
-    """What a data set holds: objects a class and a frame, their sizes, points against range.
+    """A figure of a data set: objects per class and per frame, their sizes, and points by range.
 
-    Sizes are of each road user once; points are of one scan each, and of all scans of a frame
-    together. A set without point clouds has no points to show.
+    Sizes count each road user once per scenario. Points are shown for single scans, and for all
+    scans of a frame together; this part is left out if the data set has no point clouds.
     """
     clouds = found.total.clouds > 0
     notes = [
@@ -55,7 +55,7 @@ def statistics_view(found: Statistics) -> Figure:
         top = _HEAD
         left, right = _row(fig, top, rows[0], 2)
         _draw_classes(left, found)
-        _draw_crowd(right, found)
+        _draw_per_frame(right, found)
         top += rows[0] + _BETWEEN
         _draw_sizes(_row(fig, top, rows[1], 3), found)
         top += rows[1] + _BETWEEN
@@ -93,19 +93,19 @@ def _heading(fig: Figure, found: Statistics) -> None:
 
 
 def _notes(found: Statistics) -> list[str]:
-    notes = ["Sizes: each road user once a scenario; median and quartiles in figures."]
+    notes = ["Sizes: each road user counts once per scenario; numbers are median and quartiles."]
     if not found.total.clouds:
-        return [*notes, "There is no point cloud, and so no points within boxes."]
+        return [*notes, "The data set has no point clouds."]
     return [
         *notes,
-        "Points: range is from the LiDAR to the middle of the box; of all scans of a frame "
-        "together, from the nearest LiDAR. Median and quartiles are of the boxes that have a point "
-        f"at all, in bands of range of a factor of √2 with {FEWEST} boxes or more.",
+        "Points: the range is from the LiDAR to the middle of the box; for all scans of a frame, "
+        "from the nearest LiDAR. Median and quartiles are of the boxes with at least one point, in "
+        f"range bands a factor of √2 wide that have {FEWEST} boxes or more.",
     ]
 
 
 def _row(fig: Figure, top: float, height: float, count: int, gap: float = _GAP) -> list[Axes]:
-    """Panels side by side, their upper side ``top`` below that of the figure [inch]."""
+    """Panels side by side; their upper edge is ``top`` inches below that of the figure."""
     whole = fig.get_figheight()
     width = (WIDTH - _LEFT - _RIGHT - gap * (count - 1)) / count
     return [
@@ -126,7 +126,7 @@ def _title(ax: Axes, words: str) -> None:
 
 
 def _class_rows(ax: Axes) -> None:
-    """A row a class, the first on top."""
+    """One row per class, the first at the top."""
     ax.set(ylim=(len(KINDS) - 0.5, -0.5), yticks=range(len(KINDS)), yticklabels=KINDS)
     ax.tick_params(axis="y", length=0)
 
@@ -146,7 +146,7 @@ def _draw_classes(ax: Axes, found: Statistics) -> None:
     ax.set_axisbelow(True)
 
 
-def _draw_crowd(ax: Axes, found: Statistics) -> None:
+def _draw_per_frame(ax: Axes, found: Statistics) -> None:
     _title(ax, "Objects per frame")
     low, high = int(found.crowd.min()), int(found.crowd.max())
     step = max(1, -(-(high - low + 1) // 40))  # at most 40 bars, each of whole numbers
@@ -163,13 +163,13 @@ def _draw_crowd(ax: Axes, found: Statistics) -> None:
 
 
 def _counts(axis: Any) -> None:
-    """Ticks at whole numbers, thousands apart."""
+    """Ticks at whole numbers, with a comma after thousands."""
     axis.set_major_locator(MaxNLocator(5, integer=True, steps=[1, 2, 5, 10]))
     axis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
 
 
 def _draw_sizes(panels: Sequence[Axes], found: Statistics) -> None:
-    """Length, width and height: a histogram a class, each as high as its fullest bin."""
+    """Length, width and height: a histogram per class, scaled to its highest bin."""
     for axis, (ax, name) in enumerate(zip(panels, ("Length", "Width", "Height"), strict=True)):
         _title(ax, name)
         every = found.users.size[:, axis]
@@ -204,17 +204,17 @@ def _draw_sizes(panels: Sequence[Axes], found: Statistics) -> None:
 
 
 def _log_ticks(axis: Any, fine: bool = False) -> None:
-    """Ticks at 1, 2 and 5 or, if fine, at more; written out."""
+    """Ticks at 1, 2, 5, 10 … or, if ``fine``, at more numbers, without powers of ten."""
     axis.set_major_locator(FixedLocator((_FINE_TICKS if fine else _TICKS).ravel()))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_locator(NullLocator())
 
 
 def _points_heading(fig: Figure, top: float) -> None:
-    """The words above the panels of points, and the keys to them."""
+    """The title and the legend above the panels of points."""
     above = 1 - (top - 0.17) / fig.get_figheight()
     words: dict[str, Any] = dict(size=7, weight="bold", va="center")
-    fig.text(_LEFT / WIDTH, above, "Points per object against range", **words)
+    fig.text(_LEFT / WIDTH, above, "Points per object by range", **words)
     handles = [
         Line2D([], [], color="#606060", lw=1.4, marker="o", ms=2.2, label="one scan, median"),
         Patch(fc="#606060", alpha=0.25, label="quartiles"),
@@ -228,7 +228,8 @@ def _points_heading(fig: Figure, top: float) -> None:
 
 
 def _draw_points(panels: Sequence[Axes], shares: Sequence[Axes], found: Statistics) -> None:
-    """For each class the points of its boxes against range, and the share that has any."""
+    """For each class the points in its boxes by range, and below the share of boxes with a
+    point."""
     every = found.single
     shown = [band for k in range(len(KINDS)) for band in bands(every, k)]
     near = min((band.low for band in shown), default=RANGE_EDGES[0])
@@ -243,7 +244,7 @@ def _draw_points(panels: Sequence[Axes], shares: Sequence[Axes], found: Statisti
             every.range[own], every.points[own], "o", ms=1.2, mfc="#a8a8a8", mec="none",
             alpha=0.5, zorder=1, rasterized=True,
         )  # fmt: skip
-        one, all_ = (_drawn(bands(hits, k)) for hits in (every, found.merged))
+        one, all_ = (_drawn(bands(counts, k)) for counts in (every, found.merged))
         x, quartiles = _curve(one)
         if len(x):
             ax.fill_between(x, quartiles[:, 0], quartiles[:, 2], color=color, alpha=0.25, lw=0)
@@ -280,14 +281,14 @@ def _middle(band: Band) -> float:
 
 
 def _curve(of: Sequence[Band]) -> tuple[np.ndarray, np.ndarray]:
-    """Ranges (N,), and quartiles of the points there (N, 3), where any box has a point."""
-    met = [band for band in of if band.quartiles]
+    """Ranges (N,), and quartiles of the points there (N, 3), of bands where a box has a point."""
+    nonempty = [band for band in of if band.quartiles]
     return (
-        np.array([_middle(band) for band in met]),
-        np.array([band.quartiles for band in met]).reshape(-1, 3),
+        np.array([_middle(band) for band in nonempty]),
+        np.array([band.quartiles for band in nonempty]).reshape(-1, 3),
     )
 
 
 def counted(count: int, what: str) -> str:
-    """A number and what it is of: ``1 frame``, ``1,200 frames``."""
+    """A number with its noun, in the plural if needed: ``1 frame``, ``1,200 frames``."""
     return f"{count:,} {what}{'s' * (count != 1)}"

@@ -1,4 +1,4 @@
-"""What a data set or a frame of it holds, as tables for people and as records for JSON."""
+"""Tables for people, and records for JSON, of a data set and of a frame."""
 
 from dataclasses import asdict
 from typing import Any
@@ -19,7 +19,7 @@ _NONE = "–"
 
 
 def statistics_table(found: Statistics) -> RenderableType:
-    """A set for people: its splits, its classes, and its row of a table that compares sets."""
+    """Tables of a data set: its splits, its classes, and its row of a table that compares sets."""
     counts = (
         "scenarios",
         "frames",
@@ -61,10 +61,10 @@ def statistics_table(found: Statistics) -> RenderableType:
 
 
 def statistics_record(found: Statistics) -> dict[str, Any]:
-    """A set as a JSON-serialisable record.
+    """The statistics of a data set as a JSON-serialisable record.
 
-    ``points`` has the bands of range of each class, of one scan and of all scans of a frame; sizes
-    [m] have their quartiles.
+    ``points`` has the range bands of each class, for single scans and for all scans of a frame
+    together. Sizes [m] are given as quartiles.
     """
     return {
         "name": found.name,
@@ -87,21 +87,21 @@ def statistics_record(found: Statistics) -> dict[str, Any]:
 
 
 def frame_table(scenario: Scenario, number: int) -> RenderableType:
-    """A frame for people: each thing, and the points within its box of all scans together.
+    """A table of the road users of a frame, with the points of all scans inside the box of each.
 
-    Raises InspeError where there is no such frame or a file of it is broken.
+    Raises InspeError if there is no such frame, or one of its files is broken.
     """
     frame = scenario.frame(number)
     heads = ("x\n[m]", "y\n[m]", "yaw\n[°]", "speed\n[m/s]", *(f"{axis}\n[m]" for axis in _AXES))
     table = table_of(f"{scenario.name}, frame {number}", "track", "class", *heads, "points")
     scans = [scan for station in frame.stations for scan in station.scans]
-    points = count_inside(scans, frame.things).sum(0)
-    for thing, count in zip(frame.things, points, strict=True):
-        place = [f"{value:z.1f}" for value in thing.center[:2]]
-        turn = [f"{np.degrees(thing.yaw):z.0f}", f"{np.linalg.norm(thing.velocity):.1f}"]
-        size = [f"{value:.2f}" for value in thing.size]
+    points = count_inside(scans, frame.boxes).sum(0)
+    for box, count in zip(frame.boxes, points, strict=True):
+        place = [f"{value:z.1f}" for value in box.center[:2]]
+        turn = [f"{np.degrees(box.yaw):z.0f}", f"{np.linalg.norm(box.velocity):.1f}"]
+        size = [f"{value:.2f}" for value in box.size]
         seen = f"{count:,}" if scans else _NONE
-        table.add_row(str(thing.track), thing.kind, *place, *turn, *size, seen)
+        table.add_row(str(box.track), box.kind, *place, *turn, *size, seen)
     return table
 
 
@@ -113,5 +113,5 @@ def _sizes(found: Statistics, kind: int) -> dict[str, list[float] | None]:
     return dict(zip(_AXES, quartiles, strict=True))
 
 
-def _bands(hits: PointCounts) -> dict[str, list[dict[str, Any]]]:
-    return {kind: [asdict(band) for band in bands(hits, k)] for k, kind in enumerate(KINDS)}
+def _bands(counts: PointCounts) -> dict[str, list[dict[str, Any]]]:
+    return {kind: [asdict(band) for band in bands(counts, k)] for k, kind in enumerate(KINDS)}

@@ -1,4 +1,4 @@
-"""A frame of a data set, as a figure: the point cloud in plan, the images, and boxes on both."""
+"""A figure of a frame: the point cloud in plan and the images, with the boxes on both."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,10 +22,10 @@ from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
 from inspe_jax.simulation.projection import box_lines, corners
 
 MARGIN = 6.0
-"""What the plan shows about the things and the stations [m]."""
+"""Margin of the plan around road users and stations [m]."""
 
 BADGE_COLOR = "#00543d"
-"""Of stations: a green that is none of the classes'."""
+"""Colour of stations: a green that no class has."""
 
 _HEIGHTS = LinearSegmentedColormap.from_list(
     "heights", ["#d4d4d4", "#9db8c8", "#4c7f94", "#0d3b4a"]
@@ -37,11 +37,11 @@ _ROW = 9.5  # height of a row of the panel [pt]
 
 
 def frame_view(scenario: Scenario, number: int) -> Figure:
-    """A frame: every point in plan, coloured by height, and every image, with the boxes on both.
+    """A figure of a frame: all points in plan, coloured by height, all images, and boxes on both.
 
-    A box has its class's colour, and in plan a line to its front. Where an image has its
-    instances beside it, boxes of which no pixel is to be seen are dotted. Raises InspeError
-    where there is no such frame or a file of it is broken.
+    A box has the colour of its class, and in plan a line to its front. If an image has a layer of
+    instances, boxes without a visible pixel are dotted. Raises InspeError if there is no such
+    frame, or one of its files is broken.
     """
     frame = scenario.frame(number)
     images = [
@@ -71,12 +71,12 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
             top = _HEAD + MAP + _FOOT + _WORDS + (k // columns) * step
             own = width * image.rgb.shape[0] / image.rgb.shape[1]
             place = (left / WIDTH, 1 - (top + own) / height, width / WIDTH, own / height)
-            _draw_image(fig.add_axes(place), image, frame.things, words)
+            _draw_image(fig.add_axes(place), image, frame.boxes, words)
     return fig
 
 
 def name_of(station: Station) -> str:
-    """What a station is called by: its number, or ``v641`` for the vehicle 641."""
+    """The label of a station: its number, or ``v641`` for the vehicle 641."""
     return str(station.number) if station.number > 0 else f"v{-station.number}"
 
 
@@ -86,7 +86,7 @@ def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Ima
     points = sum(len(scan.points) for scan in scans)
     title = fit(f"{scenario.name}, frame {frame.number}", 68)
     facts = (
-        f"{frame.time:.2f} s; {counted(len(frame.things), 'object')}; "
+        f"{frame.time:.2f} s; {counted(len(frame.boxes), 'object')}; "
         f"{counted(len(frame.stations), 'station')}\n"
         f"{counted(len(images), 'image')}; {counted(len(scans), 'point cloud')}"
         f"{f' of {points:,} points together' if scans else ''}"
@@ -97,7 +97,7 @@ def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Ima
 
 
 def _draw_plan(ax: Axes, frame: Frame) -> Any:
-    """Points, boxes and stations in plan, north up; the points as drawn, or None."""
+    """Draw points, boxes and stations in plan, north up; gives the drawn points, or None."""
     scans = [scan for station in frame.stations for scan in station.scans]
     cloud = np.concatenate([np.zeros((3, 0)), *map(world_points, scans)], 1)
     (x0, x1), (y0, y1) = _limits(frame, cloud)
@@ -111,8 +111,8 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
             cloud[0], cloud[1], c=cloud[2], s=0.35, lw=0, cmap=_HEIGHTS, vmin=low, vmax=high,
             rasterized=True, zorder=1,
         )  # fmt: skip
-    footprint = corners(frame.things)[:, :4, :2]
-    colors = [_color(thing) for thing in frame.things]
+    footprint = corners(frame.boxes)[:, :4, :2]
+    colors = [_color(box) for box in frame.boxes]
     ax.add_collection(
         PolyCollection(list(footprint), fc="none", ec=colors, lw=0.8, zorder=3), autolim=False
     )
@@ -133,8 +133,9 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
 def _limits(
     frame: Frame, cloud: Float[np.ndarray, "3 N"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A square about things and stations; about the points, where there are no others."""
-    places = [thing.center[:2] for thing in frame.things]
+    """Limits of x and y: a square around boxes and stations; around the points if there is at most
+    one of these."""
+    places = [box.center[:2] for box in frame.boxes]
     places += [station.pose[:2] for station in frame.stations]
     if len(places) < 2 and cloud.size:
         places += list(cloud[:2].T)
@@ -145,15 +146,15 @@ def _limits(
 
 
 def _heights(frame: Frame, z: Float[np.ndarray, " N"]) -> tuple[float, float]:
-    """From the lowest of the ground to the top of the things, or of most points [m]."""
+    """Limits of the colours [m]: from the ground to the top of the boxes, or of most points."""
     low = float(np.percentile(z, 1))
-    tops = [thing.center[2] + thing.size[2] / 2 for thing in frame.things]
+    tops = [box.center[2] + box.size[2] / 2 for box in frame.boxes]
     high = max(tops, default=float(np.percentile(z, 99)))
     return low, max(high, low + 1.0)
 
 
-def _color(thing: RoadUserBox) -> str:
-    return CLASS_COLORS[KINDS.index(thing.kind)]
+def _color(box: RoadUserBox) -> str:
+    return CLASS_COLORS[KINDS.index(box.kind)]
 
 
 def _badge(ax: Axes, at: Any, station: Station) -> None:
@@ -165,7 +166,7 @@ def _badge(ax: Axes, at: Any, station: Station) -> None:
 
 
 def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool) -> None:
-    """The heights' colours, the stations by name, and the keys."""
+    """The colour bar of heights, the names of the stations, and the legend."""
     y = 0.0
     if cloud is not None:
         axes = panel.inset_axes((0.02, 1 - 21 / (MAP * 72), 0.94, 7 / (MAP * 72)))
@@ -175,7 +176,7 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
         panel.text(middle, -1, "height of a point, z [m]", ha="center", va="top")
         y = -42.0
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
-    keys = 10 + len({thing.kind for thing in frame.things})
+    keys = 10 + len({box.kind for box in frame.boxes})
     room = int((MAP * 72 + y) / _ROW - keys) // 2
     for k, station in enumerate(frame.stations):
         if k == room and len(frame.stations) > room + 1:
@@ -192,34 +193,34 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
 
 
 def _keys(frame: Frame, images: bool) -> list[Any]:
-    counts = {kind: sum(thing.kind == kind for thing in frame.things) for kind in KINDS}
+    counts = {kind: sum(box.kind == kind for box in frame.boxes) for kind in KINDS}
     keys: list[Any] = [
         Patch(fc="none", ec=color, lw=0.9, label=f"{kind} ({counts[kind]})")
         for kind, color in zip(KINDS, CLASS_COLORS, strict=True)
         if counts[kind]
     ]
     if images:
-        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="a camera looks this way"))
-    told = [image.instance for station in frame.stations for image in station.images]
-    if any(layer is not None for layer in told):
+        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
+    layers = [image.instance for station in frame.stations for image in station.images]
+    if any(layer is not None for layer in layers):
         keys.append(
-            Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel is seen of it")
+            Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel of it is visible")
         )
     return keys
 
 
-def _draw_image(ax: Axes, image: Image, things: Sequence[RoadUserBox], words: str) -> None:
-    """An image and the boxes that fall on it."""
+def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str) -> None:
+    """An image, and the boxes that fall into it."""
     height, width = image.rgb.shape[:2]
     ax.imshow(image.rgb, extent=(0, width, height, 0))
-    lines, owner = box_lines(image, things, width, height)
-    seen = set(range(len(things)))
+    lines, owner = box_lines(image, boxes, width, height)
+    seen = set(range(len(boxes)))
     if image.instance is not None:
         found = set(np.unique(image.instance).tolist())
-        seen = {k for k, thing in enumerate(things) if thing.track + 1 in found}
+        seen = {k for k, box in enumerate(boxes) if box.track + 1 in found}
     for shown, look in ((False, dict(lw=0.5, ls=_DOTS)), (True, dict(lw=0.7))):
         own = np.array([(k in seen) == shown for k in owner], bool)
-        colors = [_color(things[k]) for k in owner[own]]
+        colors = [_color(boxes[k]) for k in owner[own]]
         drawn = LineCollection(list(lines[own]), colors=colors, **look)
         if shown:
             drawn.set_path_effects(_RIM)

@@ -1,36 +1,47 @@
-"""The registry of recorders: adding one is adding a row."""
+"""The registry of backends: what records a scene. To add one, add a row to :data:`BACKENDS`.
+
+A recorder is imported when it is opened, so that the command line can list the backends at once.
+"""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.conditions import FAIR, Conditions
-from inspe_jax.sensing.layout import Layout
-from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.recorder import Recorder, Recording, Server
 
-Opening = Callable[..., AbstractContextManager[Recorder]]
+if TYPE_CHECKING:
+    from inspe_jax.scene.scene import Scene
+    from inspe_jax.sensing.conditions import Conditions
+    from inspe_jax.sensing.layout import Layout
+    from inspe_jax.simulation.recorder import Recorder, Recording, Server
+
+Opening = Callable[..., AbstractContextManager["Recorder"]]
 
 
 @dataclass(frozen=True)
 class Backend:
-    """A way to record: ``open`` gives a recorder of a scene, a layout, conditions, a recording, a
-    seed and a server; ``packages`` are those that its bytes depend on; ``remote`` backends record
-    with a server."""
+    """A way to record.
+
+    ``open`` takes a scene, a layout, conditions, a :class:`Recording`, a seed and a server, and
+    gives a recorder for a ``with`` block. ``packages`` are the libraries that the recorded bytes
+    depend on. A ``remote`` backend records with a server. ``most_workers`` processes can record at
+    the same time; None if there is no limit.
+    """
 
     open: Opening
     packages: tuple[str, ...]
     remote: bool = False
+    most_workers: int | None = None
 
 
-def _embedded(*given: Any) -> AbstractContextManager[Recorder]:
+def _embedded(*given: Any) -> "AbstractContextManager[Recorder]":
+    from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+
     return nullcontext(EmbeddedRecorder(*given[:-1]))
 
 
-def _carla(*given: Any) -> AbstractContextManager[Recorder]:
+def _carla(*given: Any) -> "AbstractContextManager[Recorder]":
     from inspe_jax.simulation.carla.recorder import CarlaRecorder
 
     return CarlaRecorder(*given)
@@ -38,9 +49,10 @@ def _carla(*given: Any) -> AbstractContextManager[Recorder]:
 
 BACKENDS: dict[str, Backend] = {
     "embedded": Backend(_embedded, ("embreex",)),
-    "carla": Backend(_carla, ("carla",), remote=True),
+    "carla": Backend(_carla, ("carla",), remote=True, most_workers=1),  # a server has one world
 }
-"""What can record."""
+"""The backends by name."""
+DEFAULT_BACKEND = "embedded"
 
 
 def check_backend(backend: str) -> None:
@@ -50,32 +62,41 @@ def check_backend(backend: str) -> None:
         raise InspeError(f"backend '{backend}': one of {', '.join(known)}{nearest(backend, known)}")
 
 
-def server_of(backend: str, server: Server | None) -> Server | None:
-    """The server that a backend records with: CARLA's usual one if none is given, or None.
+def server_of(backend: str, server: "Server | None") -> "Server | None":
+    """The server that a backend records with: the usual address if none is given.
 
-    Raises InspeError where one is given and the backend needs none, or its values are out of range.
+    None for a backend that needs no server. Raises InspeError where a server is given to such a
+    backend, or a value of it is out of range.
     """
     if BACKENDS[backend].remote:
+        from inspe_jax.simulation.recorder import Server
+
         server = server or Server()
         server.check()
         return server
     if server is not None:
-        raise InspeError(f"server {server}: goes with backend carla, and this is {backend}")
+        remote = " or ".join(name for name, row in BACKENDS.items() if row.remote)
+        raise InspeError(f"server {server}: goes with backend {remote}, and this is {backend}")
     return None
 
 
 def recorder_of(
     backend: str,
-    scene: Scene,
-    layout: Layout,
-    conditions: Conditions = FAIR,
-    recording: Recording | None = None,
+    scene: "Scene",
+    layout: "Layout",
+    conditions: "Conditions | None" = None,
+    recording: "Recording | None" = None,
     seed: int = 0,
-    server: Server | None = None,
-) -> AbstractContextManager[Recorder]:
-    """A recorder by the name of its backend, in :data:`BACKENDS`. Raises InspeError for another.
+    server: "Server | None" = None,
+) -> "AbstractContextManager[Recorder]":
+    """A recorder of a scene's traffic, for a ``with`` block, by the name of its backend.
 
-    ``server`` is for those that need one.
+    ``conditions`` are fair ones and ``recording`` is the default one if not given; ``seed`` is
+    that of the noise; ``server`` is for backends that record with one. Raises InspeError for a
+    backend that is not in :data:`BACKENDS`, or as the recorder does.
     """
+    from inspe_jax.sensing.conditions import FAIR
+
     check_backend(backend)
-    return BACKENDS[backend].open(scene, layout, conditions, recording, seed, server)
+    around = FAIR if conditions is None else conditions
+    return BACKENDS[backend].open(scene, layout, around, recording, seed, server)

@@ -1,8 +1,10 @@
-"""What a moment of a data set holds: things on the road, and stations with images and scans.
+"""A frame of a data set: the road users as boxes, and stations with images and LiDAR scans.
 
-All in world ENU, metres and radians; a pose is (x, y, z, roll, pitch, yaw).
+Everything is in the world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch,
+yaw).
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
@@ -17,18 +19,20 @@ KINDS = CLASSES
 """Kinds of :class:`RoadUserBox`."""
 
 MOST_TRACK = 2**16 - 2
-"""Tracks run to here: ``track + 1`` must fit a 16-bit picture."""
+"""The largest track: ``track + 1`` must fit into a 16-bit picture."""
 
 MOST_FRAME = 999_999
-"""Frames are numbered to here: file names have six digits, and are sorted as text."""
+"""The largest number of a frame: file names have six digits, and are sorted as text."""
 
 
 class Deferred:
-    """A record of which some fields are read when first asked for, and then kept."""
+    """A record that reads some of its fields from files: each when it is first used, and only
+    once."""
 
     @classmethod
     def deferred(cls, later: Mapping[str, Callable[[], Any]], **now: Any) -> Self:
-        """A record with the fields ``now``, and those that ``later`` will read."""
+        """A record with the fields ``now``; the others are read later by calling
+        ``later[name]``."""
         record = object.__new__(cls)
         record.__dict__.update(now, _later=dict(later))
         return record
@@ -44,15 +48,16 @@ class Deferred:
 
 
 def _nothing() -> None:
-    """A default that leaves no attribute on the class, which a deferred field would find there."""
+    """A default of None that is not an attribute of the class: a deferred field would find that."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoadUserBox:
-    """A road user: an upright box. ``track`` is the same in every frame of a scenario.
+    """The box of a road user, which stands upright.
 
-    ``center`` is the middle of the box [m]; ``size`` is length, width, height [m]; ``velocity``
-    in m/s; ``kind`` one of :data:`KINDS`; ``name`` as of a blueprint (``vehicle.audi.tt``).
+    ``track`` identifies the road user in all frames of a scenario. ``center`` is the middle of the
+    box [m]; ``size`` is length, width and height [m]; ``velocity`` is in m/s. ``kind`` is one of
+    :data:`KINDS`, ``name`` a blueprint's such as ``vehicle.audi.tt``.
     """
 
     track: int
@@ -66,10 +71,11 @@ class RoadUserBox:
 
 @dataclass(frozen=True, eq=False)
 class Image(Deferred):
-    """A camera's picture, and what it shows pixel by pixel.
+    """A camera's picture, and what each pixel of it shows.
 
-    ``depth`` is in metres, infinite where nothing is met; ``instance`` is track + 1, and 0 where
-    there is no thing; ``semantic`` a label per pixel. Any of these three may be None.
+    ``intrinsic`` is the calibration in pixels. ``depth`` is measured along the camera's axis [m],
+    and infinite where nothing was hit; ``instance`` is track + 1, and 0 where there is no road
+    user; ``semantic`` is a label. Each of these three may be None.
     """
 
     pose: Float[np.ndarray, "6"]
@@ -82,7 +88,8 @@ class Image(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Scan(Deferred):
-    """A LiDAR's points: x, y, z in its body frame (x forward, y left, z up) [m], intensity 0…1."""
+    """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
+    0…1."""
 
     pose: Float[np.ndarray, "6"]
     points: Float[np.ndarray, "N 4"] = field(repr=False)
@@ -90,9 +97,9 @@ class Scan(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """An infrastructure unit and what its sensors saw. ``number`` n ≥ 1 is the agent −n.
+    """An infrastructure unit and what its sensors recorded. ``number`` n ≥ 1 is the agent −n.
 
-    In sets of others an agent with a positive id n is a vehicle: number −n.
+    In other people's data sets, agents may be vehicles: the vehicle n has the number −n.
     """
 
     number: int
@@ -104,26 +111,35 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One moment: every thing that is there, and every station. ``time`` in seconds."""
+    """One moment of a scenario: the box of every road user, and what every station recorded.
+
+    ``number`` counts the frames of the scenario; ``time`` is in seconds.
+    """
 
     number: int
     time: float
-    things: tuple[RoadUserBox, ...]
+    boxes: tuple[RoadUserBox, ...]
     stations: tuple[Station, ...]
+
+    @property
+    def things(self) -> tuple[RoadUserBox, ...]:
+        """Deprecated: the earlier name of ``boxes``."""
+        warnings.warn("Frame.things is now Frame.boxes", DeprecationWarning, stacklevel=2)
+        return self.boxes
 
 
 def check_frame(frame: Frame) -> None:
-    """Raise InspeError where a frame cannot be written as it is; loads all that is deferred."""
+    """Raise InspeError where a value of a frame is not valid. This reads all deferred fields."""
     where = f"frame {frame.number}"
     _whole_number(frame.number, 0, MOST_FRAME, "frame")
-    for track in (thing.track for thing in frame.things):
+    for track in (box.track for box in frame.boxes):
         _whole_number(track, 0, MOST_TRACK, f"{where}: track")
     for number in (station.number for station in frame.stations):
         _whole_number(number, 1, None, f"{where}: station")
-    _no_two([thing.track for thing in frame.things], f"{where}: track")
+    _no_two([box.track for box in frame.boxes], f"{where}: track")
     _no_two([station.number for station in frame.stations], f"{where}: station")
-    for thing in frame.things:
-        _check_thing(thing, f"{where}: track {thing.track}")
+    for box in frame.boxes:
+        _check_box(box, f"{where}: track {box.track}")
     for station in frame.stations:
         here = f"{where}: station {station.number}"
         _numbers(station.pose, (6,), f"{here}: pose")
@@ -134,15 +150,15 @@ def check_frame(frame: Frame) -> None:
             _check_points(scan.points, f"{here}: scan {i}: points")
 
 
-def _check_thing(thing: RoadUserBox, where: str) -> None:
-    if thing.kind not in KINDS:
-        hint = nearest(str(thing.kind), KINDS)
-        raise InspeError(f"{where}: kind '{thing.kind}': one of {', '.join(KINDS)}{hint}")
+def _check_box(box: RoadUserBox, where: str) -> None:
+    if box.kind not in KINDS:
+        hint = nearest(str(box.kind), KINDS)
+        raise InspeError(f"{where}: kind '{box.kind}': one of {', '.join(KINDS)}{hint}")
     for key in ("center", "size", "velocity"):
-        _numbers(getattr(thing, key), (3,), f"{where}: {key}")
-    _numbers(thing.yaw, (), f"{where}: yaw")
-    if not np.all(np.asarray(thing.size) > 0):
-        raise InspeError(f"{where}: size {np.asarray(thing.size).tolist()} is not above 0")
+        _numbers(getattr(box, key), (3,), f"{where}: {key}")
+    _numbers(box.yaw, (), f"{where}: yaw")
+    if not np.all(np.asarray(box.size) > 0):
+        raise InspeError(f"{where}: size {np.asarray(box.size).tolist()} is not above 0")
 
 
 def _check_image(image: Image, where: str) -> None:

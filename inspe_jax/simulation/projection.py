@@ -1,4 +1,4 @@
-"""Boxes as a camera sees them: the edges that fall on its picture."""
+"""Projects the boxes of road users onto a camera's picture."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -11,28 +11,29 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.simulation.frame import RoadUserBox
 
 NEAR = 0.1
-"""Edges are cut where they come nearer to the plane of the camera than this [m]."""
+"""Edges are cut where they come closer to the plane of the camera than this [m]."""
 TOUCHING = 0.01
-"""As near as that a road user is looked for [m]."""
+"""The same for outlines: road users are rendered from this distance on [m]."""
 
 _SIGNS = np.array([[x, y, z] for z in (-1, 1) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
 _BOTTOM = [(0, 1), (1, 2), (2, 3), (3, 0)]
 EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) for k in range(4))])
-"""The 12 edges of a box, two of :func:`corners` each; of those at the front, (3, 0) is lowest."""
+"""The 12 edges of a box, as pairs of its :func:`corners`; (3, 0) is at the front, at the bottom."""
 
 
-def corners(things: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
+def corners(boxes: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
     """Corners of boxes in the world [m]: front left, rear left, rear right, front right at the
-    bottom, and again at the top."""
-    found = np.zeros((len(things), 8, 3))
-    for k, thing in enumerate(things):
-        turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
-        found[k] = np.asarray(thing.center) + (_SIGNS * np.asarray(thing.size) / 2) @ turn.T
+    bottom, then the same at the top."""
+    found = np.zeros((len(boxes), 8, 3))
+    for k, box in enumerate(boxes):
+        turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
+        found[k] = np.asarray(box.center) + (_SIGNS * np.asarray(box.size) / 2) @ turn.T
     return found
 
 
 class Pinhole(Protocol):
-    """Where a camera is, and how it sees: an :class:`~inspe_jax.simulation.frame.Image`, say."""
+    """A camera's pose and calibration, such as an :class:`~inspe_jax.simulation.frame.Image`
+    has."""
 
     @property
     def pose(self) -> Float[np.ndarray, "6"]:
@@ -41,15 +42,15 @@ class Pinhole(Protocol):
 
     @property
     def intrinsic(self) -> Float[np.ndarray, "3 3"]:
-        """Its calibration in pixels."""
+        """Its calibration matrix, in pixels."""
         ...
 
 
 def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Points of the world on a picture: column, row and depth, in pixels and metres.
+    """Points of the world in a picture: column and row in pixels, and depth in metres.
 
-    (0, 0) is the outer corner of the first pixel. What is behind the camera has no place there:
-    its depth is below 0.
+    (0, 0) is the outer corner of the first pixel. A point behind the camera has a negative depth,
+    and its column and row mean nothing.
     """
     pose = np.asarray(image.pose, float)
     body = (points - pose[:3]) @ rotation(pose[3:], np)
@@ -59,13 +60,15 @@ def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
 
 
 def box_lines(
-    image: Pinhole, things: Sequence[RoadUserBox], width: int, height: int
+    image: Pinhole, boxes: Sequence[RoadUserBox], width: int, height: int
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
-    """Edges of boxes, each cut to what is on a picture: (column, row) of their ends, and whose.
+    """The parts of boxes' edges that lie in a picture: (column, row) of their ends, and the index
+    of the box of each.
 
-    A box that is behind the camera, or beside the picture, has none.
+    ``width`` and ``height`` are the picture's, in pixels. A box behind the camera, or outside the
+    picture, has no edges.
     """
-    lines, owner = _in_front(image, corners(things), NEAR)
+    lines, owner = _in_front(image, corners(boxes), NEAR)
     for axis, most in ((0, width), (1, height)):
         lines, owner = _cut(lines, owner, lines[..., axis])
         lines, owner = _cut(lines, owner, most - lines[..., axis])
@@ -73,13 +76,18 @@ def box_lines(
 
 
 def outlines(
-    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], width: int, height: int, margin: float = 0.0
+    image: Pinhole,
+    box_corners: Float[np.ndarray, "B 8 3"],
+    width: int,
+    height: int,
+    margin: float = 0.0,
 ) -> list[Float[np.ndarray, "N 2"]]:
-    """What boxes cover of a picture, as polygons of (column, row), each ``margin`` pixels wider.
+    """The areas of a picture that boxes cover, as polygons of (column, row).
 
-    ``boxes`` are as of :func:`corners`. Those behind the camera or beside the picture have none.
+    ``box_corners`` are those of :func:`corners`. Each polygon is ``margin`` pixels wider than its
+    box. A box behind the camera, or outside the picture, has no polygon.
     """
-    lines, owner = _in_front(image, boxes, TOUCHING)
+    lines, owner = _in_front(image, box_corners, TOUCHING)
     _, own = np.unique(np.repeat(owner, 2), return_inverse=True)
     hulls = shapely.convex_hull(shapely.multipoints(lines.reshape(-1, 2), indices=own))
     cut = shapely.clip_by_rect(shapely.buffer(hulls, margin, quad_segs=1), 0, 0, width, height)
@@ -91,12 +99,13 @@ def outlines(
 
 
 def _in_front(
-    image: Pinhole, boxes: Float[np.ndarray, "B 8 3"], near: float
+    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], near: float
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
-    """Edges of boxes on a picture's plane, cut where they come nearer than ``near`` [m]; whose."""
+    """The edges of boxes in the plane of a picture, cut where they come closer than ``near`` [m],
+    and the index of the box of each."""
     pose = np.asarray(image.pose, float)
-    ends = boxes[:, EDGES].reshape(-1, 2, 3)
-    owner = np.repeat(np.arange(len(boxes)), len(EDGES))
+    ends = box_corners[:, EDGES].reshape(-1, 2, 3)
+    owner = np.repeat(np.arange(len(box_corners)), len(EDGES))
     depth = (ends - pose[:3]) @ rotation(pose[3:], np)[:, 0]  # (M, 2)
     ends, owner = _cut(ends, owner, depth - near)
     return pixels(image, ends)[..., :2], owner
@@ -105,7 +114,7 @@ def _in_front(
 def _cut(
     ends: Float[np.ndarray, "M 2 D"], owner: Int[np.ndarray, " M"], margin: Float[np.ndarray, "M 2"]
 ) -> tuple[Float[np.ndarray, "N 2 D"], Int[np.ndarray, " N"]]:
-    """Segments as far as a margin that is given at their ends, and linear, is above 0."""
+    """The parts of segments where a margin is above 0. It is given at their ends, and linear."""
     kept = (margin > 0).any(1)
     ends, margin = ends[kept], margin[kept]
     (a, b), out = margin.T, (margin < 0)[..., None]  # out (N, 2, 1)

@@ -1,4 +1,4 @@
-"""What every recorder of a scene shares: what to record, what a recorder is, and its stations."""
+"""What all backends share: the settings of a recording, the protocol of a recorder, the server."""
 
 import re
 import socket
@@ -10,29 +10,25 @@ import numpy as np
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
-from inspe_jax.simulation.embedded.lidar import LidarNoise
 from inspe_jax.simulation.frame import Frame, Image, Scan, Station
+from inspe_jax.simulation.lidar_noise import LidarNoise
 
 LAYERS = ("depth", "instance", "semantic")
-"""What a camera can record beside its pictures."""
+"""What a camera can record in addition to its pictures."""
 CONNECTING = 3.0
-"""Who listens answers within this time [s]."""
-
-
-def recordable(spec: Spec) -> CameraSpec | LidarSpec:
-    """The spec of a sensor that can be recorded. Raises InspeError on any other kind."""
-    if not isinstance(spec, CameraSpec | LidarSpec):
-        raise InspeError(
-            f"'{spec.name}' is a {spec.title}: only cameras and LiDARs can be recorded"
-        )
-    return spec
+"""How long to wait for a connection to a server [s]."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What to record: ``rate`` in frames a second [Hz]; ``layers`` of :data:`LAYERS`;
-    ``image_scale`` times the cameras' own resolution."""
+    """Settings of a recording.
+
+    ``rate`` is the number of frames per second [Hz]; ``layers`` are of :data:`LAYERS`;
+    ``image_scale`` multiplies the cameras' own resolution; ``noise`` is that of the LiDARs.
+
+    The digest of a scenario contains the names of this class, of :class:`LidarNoise`, and of their
+    fields. If these changed, runs that were stopped could not go on.
+    """
 
     rate: float = 10.0
     layers: tuple[str, ...] = ()
@@ -54,9 +50,9 @@ class Recording:
 
 @dataclass(frozen=True)
 class Server:
-    """Where a CARLA server listens, and how long it may take to answer [s].
+    """The address of a CARLA server, and how long it may take to answer [s].
 
-    Apart from :class:`Recording`, as it makes no difference to what is recorded.
+    It is not part of :class:`Recording`, because it makes no difference to what is recorded.
     """
 
     host: str = "127.0.0.1"
@@ -68,7 +64,7 @@ class Server:
 
     @classmethod
     def of(cls, text: str) -> "Server":
-        """A server by "HOST", "HOST:PORT" or "PORT". Raises InspeError for anything else."""
+        """The server at "HOST", "HOST:PORT" or "PORT". Raises InspeError for any other text."""
         found = re.fullmatch(r"(?P<alone>\d+)|(?P<host>[^\s:]+)(:(?P<port>\d+))?", text.strip())
         if found is None:
             raise InspeError(f"server '{text}': HOST, HOST:PORT or PORT, as {cls()}")
@@ -78,27 +74,27 @@ class Server:
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
-        if not 0 < self.port < 65535:  # CARLA also takes the next one
+        if not 0 < self.port < 65535:  # CARLA uses the next port as well
             raise InspeError(f"port {self.port} is out of range: 1 to 65534")
         if not (np.isfinite(self.timeout) and self.timeout > 0):
             raise InspeError(f"timeout {self.timeout} s is out of range: above 0")
 
     def reach(self) -> None:
-        """Raise InspeError where nobody listens."""
+        """Raise InspeError if no server answers at the address."""
         try:
             socket.create_connection((self.host, self.port), CONNECTING).close()
-        except (OSError, UnicodeError) as error:  # the latter of a name that can be none
+        except (OSError, UnicodeError) as error:  # the latter for names that are not valid
             what = getattr(error, "strerror", None) or error
             raise InspeError(
-                f"no CARLA server at {self} ({what}): start one, CarlaUE4.sh "
-                f"-carla-rpc-port={self.port}, or say where it is: --server HOST:PORT"
+                f"no CARLA server at {self} ({what}): start one with CarlaUE4.sh "
+                f"-carla-rpc-port={self.port}, or give its address: --server HOST:PORT"
             ) from error
 
 
 class Recorder(Protocol):
-    """What records a scene, whichever way; the same frame is the same however often it is asked.
+    """A recorder of a scene's traffic. It records the same frame every time it is asked for it.
 
-    ``notes`` tell what it cannot record as asked.
+    ``notes`` say what it cannot record as the layout has it.
     """
 
     notes: tuple[str, ...]
@@ -108,15 +104,16 @@ class Recorder(Protocol):
         ...
 
 
-def stations_of(layout: Layout, seen: Sequence[Image | Scan]) -> tuple[Station, ...]:
-    """The units of a layout with what each of its sensors saw, in their order."""
+def stations_of(layout: Layout, recorded: Sequence[Image | Scan]) -> tuple[Station, ...]:
+    """The units of a layout as stations; ``recorded`` is what each sensor of the layout
+    recorded."""
     return tuple(
         Station(
             number=u + 1,
             name=unit.name,
             pose=np.array([*unit.base, 0.0, 0.0, 0.0]),
-            images=tuple(x for x in (seen[s] for s in members) if isinstance(x, Image)),
-            scans=tuple(x for x in (seen[s] for s in members) if isinstance(x, Scan)),
+            images=tuple(x for x in (recorded[s] for s in members) if isinstance(x, Image)),
+            scans=tuple(x for x in (recorded[s] for s in members) if isinstance(x, Scan)),
         )
         for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
     )

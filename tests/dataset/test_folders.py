@@ -78,7 +78,7 @@ def test_a_set_of_others(others):
     assert scenario.protocol == {}
     read = scenario.frame(68)
     assert read.time == 68 * 0.05
-    first, second = read.things
+    first, second = read.boxes
     assert (first.track, first.kind, first.name) == (215, "car", "")
     np.testing.assert_allclose(first.center, [110, -50.25, 0.7])
     np.testing.assert_allclose(first.size, [4, 1.8, 1.4])
@@ -110,8 +110,8 @@ def test_infra_set_variant(others):
     (agent / "00068.yaml").write_text(yaml.safe_dump(holds))
     (agent / "00068.pcd").rename(agent / "00068_lidar0.pcd")
     read = read_frame(others, 68)
-    assert [t.kind for t in read.things] == ["truck", "cyclist", "pedestrian", "car", "car"]
-    assert read.things[0].name == "vehicle.tesla.cybertruck"
+    assert [t.kind for t in read.boxes] == ["truck", "cyclist", "pedestrian", "car", "car"]
+    assert read.boxes[0].name == "vehicle.tesla.cybertruck"
     assert len(read.stations[0].scans[0].points) == 2
     np.testing.assert_allclose(read.stations[0].pose[:3], [100, -50, 1.9])
 
@@ -196,7 +196,7 @@ def test_broken_pictures(tmp_path, name, cut):
     path = tmp_path / "-1" / f"000068_{name}.png"
     path.write_bytes(path.read_bytes()[:cut])
     picture = read_frame(tmp_path, 68).stations[0].images[0]
-    with pytest.raises(InspeError, match=f"{path}: not a PNG that can be read"):
+    with pytest.raises(InspeError, match=f"{path}: not a readable PNG file"):
         getattr(picture, {"camera0": "rgb"}.get(name, name[:-1]))
 
 
@@ -255,7 +255,7 @@ def test_frames_with_anchors_are_read_whole(others):
     """An anchor before the things may be meant among them."""
     text = OTHERS.replace("ego_speed: 20.0", "ego_speed: &fast 20.0")
     (others / "-1" / "00068.yaml").write_text(text.replace("speed: 36", "speed: *fast"))
-    speed = np.linalg.norm(read_frame(others, 68).things[0].velocity)
+    speed = np.linalg.norm(read_frame(others, 68).boxes[0].velocity)
     assert speed == pytest.approx(20 / 3.6)
 
 
@@ -274,5 +274,13 @@ def test_folders_that_are_no_set(tmp_path):
     with pytest.raises(InspeError, match="not a scenario: it has no folder of an agent"):
         read_frame(tmp_path, 0)
     (tmp_path / "train" / "a" / "-1").mkdir(parents=True)
-    with pytest.raises(InspeError, match=f"{tmp_path}: not a data set: expected SPLIT/SCENARIO"):
+    with pytest.raises(
+        InspeError, match=f"{tmp_path}: not a data set: expected one of SPLIT/SCENARIO"
+    ):
         dataset.open(tmp_path)
+
+
+def test_the_earlier_name_of_boxes_works_and_says_the_new_one():
+    given = frame()
+    with pytest.warns(DeprecationWarning, match="Frame.things is now Frame.boxes"):
+        assert given.things is given.boxes

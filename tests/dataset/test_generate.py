@@ -68,7 +68,7 @@ def at_home(monkeypatch):
 
     @contextmanager
     def client(scheduler, workers):
-        monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+        monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
         given = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
         with LocalCluster(**given, memory_limit=None) as cluster, Client(cluster) as here:
             yield here
@@ -190,8 +190,8 @@ def test_noise_differs_and_traffic_does_not(undisturbed):
     for plan in load_generation(path).scenarios:
         if plan.layout.name == "two masts":
             stem = f"{plan.split}/{plan.name}/-1/000007"
-            things = yaml.safe_load(files[f"{stem}.yaml"])["vehicles"]
-            each[plan.settings["seed"], plan.settings["light"]] = things, files[f"{stem}.pcd"]
+            boxes = yaml.safe_load(files[f"{stem}.yaml"])["vehicles"]
+            each[plan.settings["seed"], plan.settings["light"]] = boxes, files[f"{stem}.pcd"]
     assert each[0, "midday"][0] == each[0, "night"][0] != each[1, "night"][0]
     assert len({points for _, points in each.values()}) == 4
 
@@ -376,20 +376,22 @@ def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
         STUDY | dict(splits=dict(train=1, test=1)),
         STUDY | dict(settings=STUDY["settings"] | dict(seed=[0, 2])),
     ):
-        with pytest.raises(InspeError, match=r"out: holds another data set, 'study': not the same"):
+        with pytest.raises(
+            InspeError, match=r"out: holds another data set, 'study', with other scenarios"
+        ):
             generate(load_generation(write(tmp_path, **other)), out)
     with pytest.raises(InspeError, match="out: holds another data set, backend embedded"):
         generate(load_generation(path), out, "carla")
     record = out / "generation.yaml"
     record.write_text(record.read_text().replace("numpy: ", "numpy: 0."))
-    with pytest.raises(InspeError, match=r"was begun with numpy 0.\d.*, and this is \d"):
+    with pytest.raises(InspeError, match=r"was begun with numpy 0.\d.*, but this is \d"):
         generate(load_generation(path), out)
     for text in ("a: [", "- 1", "format: 3"):
         record.write_text(text)
         with pytest.raises(InspeError, match=r"generation.yaml: not"):
             generate(load_generation(path), out)
     record.unlink()
-    with pytest.raises(InspeError, match=r"out: has no generation.yaml, so this is no data set"):
+    with pytest.raises(InspeError, match=r"out: has no generation.yaml, so it is no data set"):
         generate(load_generation(path), out)
     record.write_bytes(files["generation.yaml"])
     assert content(out) == files
@@ -427,7 +429,7 @@ def test_one_run_at_a_time(tmp_path):
     generation = load_generation(write(tmp_path))
     with (
         DatasetWriter(generation, tmp_path / "out", "embedded"),
-        pytest.raises(InspeError, match="another run is at work in it"),
+        pytest.raises(InspeError, match="is in use by another run"),
     ):
         generate(generation, tmp_path / "out")
 
@@ -469,7 +471,7 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
         told.append(("close", conditions.light))
 
     monkeypatch.setattr(chunk, "recorder_of", recorder_of)
-    monkeypatch.setattr(chunk, "_desk", chunk._Desk())
+    monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
     day, night, *_ = load_generation(write(tmp_path)).scenarios
     for number, (plan, first) in enumerate(((day, 0), (day, 10), (night, 0))):
         given = tmp_path / plan.name, tmp_path / f"lock {number}", first, first + 1, 2
@@ -489,4 +491,6 @@ def test_a_fault_of_the_disk_is_not_the_scenario_s(tmp_path):
     given = tmp_path / "file" / "scenario", tmp_path / "lock", 0, 9, 10
     todo = chunk.Chunk(plan, "embedded", *given)
     found = made_up.work(chunk.build(todo), todo)
-    assert found == chunk.Outcome(fault=f"{given[0]}: cannot be made a folder: Not a directory")
+    assert found == chunk.Outcome(
+        fault=f"{given[0]}: the folder cannot be created: Not a directory"
+    )

@@ -16,6 +16,7 @@ from PIL import Image as Pillow
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, read_frame, write_frame, write_protocol
+from inspe_jax.dataset.formats import protocol_file
 from inspe_jax.dataset.formats.opv2v import writer
 from inspe_jax.dataset.formats.png import read_depth, write_depth
 
@@ -68,26 +69,20 @@ def test_readers_accept_a_set(tmp_path):
 def test_intensities_and_points_on_boxes_are_judged(tmp_path):
     """A LiDAR at the origin, 6 m up, and one point on the roof of a car 8 m to its left."""
     pose = np.array([0, 0, 6.0, 0, 0, 0])
-    thing = car(center=np.array([0, 8.0, 0.75]), yaw=0.0, velocity=np.zeros(3))
+    box = car(center=np.array([0, 8.0, 0.75]), yaw=0.0, velocity=np.zeros(3))
     point = np.array([[0.5, 8.0, -4.6, 0]])
     point[0, 3] = np.exp(-0.004 * np.linalg.norm(point[0, :3]))
     here = replace(station(1, cameras=0, lidars=0), pose=pose)
     lit = replace(scan(), pose=pose, points=point)
-    scenario = written(
-        tmp_path / "a", frame(things=[thing], stations=[replace(here, scans=(lit,))])
-    )
+    scenario = written(tmp_path / "a", frame(boxes=[box], stations=[replace(here, scans=(lit,))]))
     report = check_scenario(scenario, attenuation=0.004, every_box_hit=True)
     assert report.boxes_hit == report.boxes_in_range == 1
     dim = replace(lit, points=point * [1, 1, 1, 0.9])
-    scenario = written(
-        tmp_path / "b", frame(things=[thing], stations=[replace(here, scans=(dim,))])
-    )
+    scenario = written(tmp_path / "b", frame(boxes=[box], stations=[replace(here, scans=(dim,))]))
     with pytest.raises(AssertionError, match="intensity is off"):
         check_scenario(scenario, attenuation=0.004)
     right = replace(lit, points=point * [1, -1, 1, 1])
-    scenario = written(
-        tmp_path / "c", frame(things=[thing], stations=[replace(here, scans=(right,))])
-    )
+    scenario = written(tmp_path / "c", frame(boxes=[box], stations=[replace(here, scans=(right,))]))
     with pytest.raises(AssertionError, match=r"no point in \[3\]"):
         check_scenario(scenario, every_box_hit=True)
 
@@ -179,7 +174,7 @@ def test_yaml_of_a_known_frame(tmp_path):
     here = replace(
         station(1, 0, 1), images=(seen,), scans=(scan(pose=UNIT + [0, 0, 0.5, 0, 0, 0]),)
     )
-    scenario = written(tmp_path / "a", frame(things=[car()], stations=[here]))
+    scenario = written(tmp_path / "a", frame(boxes=[car()], stations=[here]))
     entry = {
         "angle": [0, -90, 0],
         "center": [0, 0, 0.75],
@@ -218,13 +213,13 @@ def test_a_thing_lands_where_its_picture_shows_it(tmp_path):
     seen = image(800, 600, pose=[0, 0, 6, 0, 0, np.radians(90)], layers=False)
     here = replace(station(1, 0, 1), images=(seen,))
     scenario = written(
-        tmp_path / "a", frame(things=[car(center=np.array([-5.0, 20.0, 0.75]))], stations=[here])
+        tmp_path / "a", frame(boxes=[car(center=np.array([-5.0, 20.0, 0.75]))], stations=[here])
     )
     read = content(scenario / "-1" / "000068.yaml")
     x, y, z, roll, yaw, pitch = read["camera0"]["cords"]
     assert (roll, yaw, pitch) == (0, -90, 0)
-    thing = read["vehicles"][3]
-    dx, dy, dz = np.add(thing["location"], thing["center"]) - [x, y, z]
+    box = read["vehicles"][3]
+    dx, dy, dz = np.add(box["location"], box["center"]) - [x, y, z]
     forward, right, up = -dy, dx, dz  # yaw −90° in a left-handed world faces −y
     k = np.array(read["camera0"]["intrinsic"])
     u, v, w = k @ [right, -up, forward]
@@ -233,7 +228,7 @@ def test_a_thing_lands_where_its_picture_shows_it(tmp_path):
 
 def test_the_same_frame_gives_the_same_bytes(tmp_path):
     given = frame()
-    turned = replace(given, things=given.things[::-1])
+    turned = replace(given, boxes=given.boxes[::-1])
     assert files(written(tmp_path / "a", given)) == files(written(tmp_path / "b", turned))
 
 
@@ -242,27 +237,27 @@ def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
     if not yaml.__with_libyaml__:
         pytest.skip("there is no libyaml to compare with")
     names = ["null", "1e-7", "2024-01-01", "", " a: b", "ä\n", "\U0001f697", "x" * 300]
-    things = [car(i, name=name, yaw=1e-9 * i) for i, name in enumerate(names)]
-    fast = files(written(tmp_path / "a", frame(things=things)))
+    boxes = [car(i, name=name, yaw=1e-9 * i) for i, name in enumerate(names)]
+    fast = files(written(tmp_path / "a", frame(boxes=boxes)))
 
     class Slow(yaml.SafeDumper):
         def ignore_aliases(self, data):
             return True
 
-    monkeypatch.setattr(writer, "_Dumper", Slow)
-    assert files(written(tmp_path / "b", frame(things=things))) == fast
+    monkeypatch.setattr(protocol_file, "_Dumper", Slow)
+    assert files(written(tmp_path / "b", frame(boxes=boxes))) == fast
     read = yaml.safe_load(fast["-1/000068.yaml"])["vehicles"]
     assert [read[i]["name"] for i in range(len(names))] == names
 
 
 def test_any_parser_reads_the_same(tmp_path):
     """The text in halves, as our reader takes it, and the whole by plain safe_load."""
-    scenario = written(tmp_path / "a", frame(things=[car(i, yaw=1e-6 * i) for i in range(9)]))
+    scenario = written(tmp_path / "a", frame(boxes=[car(i, yaw=1e-6 * i) for i in range(9)]))
     text = (scenario / "-1" / "000068.yaml").read_text()
     assert re.search(r"\d[eE][-+]?\d", text)
     for entry in yaml.safe_load(text)["vehicles"].values():
         assert all(type(number) is float for number in entry["angle"])
-    assert_same(read_frame(scenario, 68), frame(things=[car(i, yaw=1e-6 * i) for i in range(9)]))
+    assert_same(read_frame(scenario, 68), frame(boxes=[car(i, yaw=1e-6 * i) for i in range(9)]))
 
 
 def test_a_frame_that_fails_midway_is_not_there(tmp_path, monkeypatch):
@@ -342,14 +337,14 @@ def test_depth_is_capped_and_reads_as_no_end(tmp_path):
     [
         ({"number": -1}, "frame -1 is out of range"),
         ({"number": 10**6}, "frame 1000000 is out of range: a whole number, 0 to 999999"),
-        ({"things": (car(), car())}, "track 3 is given twice"),
-        ({"things": (car(-1),)}, "track -1 is out of range"),
-        ({"things": (car(65535),)}, "0 to 65534"),
-        ({"things": (car(1.5),)}, "track 1.5 is out of range"),
-        ({"things": (car(kind="bus"),)}, "kind 'bus': one of car, truck"),
-        ({"things": (car(center=np.array([0, np.nan, 0])),)}, "track 3: center must be finite"),
-        ({"things": (car(size=np.array([1, 1, 0])),)}, "size .* is not above 0"),
-        ({"things": (car(yaw=np.inf),)}, "yaw must be finite"),
+        ({"boxes": (car(), car())}, "track 3 is given twice"),
+        ({"boxes": (car(-1),)}, "track -1 is out of range"),
+        ({"boxes": (car(65535),)}, "0 to 65534"),
+        ({"boxes": (car(1.5),)}, "track 1.5 is out of range"),
+        ({"boxes": (car(kind="bus"),)}, "kind 'bus': one of car, truck"),
+        ({"boxes": (car(center=np.array([0, np.nan, 0])),)}, "track 3: center must be finite"),
+        ({"boxes": (car(size=np.array([1, 1, 0])),)}, "size .* is not above 0"),
+        ({"boxes": (car(yaw=np.inf),)}, "yaw must be finite"),
         ({"stations": (station(0),)}, "station 0 is out of range"),
         ({"stations": (station(1), station(1))}, "station 1 is given twice"),
         ({"stations": (replace(station(), pose=np.zeros(5)),)}, "station 1: pose must be"),
@@ -409,7 +404,7 @@ def test_protocols_must_be_plain(tmp_path):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(InspeError, match="file/-1: cannot be made a folder"):
+    with pytest.raises(InspeError, match="file/-1: the folder cannot be created"):
         write_frame(tmp_path / "file", frame())
 
 

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import parse_yaml
-from inspe_jax.dataset import load_generation
+from inspe_jax.dataset import load_generation, write_protocol
 from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.formats.opv2v.writer import write_protocol
 from inspe_jax.dataset.plan import SETTINGS, _split
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.placement.strategies import strategy
@@ -180,7 +179,10 @@ def test_splits_of_any_number(kinds, shares, random):
         (dict(settings=dict(method="none")), r"settings.method: unknown key"),
         (dict(settings=dict(visibility="in_view")), r"settings.visibility: unknown key"),
         (dict(settings=dict(seconds=0)), r"settings.seconds\[0\]: .*greater than 0"),
-        (dict(settings=dict(seconds=0.25)), r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz: a"),
+        (
+            dict(settings=dict(seconds=0.25)),
+            r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz: must",
+        ),
         (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
         (dict(settings=dict(seed=-1)), r"settings.seed\[0\]: .*greater than or equal to 0"),
         (dict(rate_hz=0), r"rate_hz: .*greater than 0, got 0"),
@@ -211,7 +213,7 @@ def test_files_that_are_no_study(tmp_path):
         ("", "the study is empty: it needs 'scenes' and 'layouts'"),
         ("[1, 2]", "the study is empty"),
         ("scenes: [", "not YAML"),
-        ("world: {town: Town05}", "the protocol of a set that this package has not made"),
+        ("world: {town: Town05}", "a protocol that was not written by this package"),
     ):
         path.write_text(text)
         with pytest.raises(InspeError, match=message):
@@ -236,9 +238,9 @@ def test_saved_scenes(read, tmp_path):
     plans = read(scenes=scenes, settings=settings).scenarios
     assert {plan.frames for plan in plans} == {10}
     settings["seconds"] = [1, 1.3]
-    with pytest.raises(InspeError, match=r"saved.npz has 12 frames, and 1.3 s at 10 Hz are 13"):
+    with pytest.raises(InspeError, match=r"saved.npz has 12 frames, but 1.3 s at 10 Hz are 13"):
         read(scenes=scenes, settings=settings)
-    with pytest.raises(InspeError, match=r"saved.npz has frames 0.1 s apart, and rate_hz 5 needs"):
+    with pytest.raises(InspeError, match=r"saved.npz has frames 0.1 s apart, but rate_hz 5 needs"):
         read(scenes=scenes, settings={}, rate_hz=5)
     with pytest.raises(InspeError, match=r"scenes\[0\]: a saved scene keeps its settings; leave"):
         read(scenes=[{"file": "saved.npz", "radius": 20}])
@@ -293,7 +295,7 @@ def test_protocols_find_their_maps(read, tmp_path, name, monkeypatch):
     path = protocol(plan, folder)
     assert str(tmp_path) not in path.read_text()
     with pytest.raises(
-        InspeError, match=rf"{name} is not there; looked in {folder}, .*/set, .*--f"
+        InspeError, match=rf"{name} was not found; searched in {folder}, .*/set, .*--f"
     ):
         load_generation(path)
     for place in (tmp_path / "set", folder):  # the nearest is looked at first
@@ -307,7 +309,9 @@ def test_protocols_find_their_maps(read, tmp_path, name, monkeypatch):
         f.write(b" ")
     (again,) = load_generation(path).scenarios
     assert (tmp_path / "set" / name).samefile(again.source.map or again.source.file)
-    with pytest.raises(InspeError, match=rf"{name} has another content there than it had; looked"):
+    with pytest.raises(
+        InspeError, match=rf"{name} has changed since the protocol was written; searched"
+    ):
         load_generation(path, folder)
     (again,) = load_generation(path, tmp_path).scenarios
     assert again.source == plan.source
@@ -324,7 +328,7 @@ def scene_key(scene):
     ("key", "value", "message"),
     [
         ("format", "inspe_jax scenario 9", r"format: 'inspe_jax scenario 9': one of inspe_jax sc"),
-        ("format", None, r"the protocol of a set that this package has not made"),
+        ("format", None, r"a protocol that was not written by this package"),
         ("split", "trial", r"split: 'trial': one of train, validate, test; did you mean train"),
         ("name", "../../etc", r"name: string should match"),
         ("name", None, r"name: missing key"),

@@ -36,7 +36,7 @@ def made(tmp_path_factory):
     """
     root = tmp_path_factory.mktemp("sets") / "made"
     near, far = LEVEL + [0, 10, -4, 0, 0, 1], LEVEL + [0, -20, -4, 0, 0, 2]
-    thing = car(1, center=np.array([0.0, 0.0, 1.0]), size=np.array([4.0, 2.0, 2.0]))
+    box = car(1, center=np.array([0.0, 0.0, 1.0]), size=np.array([4.0, 2.0, 2.0]))
     other = car(2, kind="truck", center=np.array([100.0, 0.0, 2.0]), size=np.array([9.0, 2.5, 4.0]))
     one = scan_of([[0, 1.9, 1], [0.9, 0, 1], [5, 0, 1]], near)
     two = scan_of([[0, -1.9, 1]], far)
@@ -47,8 +47,8 @@ def made(tmp_path_factory):
     protocol = {"world": WORLD, "year": 2025, "intersection": "1"}
     for place, numbers in (("train/a", (0, 2)), ("train/b", (7,)), ("test/a", (3,))):
         for number in numbers:
-            things = (thing, other) if number in (2, 7) else (thing,)
-            write_frame(root / place, Frame(number, 0.05 * number, things, stations))
+            boxes = (box, other) if number in (2, 7) else (box,)
+            write_frame(root / place, Frame(number, 0.05 * number, boxes, stations))
         write_protocol(root / place, protocol, stations)
     return root
 
@@ -152,7 +152,7 @@ def test_a_set_without_point_clouds(tmp_path):
 
 
 def test_frames_without_a_thing(tmp_path):
-    write_frame(tmp_path / "a", frame(1, things=()))
+    write_frame(tmp_path / "a", frame(1, boxes=()))
     found = statistics(tmp_path / "a")
     assert found.crowd.tolist() == [0]
     assert found.users.size.shape == (0, 3)
@@ -219,7 +219,7 @@ def test_points_in_boxes_against_every_pair(seed):
     for many in (400, 0, 250):
         pose = np.array([*rng.uniform(-5, 5, 3), *rng.uniform(-0.3, 0.3, 2), rng.uniform(-4, 4)])
         scans.append(scan_of(rng.uniform([-12, -12, -2], [12, 12, 3], (many, 3)), pose))
-    things = [
+    boxes = [
         car(
             track,
             center=rng.uniform([-10, -10, 0], [10, 10, 2]),
@@ -231,14 +231,14 @@ def test_points_in_boxes_against_every_pair(seed):
     expected = np.zeros((3, 7), int)
     for i, scan in enumerate(scans):
         turn = rotation(scan.pose[3:], np)
-        for k, thing in enumerate(things):
+        for k, box in enumerate(boxes):
             for point in scan.points[:, :3]:
                 place = turn @ point.astype(float) + scan.pose[:3]
-                own = rotation(np.array([0, 0, thing.yaw]), np).T @ (place - thing.center)
-                beyond = np.abs(own[:2]) - thing.size[:2] / 2
-                top, bottom = own[2] - thing.size[2] / 2, own[2] + thing.size[2] / 2
+                own = rotation(np.array([0, 0, box.yaw]), np).T @ (place - box.center)
+                beyond = np.abs(own[:2]) - box.size[:2] / 2
+                top, bottom = own[2] - box.size[2] / 2, own[2] + box.size[2] / 2
                 expected[i, k] += (beyond <= SLACK).all() and top <= SLACK and bottom >= SLACK
-    np.testing.assert_array_equal(count_inside(scans, things), expected)
+    np.testing.assert_array_equal(count_inside(scans, boxes), expected)
 
 
 def test_nothing_to_count():

@@ -123,7 +123,7 @@ def test_a_set_without_point_clouds_says_so(found):
     splits = tuple(replace(split, clouds=0, points=0) for split in found.splits)
     fig = statistics_view(replace(found, splits=splits, single=empty, merged=empty))
     assert "car" not in panels(fig)
-    assert "There is no point cloud" in words(fig)
+    assert "The data set has no point clouds" in words(fig)
 
 
 def test_a_set_without_things_is_drawn(tmp_path):

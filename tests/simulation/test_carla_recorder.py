@@ -35,12 +35,8 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.carla.instances import instances_of
-from inspe_jax.simulation.carla.sensors import (
-    intrinsic_of,
-    lidar_attributes,
-    notes_of,
-    weather_of,
-)
+from inspe_jax.simulation.carla.sensor_kinds import notes_of
+from inspe_jax.simulation.carla.sensors import intrinsic_of, lidar_attributes, weather_of
 from inspe_jax.simulation.carla.server import town_of
 from inspe_jax.simulation.carla.traffic import body_of
 from inspe_jax.simulation.frame import RoadUserBox
@@ -97,10 +93,10 @@ def frames(recorded):
     return [scenario.frame(t) for t in scenario.frames]
 
 
-def box_of(thing: RoadUserBox) -> np.ndarray:
+def box_of(box: RoadUserBox) -> np.ndarray:
     """From a thing's box to the world, (4, 4)."""
-    cos, sin, turn = np.cos(thing.yaw), np.sin(thing.yaw), np.eye(4)
-    turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], thing.center
+    cos, sin, turn = np.cos(box.yaw), np.sin(box.yaw), np.eye(4)
+    turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], box.center
     return turn
 
 
@@ -113,12 +109,12 @@ def body(pose: np.ndarray) -> np.ndarray:
     return mirror @ to_world([x, -y, z, *angles]) @ mirror
 
 
-def gaps(points: np.ndarray, things) -> np.ndarray:
+def gaps(points: np.ndarray, boxes) -> np.ndarray:
     """Signed distance of points (P, 3) to boxes and the ground, (T + 1, P) [m]."""
     rows = []
-    for thing in things:
-        local = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(box_of(thing)).T
-        over = np.abs(local[:, :3]) - thing.size / 2
+    for box in boxes:
+        local = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(box_of(box)).T
+        over = np.abs(local[:, :3]) - box.size / 2
         rows.append(np.linalg.norm(np.maximum(over, 0), axis=1) + np.minimum(over.max(1), 0))
     return np.array([*rows, points[:, 2]])
 
@@ -164,20 +160,20 @@ def test_things_stand_where_the_traffic_has_them_with_boxes_of_the_server(record
     names = {}
     for t, frame in enumerate(frames):
         entry = {int(told["track"][t, b]): b for b in np.flatnonzero(told["valid"][t])}
-        assert {thing.track for thing in frame.things} == entry.keys()
-        for thing in frame.things:
-            b = entry[thing.track]
+        assert {box.track for box in frame.boxes} == entry.keys()
+        for box in frame.boxes:
+            b = entry[box.track]
             center, size = told["center"][t, b], told["size"][t, b]
-            np.testing.assert_allclose(thing.center[:2], center[:2], atol=NEAR)
-            foot = thing.center[2] - thing.size[2] / 2
+            np.testing.assert_allclose(box.center[:2], center[:2], atol=NEAR)
+            foot = box.center[2] - box.size[2] / 2
             assert foot == pytest.approx(center[2] - size[2] / 2, abs=NEAR)
-            assert np.cos(thing.yaw - told["yaw"][t, b]) == pytest.approx(1)
-            assert thing.kind == CLASSES[told["kind"][t, b]]
-            kind = BLUEPRINTS[thing.name]
-            assert kind.tag in TAGS[thing.kind]
-            np.testing.assert_allclose(thing.size, 2 * np.array(kind.extent), atol=1e-5)
-            assert np.abs(np.log(thing.size / size)).max() < 0.9
-            assert names.setdefault(thing.track, thing.name) == thing.name
+            assert np.cos(box.yaw - told["yaw"][t, b]) == pytest.approx(1)
+            assert box.kind == CLASSES[told["kind"][t, b]]
+            kind = BLUEPRINTS[box.name]
+            assert kind.tag in TAGS[box.kind]
+            np.testing.assert_allclose(box.size, 2 * np.array(kind.extent), atol=1e-5)
+            assert np.abs(np.log(box.size / size)).max() < 0.9
+            assert names.setdefault(box.track, box.name) == box.name
     assert set(told["kind"][told["valid"]].tolist()) == {0, 1, 2, 3}
     assert len(set(names.values())) > 5
 
@@ -188,7 +184,7 @@ def test_lidar_points_lie_on_things_and_the_ground(frames):
     for frame in frames:
         (scan,) = frame.stations[0].scans
         points = carried(scan.pose, scan.points[:, :3].astype(float))
-        gap = gaps(points, frame.things)
+        gap = gaps(points, frame.boxes)
         np.testing.assert_allclose(gap.min(0), 0, atol=NEAR)
         hit += (np.abs(gap[:-1]) < NEAR).any(0).sum()
     assert hit > 200 * len(frames)
@@ -205,15 +201,15 @@ def test_depth_is_of_surfaces(frames):
             near = image.depth < 100
             assert near.mean() > 0.5
             points = carried(image.pose, image.depth[near][:, None].astype(float) * rays[near])
-            gap = gaps(points, frame.things)
+            gap = gaps(points, frame.boxes)
             np.testing.assert_allclose(gap.min(0), 0, atol=0.005 * np.linalg.norm(rays[0, 0]))
 
 
-def outline(image, thing: RoadUserBox) -> shapely.Geometry | None:
+def outline(image, box: RoadUserBox) -> shapely.Geometry | None:
     """The box in the picture by its corners above ground; None where one is behind the camera."""
     corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-    corners[:, :3] *= thing.size / 2
-    ahead, left, up, _ = np.linalg.inv(body(image.pose)) @ box_of(thing) @ corners.T
+    corners[:, :3] *= box.size / 2
+    ahead, left, up, _ = np.linalg.inv(body(image.pose)) @ box_of(box) @ corners.T
     if ahead.min() < 0.1:
         return None
     (f, _, cx), (_, g, cy), _ = image.intrinsic
@@ -227,18 +223,18 @@ def test_boxes_by_the_written_calibration_cover_their_instances(frames):
     what has the colour of an actor is an instance."""
     seen = 0
     for frame in frames:
-        kinds = {thing.track: thing.kind for thing in frame.things}
+        kinds = {box.track: box.kind for box in frame.boxes}
         for image in frame.stations[0].images:
             np.testing.assert_array_equal(image.rgb[..., 2] < 40, image.instance > 0)
             colours = []
-            for thing in frame.things:
-                own = image.instance == thing.track + 1
+            for box in frame.boxes:
+                own = image.instance == box.track + 1
                 if not own.any():
                     continue
                 colours.append(np.unique(image.rgb[own], axis=0))
-                assert set(image.semantic[own].tolist()) <= TAGS[kinds[thing.track]]
+                assert set(image.semantic[own].tolist()) <= TAGS[kinds[box.track]]
                 rows, columns = np.nonzero(own)
-                if (around := outline(image, thing)) is None:
+                if (around := outline(image, box)) is None:
                     continue
                 inside = shapely.contains_xy(around.buffer(0.1), columns + 0.5, rows + 0.5)
                 assert inside.all()
@@ -285,8 +281,8 @@ def test_servers_that_will_not_do_are_told_plainly(maps, tmp_path):
     assert f"no CARLA server at 127.0.0.1:{nobody}" in told["nobody"]
     assert "has no map 'Town10HD'; it has Town07" in told["elsewhere"]
     assert "is 0.9.15 and the client here 0.9.16: pip install carla==0.9.15" in told["older"]
-    assert "sensor.lidar.ray_cast of 'top', unit 'mast', did not bring anything" in told["mute"]
-    assert "sensor.camera.depth of 'east', unit 'mast', did not bring frame" in told["failing"]
+    assert "sensor.lidar.ray_cast of 'top', unit 'mast', did not measure anything" in told["mute"]
+    assert "sensor.camera.depth of 'east', unit 'mast', did not measure frame" in told["failing"]
     assert "1 vehicles or walkers are there already (vehicle.tesla.model3)" in told["taken"]
     for name in ("mute", "failing"):
         left = told[f"{name}, left"]
@@ -451,7 +447,7 @@ def test_weather_and_light_are_in_the_order_of_their_strength():
 
 def test_two_numbers_of_one_road_user_are_both_its_own_and_strangers_are_nobodys():
     """A rider has a number of its own; a statue with a road user's label stands beside."""
-    thing = RoadUserBox(
+    box = RoadUserBox(
         track=4,
         kind="cyclist",
         name="bicycle",
@@ -464,7 +460,7 @@ def test_two_numbers_of_one_road_user_are_both_its_own_and_strangers_are_nobodys
     numbers = np.array([[700, 8, 9], [8, 8, 0]])
     depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
     intrinsic = intrinsic_of(replace(client.CAMERA, width=3, height=2, focal=30.0), 1.0)
-    found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (thing,))
+    found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (box,))
     np.testing.assert_array_equal(found, [[5, 5, 0], [0, 5, 0]])
 
 

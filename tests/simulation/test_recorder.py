@@ -20,13 +20,13 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.embedded.camera import SHADOWED, Cells
+from inspe_jax.simulation.embedded.camera import SHADOWED, SunlitPoints
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.lidar import LidarNoise
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_things
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
 from inspe_jax.simulation.embedded.static_world import BUILDING, CROWN, POLE, ROOF, TRUNK
+from inspe_jax.simulation.lidar_noise import LidarNoise
 from inspe_jax.simulation.recorder import LAYERS, Recording
 from inspe_jax.visibility import raycast
 
@@ -86,26 +86,26 @@ def nearest_triangle(origin, directions, triangles):
 def test_returns_are_what_rays_and_triangles_say(scene, corners):
     """300 rays of one LiDAR: distances to a millimetre, and the very road user."""
     recorder = EmbeddedRecorder(scene, corners)
-    things = boxes_at(scene.traffic, 0, 0)
-    company = FrameActors(things, recorder.statics.center)
+    boxes = boxes_at(scene.traffic, 0, 0)
+    actors = FrameActors(boxes, recorder.static_world.center)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(company, 0.0)
+    returns = lidar.cast(actors, 0.0)
     rng = np.random.default_rng(0)
     some = np.concatenate(
-        [rng.choice(len(lidar.body), 200, replace=False), np.flatnonzero(returns.thing >= 0)[::20]]
+        [rng.choice(len(lidar.body), 200, replace=False), np.flatnonzero(returns.box >= 0)[::20]]
     )
-    movers = pose_things(things, recorder.statics.center)
-    everything = np.concatenate([recorder.statics.triangles, movers.triangles])
+    road_users = pose_road_users(boxes, recorder.static_world.center)
+    everything = np.concatenate([recorder.static_world.triangles, road_users.triangles])
     distance, index = nearest_triangle(lidar.origin, lidar.directions[some], everything)
     distance = np.where(distance <= COARSE.reach, distance, np.inf)
     met = np.isfinite(distance)
     assert met.sum() > 100
     assert np.array_equal(met, np.isfinite(returns.distance[some]))
     assert np.abs(returns.distance[some][met] - distance[met]).max() < 1e-3
-    own = index[met] - len(recorder.statics.triangles)
-    thing = np.where(own >= 0, movers.thing[np.maximum(own, 0)], -1)
-    assert (thing == returns.thing[some][met]).mean() > 0.99  # edges may go either way
-    assert (thing >= 0).sum() > 20
+    own = index[met] - len(recorder.static_world.triangles)
+    box = np.where(own >= 0, road_users.box[np.maximum(own, 0)], -1)
+    assert (box == returns.box[some][met]).mean() > 0.99  # edges may go either way
+    assert (box >= 0).sum() > 20
 
 
 def test_no_ray_slips_through_between_two_faces():
@@ -132,7 +132,7 @@ def test_no_ray_slips_through_between_two_faces():
 def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.statics.center), 0.1)
+    returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
     noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
     scan = lidar.scan(returns, noise, np.random.default_rng(1))
     back = np.isfinite(returns.distance)
@@ -150,7 +150,7 @@ def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
 def test_as_many_are_lost_as_said(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.statics.center), 0.1)
+    returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
     total = np.isfinite(returns.distance).sum()
 
     def left(**noise):
@@ -173,8 +173,8 @@ def test_points_on_a_car_fall_with_range_as_the_beams_spread():
             world(count=0, radius=60.0, voxel=2.0), (x, 0, np.pi / 2, 4.6, 1.85, 1.5)
         )
         recorder = EmbeddedRecorder(scene, place_sensors((spec, [0, 0, 1.2, 0, 0, 0])))
-        company = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.statics.center)
-        counts.append(int((recorder.sensors[0].cast(company, 0.0).thing == 0).sum()))
+        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.static_world.center)
+        counts.append(int((recorder.sensors[0].cast(actors, 0.0).box == 0).sum()))
     assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
     assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
     # A car is 4.6 m by some 1.3 m of body: so many steps of azimuth by so many of elevation.
@@ -189,15 +189,15 @@ def test_the_turn_takes_time(scene):
     traffic = replace(moving.traffic, velocity=np.array([[[10.0, 0, 0]]]))
     moving = replace(moving, traffic=traffic)
     recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
-    company = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.statics.center)
+    actors = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.static_world.center)
     lidar = recorder.sensors[0]
-    still, turned = lidar.cast(company, 0.0), lidar.cast(company, 0.1)
+    still, turned = lidar.cast(actors, 0.0), lidar.cast(actors, 0.1)
     # The car is to the right, at −90°: a quarter of a turn before the middle, 25 ms early.
-    hit = turned.thing == 0
+    hit = turned.box == 0
     assert turned.after[hit] == pytest.approx(-0.025, abs=0.008)
 
     def middle(returns):
-        on = returns.thing == 0
+        on = returns.box == 0
         return (returns.direction[on, 0] * returns.distance[on]).mean()
 
     assert middle(turned) - middle(still) == pytest.approx(-0.25, abs=0.1)
@@ -230,7 +230,9 @@ def test_as_much_is_met_by_rays_as_coverage_says(crowded, name):
     seen = np.zeros(crowded.voxels.count, bool)
     for s in range(len(layout)):
         origin, directions, reach = layout.rays(s)
-        met = recorder.still.cast(origin - recorder.statics.center, directions, reach).distance
+        met = recorder.static_caster.cast(
+            origin - recorder.static_world.center, directions, reach
+        ).distance
         raycast.exact(crowded.voxels, origin, directions, np.minimum(met, reach), seen)
     share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
     coverage = inspe_jax.evaluate(crowded, layout).coverage
@@ -247,18 +249,18 @@ def test_as_much_is_seen_as_occlusion_says(crowded, name):
     in_view = inspe_jax.in_view(crowded, layout)
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
-        things = boxes_at(crowded.traffic, t, 0)
-        movers = pose_things(things, recorder.statics.center)
-        caster = Caster(np.concatenate([recorder.statics.triangles, movers.triangles]))
+        boxes = boxes_at(crowded.traffic, t, 0)
+        road_users = pose_road_users(boxes, recorder.static_world.center)
+        caster = Caster(np.concatenate([recorder.static_world.triangles, road_users.triangles]))
         solid = np.zeros(len(centers), bool)
-        for thing in things:
-            turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
-            solid |= (np.abs((centers - thing.center) @ turn) <= thing.size / 2).all(1)
+        for box in boxes:
+            turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
+            solid |= (np.abs((centers - box.center) @ turn) <= box.size / 2).all(1)
         seen = np.zeros(len(centers), bool)
         for s, pose in enumerate(layout.poses):
             to = centers - pose[:3]
             far = np.linalg.norm(to, axis=1)
-            origin = pose[:3] - recorder.statics.center
+            origin = pose[:3] - recorder.static_world.center
             seen |= in_view[s] & ~caster.meets(origin, to / far[:, None], far - 0.01)
         shares.append(seen[~solid].mean())
     scores = inspe_jax.evaluate(crowded, layout)
@@ -271,20 +273,20 @@ def test_only_kerbs_and_poles_stand_within_the_radius():
     for name in ("four_way", "roundabout", "t_junction"):
         place = inspe_jax.built_in(name)
         scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
-        statics = EmbeddedRecorder(scene, lidars((9, 9, 6))).statics
+        static_world = EmbeddedRecorder(scene, lidars((9, 9, 6))).static_world
         open_ = shapely.union_all(list(place.regions.values()))
-        tall = np.isin(statics.material, [BUILDING, ROOF, TRUNK, CROWN])
-        at = (statics.triangles[tall] + statics.center).reshape(-1, 3)
+        tall = np.isin(static_world.material, [BUILDING, ROOF, TRUNK, CROWN])
+        at = (static_world.triangles[tall] + static_world.center).reshape(-1, 3)
         assert len(at) > 300
         assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
         # Nor does any stand between two places in it.
-        assert np.hypot(*(at - statics.center)[:, :2].T).min() > 40
-        assert set(np.unique(statics.material)) == set(range(7))
+        assert np.hypot(*(at - static_world.center)[:, :2].T).min() > 40
+        assert set(np.unique(static_world.material)) == set(range(7))
 
 
 def test_units_over_the_road_have_no_mast(scene):
     over, beside = (
-        EmbeddedRecorder(scene, lidars((x, x, 6))).statics.material == POLE for x in (0, 14)
+        EmbeddedRecorder(scene, lidars((x, x, 6))).static_world.material == POLE for x in (0, 14)
     )
     # A tube of eight sides, each of three triangles.
     assert beside.sum() == over.sum() + 24
@@ -310,12 +312,12 @@ def test_a_pixel_shows_what_the_pinhole_says(looked_at):
     way along the axis to its near side."""
     (image,) = looked_at.stations[0].images
     seen = image.instance > 0
-    assert set(np.unique(image.instance)) == {0, looked_at.things[0].track + 1}
+    assert set(np.unique(image.instance)) == {0, looked_at.boxes[0].track + 1}
     v, u = np.nonzero(seen)
-    thing = looked_at.things[0]
+    box = looked_at.boxes[0]
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
-    turn = rotation(np.array([0, 0, thing.yaw]), np)
-    body = (corners * thing.size @ turn.T + thing.center - image.pose[:3]) @ rotation(
+    turn = rotation(np.array([0, 0, box.yaw]), np)
+    body = (corners * box.size @ turn.T + box.center - image.pose[:3]) @ rotation(
         image.pose[3:], np
     )
     at = 160 - 140 * body[:, 1] / body[:, 0], 120 - 140 * body[:, 2] / body[:, 0]
@@ -356,12 +358,12 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     overlaps = []
     for frame in (open_dataset(folder).scenarios[0].frame(t) for t in range(2)):
         image = frame.stations[0].images[0]
-        for thing in frame.things:
-            if thing.kind != "car":
+        for box in frame.boxes:
+            if box.kind != "car":
                 continue
             corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
-            turn = rotation(np.array([0, 0, thing.yaw]), np)
-            body = (corner * thing.size @ turn.T + thing.center - image.pose[:3]) @ rotation(
+            turn = rotation(np.array([0, 0, box.yaw]), np)
+            body = (corner * box.size @ turn.T + box.center - image.pose[:3]) @ rotation(
                 image.pose[3:], np
             )
             if (body[:, 0] < 1).any() or body[:, 0].min() > 45:
@@ -375,10 +377,10 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
             if hull.area < 400:
                 continue
             # Unoccluded: alone in the world it has as many pixels.
-            company = FrameActors((thing,), recorder.statics.center)
-            free = recorder.sensors[0].image(company, 0, np.random.default_rng(0), ("instance",))
+            actors = FrameActors((box,), recorder.static_world.center)
+            free = recorder.sensors[0].image(actors, 0, np.random.default_rng(0), ("instance",))
             own = free.instance > 0
-            seen = image.instance == thing.track + 1
+            seen = image.instance == box.track + 1
             if not own.any() or seen.sum() < 0.98 * own.sum():
                 continue
             v, u = np.nonzero(seen)
@@ -407,20 +409,22 @@ def test_nobody_is_overlooked(pose, slope):
     for light in ("midday", "dusk"):
         recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
         (camera,) = recorder.sensors
-        company = FrameActors(boxes_at(crowd.traffic, 0, 0), recorder.statics.center)
-        seen = camera._moment(company, paints(company.things, 0), 0.0)
-        movers, caster = company.at(0.0)
-        ground = camera.ground
-        hits = caster.cast(camera.origin, camera.directions, np.minimum(ground.distance, 1000.0))
-        thing = np.where(hits.face >= 0, movers.thing[hits.face], -1)
-        sunny = np.flatnonzero(ground.in_sun & (thing < 0))
-        sunny = sunny[np.abs(ground.point[sunny, :2]).max(1) < 150]
-        dark = sunny[camera._dark(caster, ground.point[sunny], np.array([0.0, 0.0, 1.0]))]
-        found = np.full(len(thing), -1)
-        found[seen.pixels] = seen.thing
-        assert np.array_equal(found, thing)
-        assert len(np.unique(thing)) > 2  # near ones hide those further off
-        assert np.array_equal(np.sort(seen.pixels[seen.thing < 0]), dark)
+        actors = FrameActors(boxes_at(crowd.traffic, 0, 0), recorder.static_world.center)
+        seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
+        road_users, caster = actors.at(0.0)
+        background = camera.background
+        hits = caster.cast(
+            camera.origin, camera.directions, np.minimum(background.distance, 1000.0)
+        )
+        box = np.where(hits.face >= 0, road_users.box[hits.face], -1)
+        sunny = np.flatnonzero(background.in_sun & (box < 0))
+        sunny = sunny[np.abs(background.point[sunny, :2]).max(1) < 150]
+        dark = sunny[camera._in_shadow(caster, background.point[sunny], np.array([0.0, 0.0, 1.0]))]
+        found = np.full(len(box), -1)
+        found[seen.pixels] = seen.box
+        assert np.array_equal(found, box)
+        assert len(np.unique(box)) > 2  # near ones hide those further off
+        assert np.array_equal(np.sort(seen.pixels[seen.box < 0]), dark)
         assert len(dark) > 100
 
 
@@ -461,7 +465,7 @@ def test_points_at_the_rim_are_in_the_last_squares():
     rim = np.nextafter(np.float32(SHADOWED), np.float32(0))
     assert rim + np.float32(SHADOWED) == 2 * SHADOWED
     point = np.array([[rim, 0.5, 0], [0.5, rim, 0], [-rim, 0.5, 0]], np.float32)
-    cells = Cells(point, np.ones(3, bool), SHADOWED)
+    cells = SunlitPoints(point, np.ones(3, bool), SHADOWED)
     for k, (x, y) in enumerate(point[:, :2]):
         assert cells.within(np.array([x, y]), np.array([x, y])).tolist() == [k]
 
@@ -505,16 +509,16 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
 def test_things_are_where_the_traffic_has_them(scene):
     t = scene.traffic
     on = np.flatnonzero(t.valid[1])
-    for b, thing in zip(on, boxes_at(t, 1, 0), strict=True):
-        assert (thing.track, thing.yaw) == (t.track[1, b], t.yaw[1, b])
-        for part, whole in ((thing.center, t.center), (thing.size, t.size)):
+    for b, box in zip(on, boxes_at(t, 1, 0), strict=True):
+        assert (box.track, box.yaw) == (t.track[1, b], t.yaw[1, b])
+        for part, whole in ((box.center, t.center), (box.size, t.size)):
             np.testing.assert_array_equal(part, whole[1, b])
-        np.testing.assert_array_equal(thing.velocity, t.velocity[1, b])
-    fast = [thing for thing in boxes_at(t, 1, 0) if np.hypot(*thing.velocity[:2]) > 3]
+        np.testing.assert_array_equal(box.velocity, t.velocity[1, b])
+    fast = [box for box in boxes_at(t, 1, 0) if np.hypot(*box.velocity[:2]) > 3]
     assert len(fast) > 2
-    for thing in fast:  # the nose is in front
-        ahead = np.array([np.cos(thing.yaw), np.sin(thing.yaw)]) @ thing.velocity[:2]
-        assert ahead > 0.9 * np.hypot(*thing.velocity[:2])
+    for box in fast:  # the nose is in front
+        ahead = np.array([np.cos(box.yaw), np.sin(box.yaw)]) @ box.velocity[:2]
+        assert ahead > 0.9 * np.hypot(*box.velocity[:2])
 
 
 def test_another_seed_is_other_noise():
@@ -535,9 +539,9 @@ def test_another_seed_is_other_noise():
 def test_things_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):
-        for thing in boxes_at(scene.traffic, t, 0):
-            assert names.setdefault(thing.track, thing.name) == thing.name
-            assert thing.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
+        for box in boxes_at(scene.traffic, t, 0):
+            assert names.setdefault(box.track, box.name) == box.name
+            assert box.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
     assert len(set(names.values())) > 4
     assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
 
@@ -550,7 +554,7 @@ def test_with_nobody_there_the_layers_are_of_what_stands_still(light):
     layout = place_sensors((SMALL, pose.tolist()))
     given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
     recorder = EmbeddedRecorder(*given)
-    assert not len(recorder.statics.poles)
+    assert not len(recorder.static_world.poles)
     (image,) = recorder.frame(0).stations[0].images
     assert not image.instance.any()
     u, v = np.meshgrid(np.arange(SMALL.width) + 0.5, np.arange(SMALL.height) + 0.5)
@@ -563,7 +567,7 @@ def test_with_nobody_there_the_layers_are_of_what_stands_still(light):
     assert on_road.mean() > 0.1
     np.testing.assert_allclose(image.depth[on_road], depth[on_road], atol=1e-3)
     assert set(np.unique(image.semantic[on_road])) <= {1, 24}  # CARLA's road, and its markings
-    assert recorder.sensors[0].ground.other[on_road.ravel()].min() > 0
+    assert recorder.sensors[0].background.ambient[on_road.ravel()].min() > 0
 
 
 def test_slopes_and_empty_roads_are_recorded():

@@ -1,1 +1,1 @@
-"""File formats of data sets."""
+"""Formats of data sets: :mod:`.registry` lists them."""

@@ -1,6 +1,12 @@
-"""PCD files, version 0.7: points with an intensity, as they are in the file.
+"""Reads and writes PCD files, version 0.7: points with an intensity.
 
-Written as ``x y z rgb``, float32 and binary, with the intensity in the red byte of ``rgb``.
+Points are written as ``x y z rgb``, float32 and binary, with the intensity in the red byte of
+``rgb``, as OPV2V has it.
+
+Why not a library: pypcd4 (1.5) rejects a file without COUNT, which the format allows; it reads one
+whose POINTS contradict WIDTH and HEIGHT; and on damaged files it raises ValueError,
+UnicodeDecodeError or pydantic's errors, without the file's name. Checks around it would be about as
+long as this reader. Open3D is a dependency of hundreds of megabytes.
 """
 
 import os
@@ -37,7 +43,7 @@ _LONGEST_LINE = 10_000
 
 
 def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None:
-    """Write points (N, 4), x y z [m] and intensity 0…1, whole or not at all.
+    """Write points (N, 4): x, y, z [m] and intensity 0…1. The file appears when it is complete.
 
     The intensity is rounded to 1/255. ``note`` becomes a comment in the header.
     """
@@ -54,9 +60,9 @@ def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None
 def read_pcd(path: str | os.PathLike[str]) -> Float[np.ndarray, "N 4"]:
     """Points of a PCD file, ASCII or binary: x, y, z and intensity, float32.
 
-    Fields may come in any order, and others among them. The intensity is the field
-    ``intensity`` as it is, else the red byte of ``rgb``, else 0. Points that are not finite,
-    with which PCD marks an empty place, are left out. Raises InspeError on any other file.
+    The fields may have any order, and there may be more of them. The intensity is the unchanged
+    field ``intensity``, or the red byte of ``rgb``, or 0. Points that are not finite are left out:
+    PCD marks empty places so. Raises InspeError for any other file.
     """
     path = Path(path)
     check_input(path)
@@ -75,7 +81,7 @@ def read_pcd(path: str | os.PathLike[str]) -> Float[np.ndarray, "N 4"]:
 
 
 def read_notes(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """The comments in the header of a PCD file. Raises InspeError where it is none."""
+    """The comments in the header of a PCD file. Raises InspeError if it is not a PCD file."""
     path = Path(path)
     check_input(path)
     with path.open("rb") as f:
@@ -84,7 +90,7 @@ def read_notes(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Header:
-    """What the lines before the points say; ``row`` is a point's layout."""
+    """The content of the header. ``row`` is the layout of a point, ``notes`` are the comments."""
 
     names: tuple[str, ...]
     row: np.dtype
@@ -111,25 +117,27 @@ def _read_header(f: IO[bytes], path: Path) -> _Header:
         if not entries.get(key):
             raise InspeError(f"{path}: not a PCD file: {key} is missing")
     if entries.get("VERSION", ["0.7"]) not in (["0.7"], [".7"]):
-        raise InspeError(f"{path}: VERSION {' '.join(entries['VERSION'])}: only 0.7 is read")
+        raise InspeError(f"{path}: VERSION {' '.join(entries['VERSION'])}: must be 0.7")
     data = entries["DATA"][0]
     if data not in ("ascii", "binary"):
-        raise InspeError(f"{path}: DATA {data} is not read: save it as binary or ascii, which are")
+        raise InspeError(f"{path}: DATA {data} cannot be read: save it as binary or ascii")
     names = tuple(entries["FIELDS"])
     return _Header(names, _row(entries, path), _point_count(entries, path), data, tuple(notes))
 
 
 def _row(entries: dict[str, list[str]], path: Path) -> np.dtype:
-    """The layout of one point; fields are called by their place, since names may repeat."""
+    """The layout of one point. Fields are named by their index, because their names may repeat."""
     names, types = entries["FIELDS"], entries["TYPE"]
     sizes = _integers(entries, "SIZE", path)
     counts = _integers(entries, "COUNT", path) or [1] * len(names)
     if not len(names) == len(types) == len(sizes) == len(counts):
-        raise InspeError(f"{path}: FIELDS, SIZE, TYPE and COUNT are not of one length")
+        raise InspeError(f"{path}: FIELDS, SIZE, TYPE and COUNT do not have the same length")
     fields = []
     for i, (kind, size, count) in enumerate(zip(types, sizes, counts, strict=True)):
         if size not in _SIZES.get(kind, ()) or not 1 <= count <= _MOST_COUNT:
-            raise InspeError(f"{path}: field {names[i]}: no TYPE {kind} SIZE {size} COUNT {count}")
+            raise InspeError(
+                f"{path}: field {names[i]}: TYPE {kind} SIZE {size} COUNT {count} is not allowed"
+            )
         fields.append((str(i), f"<{kind.lower()}{size}", (count,)))
     return np.dtype(fields)
 
@@ -152,7 +160,7 @@ def _integers(entries: dict[str, list[str]], key: str, path: Path) -> list[int]:
 
 
 def _read_columns(body: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
-    """The first value of each field, by name. Raises InspeError where there are too few."""
+    """The first value of each field, by name. Raises InspeError if the file has too few."""
     needed = header.points * header.row.itemsize
     if header.data == "ascii":
         return _read_text(body, header, path)
@@ -172,7 +180,8 @@ def _read_text(body: bytes, header: _Header, path: Path) -> dict[str, np.ndarray
         raise InspeError(f"{path}: its points are not numbers: {e}") from None
     if len(values) != header.points * sum(counts):
         raise InspeError(
-            f"{path}: {header.points} POINTS of {sum(counts)} numbers each, there are {len(values)}"
+            f"{path}: {header.points} POINTS need {sum(counts)} numbers each, there are "
+            f"{len(values)}"
         )
     table = values.reshape(header.points, sum(counts))
     first = np.cumsum([0, *counts])

@@ -1,6 +1,6 @@
-"""Pictures on disk: colour, depth, instance and semantic, each a PNG.
+"""Reads and writes pictures as PNG files: colour, depth, instance and semantic.
 
-Compression is fixed, so that the same picture gives the same bytes.
+The compression is fixed, so that the same picture always gives the same bytes.
 """
 
 import os
@@ -16,14 +16,14 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
 
 COMPRESSION = {"compress_level": 1, "compress_type": zlib.Z_RLE}
-"""What repeats in pictures is runs of a value, and noise does not: looking for longer repeats takes
-half as long again, and saves nothing."""
+"""Runs of one value are what repeats in these pictures; noise does not repeat. Searching for longer
+repetitions takes half as long again, and saves nothing."""
 
 DEPTH_UNIT = 0.01
-"""A step of a depth picture [m]."""
+"""The resolution of a depth picture [m]."""
 
 DEPTH_CAP = 2**16 - 1
-"""The largest value of a depth picture: this far, or further."""
+"""The largest value of a depth picture; it stands for this distance and all beyond."""
 
 
 def write_rgb(path: Path, rgb: Any) -> None:
@@ -48,12 +48,12 @@ def write_semantic(path: Path, semantic: Any) -> None:
 
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "H W 3"]:
-    """A picture's colours; grey and transparent ones are converted."""
+    """The colours of a picture; grey pictures and those with transparency are converted."""
     return _read(path, "RGB")
 
 
 def read_depth(path: Path) -> Float[np.ndarray, "H W"]:
-    """Depths [m], float32; infinite at the cap."""
+    """Depths [m], float32; infinite where the file has its largest value."""
     steps = _read(path, None)
     return np.where(steps >= DEPTH_CAP, np.inf, steps * DEPTH_UNIT).astype(np.float32)
 
@@ -74,15 +74,16 @@ def _write(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
 
 
 def _read(path: Path, mode: str | None) -> np.ndarray:
-    """Pixels as ``mode``, or of a 16-bit picture as they are. Raises InspeError on other files."""
+    """Pixels in Pillow's ``mode``, or those of a 16-bit picture. Raises InspeError for other
+    files."""
     check_input(path)
     try:
         with Pillow.open(path, formats=["PNG"]) as picture:
             given = picture.mode
             pixels = np.array(picture.convert(mode) if mode == "RGB" else picture)
     except (OSError, SyntaxError, ValueError, EOFError) as e:
-        raise InspeError(f"{path}: not a PNG that can be read: {e}") from e
-    # Some versions of Pillow widen 16 bits to 32.
+        raise InspeError(f"{path}: not a readable PNG file: {e}") from e
+    # Some versions of Pillow convert 16 bits to 32.
     allowed = {"RGB": (given,), "L": ("L", "P")}.get(str(mode), ("I;16", "I;16B", "I"))
     if given not in allowed:
         bits = 8 if mode else 16

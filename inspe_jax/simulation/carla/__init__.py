@@ -1,1 +1,1 @@
-"""Recording by a CARLA server."""
+"""Records a scene with a CARLA server."""

@@ -1,8 +1,9 @@
-"""Whose pixels are whose: CARLA's instance pictures have Unreal's numbers, and no actor knows its.
+"""Finds the road user that each pixel of CARLA's instance pictures shows.
 
-So the numbers are matched by place: the points that a number's pixels show lie in the box of the
-road user it stands for. Limits: a number is 16 bits of Unreal's, which two road users may share;
-all its pixels then go to the one with more of them. What nobody's box holds is nobody's.
+The pictures hold numbers of the Unreal engine, and CARLA does not say which number an actor has. So
+numbers are matched by place: the points that a number's pixels show lie in the box of its road
+user. Limits: a number has 16 bits only, so two road users may share one; all its pixels then go to
+the road user with more of them. Pixels with points in no box belong to no road user.
 """
 
 import numpy as np
@@ -11,13 +12,13 @@ from jaxtyping import Float, Int
 from inspe_jax.core.geometry import rotation
 from inspe_jax.simulation.frame import RoadUserBox
 
-ROAD_USERS = (12, 13, 14, 15, 16, 18, 19)
-"""CARLA's labels (0.9.14 and later) of pedestrians, riders, cars, trucks, buses, motorcycles and
-bicycles."""
-BEYOND = 0.3
-"""Mirrors and limbs reach so far out of a box [m]."""
-ASKED = 200
-"""So many pixels are asked of a number that has more."""
+ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
+"""CARLA's semantic labels (0.9.14 and later) of pedestrians, riders, cars, trucks, buses,
+motorcycles and bicycles."""
+MARGIN = 0.3
+"""Mirrors and limbs may reach this far out of a box [m]."""
+MOST_SAMPLES = 200
+"""At most about this many pixels of a number are matched."""
 
 
 def instances_of(
@@ -26,47 +27,52 @@ def instances_of(
     depth: Float[np.ndarray, "H W"],
     pose: Float[np.ndarray, "6"],
     intrinsic: Float[np.ndarray, "3 3"],
-    things: tuple[RoadUserBox, ...],
+    boxes: tuple[RoadUserBox, ...],
 ) -> Int[np.ndarray, "H W"]:
-    """Track + 1 of each pixel of a camera at ``pose``, 0 where there is no thing."""
+    """Track + 1 of each pixel, 0 where there is no road user.
+
+    ``tags`` and ``numbers`` are the labels and Unreal's numbers of the pixels; ``depth`` [m],
+    ``pose`` and ``intrinsic`` are the camera's; ``boxes`` are those of the frame.
+    """
     found = np.zeros(tags.shape, np.int32)
-    rows, columns = np.nonzero(np.isin(tags, ROAD_USERS) & np.isfinite(depth))
-    if not len(rows) or not things:
+    rows, columns = np.nonzero(np.isin(tags, ROAD_USER_LABELS) & np.isfinite(depth))
+    if not len(rows) or not boxes:
         return found
-    _, which, many = np.unique(numbers[rows, columns], return_inverse=True, return_counts=True)
-    asked = _some(which, many)
-    away = depth[rows[asked], columns[asked]].astype(float)
+    _, entry, count = np.unique(numbers[rows, columns], return_inverse=True, return_counts=True)
+    sampled = _sample(entry, count)
+    away = depth[rows[sampled], columns[sampled]].astype(float)
     (fx, _, cx), (_, fy, cy), _ = intrinsic
-    left, up = (cx - columns[asked] - 0.5) / fx, (cy - rows[asked] - 0.5) / fy
+    left, up = (cx - columns[sampled] - 0.5) / fx, (cy - rows[sampled] - 0.5) / fy
     body = np.stack([away, away * left, away * up], -1)
-    holder = _holders(body @ rotation(pose[3:], np).T + pose[:3], things)  # −1: nobody
-    votes = np.zeros((len(many), len(things) + 1), int)
-    np.add.at(votes, (which[asked], holder), 1)
-    votes[:, -1] = 0  # what nobody holds
-    owner = np.where(votes.any(1), votes.argmax(1), len(things))
-    track = np.array([thing.track + 1 for thing in things] + [0])
-    found[rows, columns] = track[owner[which]]
+    nearest_box = _nearest_boxes(body @ rotation(pose[3:], np).T + pose[:3], boxes)  # −1: none
+    votes = np.zeros((len(count), len(boxes) + 1), int)
+    np.add.at(votes, (entry[sampled], nearest_box), 1)
+    votes[:, -1] = 0  # points in no box do not vote
+    owner = np.where(votes.any(1), votes.argmax(1), len(boxes))
+    track = np.array([box.track + 1 for box in boxes] + [0])
+    found[rows, columns] = track[owner[entry]]
     return found
 
 
-def _some(which: Int[np.ndarray, " P"], many: Int[np.ndarray, " N"]) -> Int[np.ndarray, " Q"]:
-    """Pixels of every number, evenly out of all it has."""
-    order = np.argsort(which, kind="stable")
-    first = np.cumsum(many) - many
-    rank = np.arange(len(which)) - first[which[order]]
-    return order[rank % -(-many // ASKED)[which[order]] == 0]
+def _sample(entry: Int[np.ndarray, " P"], count: Int[np.ndarray, " N"]) -> Int[np.ndarray, " Q"]:
+    """Indices of some pixels of every number, evenly spaced. ``entry`` is the index of each pixel's
+    number, ``count`` how many pixels each number has."""
+    order = np.argsort(entry, kind="stable")
+    first = np.cumsum(count) - count
+    rank = np.arange(len(entry)) - first[entry[order]]
+    return order[rank % -(-count // MOST_SAMPLES)[entry[order]] == 0]
 
 
-def _holders(
-    points: Float[np.ndarray, "Q 3"], things: tuple[RoadUserBox, ...]
+def _nearest_boxes(
+    points: Float[np.ndarray, "Q 3"], boxes: tuple[RoadUserBox, ...]
 ) -> Int[np.ndarray, " Q"]:
-    """The thing in or nearest to whose box points lie, −1 where none is near."""
-    least, holder = np.full(len(points), BEYOND), np.full(len(points), -1)
-    for k, thing in enumerate(things):
-        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
-        x, y, z = (points - thing.center).T
+    """The index of the box that each point lies in or close to, −1 where there is none."""
+    least, nearest_box = np.full(len(points), MARGIN), np.full(len(points), -1)
+    for k, box in enumerate(boxes):
+        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
+        x, y, z = (points - box.center).T
         local = np.abs([cos * x + sin * y, cos * y - sin * x, z])  # (3, Q)
-        out = (local - thing.size[:, None] / 2).max(0)
+        out = (local - box.size[:, None] / 2).max(0)
         nearer = out < least
-        least[nearer], holder[nearer] = out[nearer], k
-    return holder
+        least[nearer], nearest_box[nearer] = out[nearer], k
+    return nearest_box

@@ -1,15 +1,15 @@
-"""What the sensors of a layout record of a scene's traffic, by a CARLA server.
+"""The CARLA recorder: the sensors of a layout and the traffic of a scene, in a CARLA server.
 
-The server has the town; the traffic is the scene's, put in place frame by frame. A frame is the
-same however often it is asked for as far as the simulator lets it be: exposure, weather and wind
-go on from tick to tick. Unlike the embedded recorder's, a LiDAR's turn is all at one moment, as
-CARLA has it, and sensors hang in the air.
+The server has the town; the recorder places the scene's road users in it frame by frame. The same
+frame is the same every time as far as the simulator allows: exposure, weather and wind change from
+tick to tick. There are two differences to the embedded recorder: all rays of a LiDAR's turn are
+fired at one moment, and sensors have no masts.
 """
 
 import time
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
@@ -18,43 +18,27 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.carla.instances import instances_of
-from inspe_jax.simulation.carla.sensors import (
-    LIDAR,
-    NEEDS,
-    PICTURES,
-    SensorQueue,
-    camera_attributes,
-    colours_of,
-    depth_of,
-    intrinsic_of,
-    lidar_attributes,
-    notes_of,
-    numbers_of,
-    points_of,
-    tags_of,
-    weather_of,
-)
-from inspe_jax.simulation.carla.server import OURS, CarlaSession, failing_plainly, session_on
+from inspe_jax.simulation.carla.sensor_kinds import Measured, notes_of, sensor_kind
+from inspe_jax.simulation.carla.sensors import SensorQueue, weather_of
+from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession, plain_errors, session_on
 from inspe_jax.simulation.carla.traffic import Actors
-from inspe_jax.simulation.embedded.lidar import apply_noise
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
-from inspe_jax.simulation.recorder import Recording, Server, recordable, stations_of
+from inspe_jax.simulation.recorder import Recording, Server, stations_of
 
 SETTLE = 1.0
-"""The world goes on for so long before the first frame [s]: cameras find their exposure."""
+"""Simulated time before the first frame [s], in which cameras adjust their exposure."""
 PATIENCE = 1.0
-"""So long we wait for a sensor's first measurement before we tick once more [s]."""
+"""How long to wait for the sensors' first measurements before the next tick [s]."""
 
 
 class CarlaRecorder:
-    """The sensors in a CARLA server's world, within a ``with`` block.
+    """Records in a CARLA server's world, within a ``with`` block.
 
-    ``notes`` tell what CARLA cannot record as the layout has it. Entering raises InspeError where
-    the client is missing; there is no server or one of another version; it has not the map that
-    the scene is of; others' traffic is there; or a sensor does not answer. However the block is
-    left, what was spawned is destroyed and settings and weather are as they were; the map stays.
+    ``notes`` say what CARLA cannot record as the layout has it. Entering the block raises
+    InspeError where the client is missing, no server answers, the server has another version than
+    the client, it does not have the map of the scene, other clients' traffic is there, or a sensor
+    measures nothing. When the block ends, in whichever way, all spawned actors are destroyed, and
+    settings and weather are as before; only the map stays.
     """
 
     def __init__(
@@ -73,11 +57,9 @@ class CarlaRecorder:
         self.layout = conditions.layout(layout)
         self.poses = np.asarray(self.layout.poses, float)
         self.notes = notes_of(self.layout)
-        pictures = [kind for layer in self.recording.layers for kind in NEEDS[layer]]
-        self.pictures = tuple(dict.fromkeys(("rgb", *pictures)))
 
     def __enter__(self) -> Self:
-        with failing_plainly(self.server), ExitStack() as stack:
+        with plain_errors(self.server), ExitStack() as stack:
             self.session: CarlaSession = stack.enter_context(
                 session_on(
                     self.server,
@@ -88,7 +70,7 @@ class CarlaRecorder:
             )
             lights = self.conditions != FAIR
             self.actors = Actors(self.session, self.scene.traffic, lights, self.seed)
-            self.ears = [self._ears(s) for s in range(len(self.layout))]
+            self.queues = [self._sensor_queues(s) for s in range(len(self.layout))]
             self._warm_up()
             self._stack = stack.pop_all()
         return self
@@ -99,91 +81,72 @@ class CarlaRecorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with failing_plainly(self.server):
+        with plain_errors(self.server):
             self._stack.__exit__(kind, error, trace)
 
     def frame(self, t: int) -> Frame:
         """Frame t, as every station recorded it.
 
-        Raises InspeError where the server or a sensor does not answer.
+        Raises InspeError where the server or a sensor does not answer in time.
         """
-        with failing_plainly(self.server):
+        with plain_errors(self.server):
             self.actors.move(t)
             number = self.session.world.tick(self.server.timeout)
             snapshot = self.session.world.get_snapshot()
             if snapshot.frame != number:
                 raise InspeError(
-                    f"CARLA at {self.server}: time went on to frame {snapshot.frame} after we "
-                    f"asked for {number}: does another client tick?"
+                    f"CARLA at {self.server}: the world is at frame {snapshot.frame}, and not at "
+                    f"{number}, as it was told: does another client tick?"
                 )
-            things = self.actors.things(t, snapshot)
-            seen = [self._seen(s, t, number, things) for s in range(len(self.layout))]
-        stations = stations_of(self.layout, seen)
-        return Frame(t, float(self.scene.traffic.time[t]), things, stations)
+            boxes = self.actors.boxes(t, snapshot)
+            recorded = [self._record(s, t, number, boxes) for s in range(len(self.layout))]
+        stations = stations_of(self.layout, recorded)
+        return Frame(t, float(self.scene.traffic.time[t]), boxes, stations)
 
     # ── Sensors ─────────────────────────────────────────────────────────────
 
-    def _ears(self, s: int) -> dict[str, SensorQueue]:
-        """CARLA's sensors that one of the layout stands for, by what they bring."""
+    def _sensor_queues(self, s: int) -> dict[str, SensorQueue]:
+        """Spawn CARLA's sensors for sensor s of the layout: their queues, by what they measure."""
         sensor, cords = self.layout.sensors[s], to_carla(self.poses[s])
-        spec = recordable(sensor.spec)
-        if isinstance(spec, CameraSpec):
-            attributes = camera_attributes(spec, self.recording.image_scale)
-            names = {kind: PICTURES[kind] for kind in self.pictures}
-        else:
-            attributes = lidar_attributes(spec, self.recording.rate)
-            names = {"points": LIDAR}
-        ears, unit = {}, self.layout.units[sensor.unit].name
-        for kind, name in names.items():
+        row = sensor_kind(sensor.spec)
+        attributes = row.attributes(sensor.spec, self.recording)
+        queues, unit = {}, self.layout.units[sensor.unit].name
+        for key, name in row.blueprints(self.recording).items():
             blueprint = self.actors.library.find(name)
-            for key, value in {**attributes, "role_name": OURS}.items():
-                blueprint.set_attribute(key, value)
+            for attribute, value in {**attributes, "role_name": ROLE_NAME}.items():
+                blueprint.set_attribute(attribute, value)
             actor = self.session.spawn(blueprint, cords)
             self.session.listening.append(actor)
-            ears[kind] = SensorQueue(actor, f"{name} of '{sensor.name}', unit '{unit}',")
-        return ears
+            queues[key] = SensorQueue(actor, f"{name} of '{sensor.name}', unit '{unit}',")
+        return queues
 
     def _warm_up(self) -> None:
-        """Tick until every sensor has brought something, and cameras have settled."""
+        """Tick until every sensor has measured something, and cameras have settled."""
         begin, ticks = time.monotonic(), 0
-        everything = [ear for ears in self.ears for ear in ears.values()]
+        everything = [queue for queues in self.queues for queue in queues.values()]
         silent = everything
         while silent or ticks < SETTLE * self.recording.rate:
             self.session.world.tick(self.server.timeout)
             ticks += 1
             until = time.monotonic() + PATIENCE
-            silent = [ear for ear in everything if not ear.wait(until)]
+            silent = [queue for queue in everything if not queue.wait(until)]
             if silent and time.monotonic() > begin + self.server.timeout:
-                self._missing(silent[0], "anything")
+                self._fail(silent[0], "anything")
 
-    def _missing(self, ear: SensorQueue, what: str) -> None:
+    def _fail(self, queue: SensorQueue, what: str) -> NoReturn:
         raise InspeError(
-            f"CARLA at {self.server}: {ear.name} did not bring {what} in "
+            f"CARLA at {self.server}: {queue.name} did not measure {what} within "
             f"{self.server.timeout:g} s; a slower machine needs a longer timeout"
         )
 
-    def _seen(self, s: int, t: int, number: int, things: tuple[RoadUserBox, ...]) -> Image | Scan:
-        """What a sensor brings of the server's frame ``number``."""
+    def _record(self, s: int, t: int, number: int, boxes: tuple[RoadUserBox, ...]) -> Image | Scan:
+        """What sensor s measured in the server's frame ``number``, which is frame t."""
         until = time.monotonic() + self.server.timeout
-        brought: dict[str, Any] = {}
-        for kind, ear in self.ears[s].items():
-            brought[kind] = ear.take(number, until)
-            if brought[kind] is None:
-                self._missing(ear, f"frame {number}")
-        pose, spec = self.poses[s], self.layout.sensors[s].spec
-        if not isinstance(spec, CameraSpec):
-            rng = np.random.default_rng([self.seed, t, s, 3])
-            return Scan(pose, apply_noise(*points_of(brought["points"]), self.recording.noise, rng))
-        intrinsic = intrinsic_of(spec, self.recording.image_scale)
-        whole: dict[str, Any] = {}
-        if "depth" in brought:
-            whole["depth"] = depth_of(brought["depth"])
-        if "instance" in brought:
-            picture = brought["instance"]
-            whole["instance"] = instances_of(
-                tags_of(picture), numbers_of(picture), whole["depth"], pose, intrinsic, things
-            )
-        if "semantic" in brought:
-            whole["semantic"] = tags_of(brought["semantic"])
-        layers = {name: whole[name] for name in self.recording.layers}
-        return Image(pose, intrinsic, colours_of(brought["rgb"]), **layers)
+        data: dict[str, Any] = {}
+        for key, queue in self.queues[s].items():
+            data[key] = queue.take(number, until)
+            if data[key] is None:
+                self._fail(queue, f"frame {number}")
+        spec, rng = self.layout.sensors[s].spec, np.random.default_rng([self.seed, t, s, 3])
+        measured = Measured(spec, self.poses[s], self.recording, data, boxes, rng)
+        return sensor_kind(spec).result(measured)

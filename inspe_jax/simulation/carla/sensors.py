@@ -1,7 +1,7 @@
-"""Sensors as CARLA has them: their attributes, the weather they are in, and what they bring.
+"""CARLA's sensors: their attributes, the weather, and what their measurements hold.
 
-CARLA's LiDAR has evenly spaced channels and knows no weather; its cameras look through the middle
-of the picture. What a spec says beyond that is left out, and :func:`notes_of` tells it.
+CARLA's LiDAR has evenly spaced channels and is not affected by weather. The principal point of its
+cameras is the middle of the picture. What a spec says beyond that is left out, and a note says so.
 """
 
 import queue
@@ -13,36 +13,22 @@ from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.core.carla_frame import flip
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.simulation.embedded.lidar import ATTENUATION
 from inspe_jax.simulation.embedded.light import light_of
+from inspe_jax.simulation.lidar_noise import ATTENUATION
 
-LIDAR = "sensor.lidar.ray_cast"
-PICTURES: dict[str, str] = {
-    "rgb": "sensor.camera.rgb",
-    "depth": "sensor.camera.depth",
-    "instance": "sensor.camera.instance_segmentation",
-    "semantic": "sensor.camera.semantic_segmentation",
-}
-"""The sensor that takes each kind of picture."""
-NEEDS: dict[str, tuple[str, ...]] = {
-    "depth": ("depth",),
-    "instance": ("instance", "depth"),
-    "semantic": ("semantic",),
-}
-"""The pictures that each layer is made of: whose an instance is, its place tells."""
 FAR = 1000.0
-"""Where CARLA's depth camera ends [m]."""
+"""The largest depth that CARLA's depth camera can tell [m]."""
 EVEN = np.radians(0.02)
-"""Channels this near to even ones are even [rad]: tables are rounded."""
+"""Channels that are this close to evenly spaced ones count as even [rad]: tables are rounded."""
 
 
 def lidar_attributes(spec: LidarSpec, rate: float) -> dict[str, str]:
-    """One turn a frame, with all of a spec's rays, and nothing lost.
+    """Attributes of a LiDAR: one turn per frame at ``rate`` [Hz], all rays of the spec, no losses.
 
-    What is lost at random we take away ourselves: CARLA's dice go on from frame to frame, and a
-    frame should be the same however often it is asked for.
+    Random losses are added afterwards, by :mod:`inspe_jax.simulation.lidar_noise`: CARLA's own
+    random numbers continue from frame to frame, and a frame should be the same however often it is
+    recorded.
     """
     channels = len(spec.elevations)
     return {
@@ -61,7 +47,10 @@ def lidar_attributes(spec: LidarSpec, rate: float) -> dict[str, str]:
 
 
 def camera_attributes(spec: CameraSpec, scale: float) -> dict[str, str]:
-    """The size of the picture and the field of view across it."""
+    """Attributes of a camera: the size of the picture and its horizontal field of view.
+
+    ``scale`` multiplies the spec's own resolution.
+    """
     height, width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
     across = 2 * np.degrees(np.arctan(spec.width / 2 / spec.focal))
     return {
@@ -72,43 +61,45 @@ def camera_attributes(spec: CameraSpec, scale: float) -> dict[str, str]:
 
 
 def intrinsic_of(spec: CameraSpec, scale: float) -> Float[np.ndarray, "3 3"]:
-    """Of a camera with :func:`camera_attributes`: square pixels, and its axis in the middle."""
+    """Calibration of a camera with :func:`camera_attributes`, in pixels.
+
+    Pixels are square, and the principal point is in the middle.
+    """
     height, width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
     focal = spec.focal * width / spec.width
     return np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
 
 
-def notes_of(layout: Layout) -> tuple[str, ...]:
-    """What CARLA cannot record as the layout's specs have it, one line a device."""
-    specs = dict.fromkeys(sensor.spec for sensor in layout.sensors)
-    notes = []
-    for spec in specs:
-        if isinstance(spec, LidarSpec):
-            table = np.array(spec.elevations)
-            off = np.abs(table - np.linspace(table[0], table[-1], len(table))).max()
-            if off > EVEN:
-                low, high = np.degrees(table[[0, -1]])
-                notes.append(
-                    f"{spec.name}: CARLA's channels are evenly spaced: {len(table)} from {low:g}° "
-                    f"to {high:g}°, up to {np.degrees(off):.1f}° off the device's own"
-                )
-        elif (
-            isinstance(spec, CameraSpec)
-            and np.abs(np.subtract(spec.principal, (spec.width / 2, spec.height / 2))).max() > 1
-        ):
-            notes.append(
-                f"{spec.name}: CARLA's principal point is the middle of the picture, not "
-                f"({spec.principal[0]:g}, {spec.principal[1]:g})"
-            )
-    return tuple(notes)
+def lidar_note(spec: LidarSpec) -> str:
+    """What CARLA cannot record as the spec has it; empty if there is nothing."""
+    table = np.array(spec.elevations)
+    off = np.abs(table - np.linspace(table[0], table[-1], len(table))).max()
+    if off <= EVEN:
+        return ""
+    low, high = np.degrees(table[[0, -1]])
+    return (
+        f"{spec.name}: CARLA's channels are evenly spaced: {len(table)} from {low:g}° "
+        f"to {high:g}°, up to {np.degrees(off):.1f}° off the device's own"
+    )
+
+
+def camera_note(spec: CameraSpec) -> str:
+    """What CARLA cannot record as the spec has it; empty if there is nothing."""
+    if np.abs(np.subtract(spec.principal, (spec.width / 2, spec.height / 2))).max() <= 1:
+        return ""
+    return (
+        f"{spec.name}: CARLA's principal point is the middle of the picture, not "
+        f"({spec.principal[0]:g}, {spec.principal[1]:g})"
+    )
 
 
 def weather_of(carla: Any, conditions: Conditions) -> Any:
     """CARLA's weather parameters; the sun stands where it does for the embedded recorder.
 
-    CARLA's shares of rain and fog have no unit. Rain is read so that the usual 10 mm/h are between
-    its presets of middling and hard rain, 60 and 100 %; fog so that a range of 200 m is 26 % and
-    one of 50 m 70 %, as dense at any height that matters.
+    ``carla`` is the client's module. CARLA's percentages of rain and fog have no unit. Rain of
+    10 mm/h becomes 63 %, between CARLA's presets of medium (60 %) and hard rain (100 %). Fog with
+    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights that
+    matter.
     """
     light, strength = light_of(conditions), conditions.intensity or 0.0
     weather = dict(cloudiness=10.0, wind_intensity=10.0)
@@ -139,61 +130,72 @@ def weather_of(carla: Any, conditions: Conditions) -> Any:
     )
 
 
-# ── What sensors bring ──────────────────────────────────────────────────────────────────────────
+# ── Measurements ───────────────────────────────────────────────────────────────────────────────
 
 
 class SensorQueue:
-    """Listens to a sensor: its measurements come in the order of the frames, in their own time."""
+    """The measurements of one sensor: they arrive in the order of the frames, after some time.
+
+    ``name`` is for error messages.
+    """
 
     def __init__(self, sensor: Any, name: str) -> None:
-        self.name, self.heard = name, False
-        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        sensor.listen(self._inbox.put)
+        self.name, self.has_delivered = name, False
+        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        sensor.listen(self._queue.put)
 
     def wait(self, until: float) -> bool:
-        """Whether anything came yet; waits until then, on the monotonic clock [s]."""
-        self.heard = self.heard or self._next(until) is not None
-        return self.heard
+        """Whether any measurement has ever arrived. Waits for the first until ``until``, a time on
+        the monotonic clock [s]."""
+        self.has_delivered = self.has_delivered or self._next(until) is not None
+        return self.has_delivered
 
     def take(self, frame: int, until: float) -> Any:
-        """The measurement of a frame, of which those before are let go; None if there is none."""
+        """The measurement of a frame of the server; None if it has not arrived by ``until``.
+
+        Measurements of earlier frames are dropped.
+        """
         while (found := self._next(until)) is not None and found.frame < frame:
             pass
         return found if found is not None and found.frame == frame else None
 
     def _next(self, until: float) -> Any:
         try:
-            return self._inbox.get(timeout=max(until - time.monotonic(), 1e-3))
+            return self._queue.get(timeout=max(until - time.monotonic(), 1e-3))
         except queue.Empty:
             return None
 
 
 def points_of(scan: Any) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-    """Unit directions in our body frame and distances [m] of a LiDAR's measurement."""
+    """Unit directions in the body frame (x forward, y left, z up) and distances [m] of a LiDAR's
+    measurement."""
     points = flip(np.frombuffer(scan.raw_data, np.float32).reshape(-1, 4)[:, :3]).astype(float)
     distance = np.linalg.norm(points, axis=1)
     return points / np.maximum(distance, 1e-9)[:, None], distance
 
 
 def colours_of(image: Any) -> UInt8[np.ndarray, "H W 3"]:
-    """Red, green and blue of a picture."""
+    """Red, green and blue of a picture, which CARLA stores as blue, green, red and alpha."""
     bgra = np.frombuffer(image.raw_data, np.uint8).reshape(image.height, image.width, 4)
     return np.ascontiguousarray(bgra[..., 2::-1])
 
 
 def depth_of(image: Any) -> Float[np.ndarray, "H W"]:
-    """Depth along the camera's axis [m], infinite where CARLA's ends; in 24 bits of the colour."""
+    """Depth along the camera's axis [m], infinite from :data:`FAR` on.
+
+    CARLA stores it in the 24 bits of the colour.
+    """
     red, green, blue = np.moveaxis(colours_of(image).astype(np.int64), -1, 0)
     code = red + 256 * green + 65536 * blue
     return np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1))).astype(np.float32)
 
 
 def tags_of(image: Any) -> UInt8[np.ndarray, "H W"]:
-    """CARLA's labels, of a semantic or an instance picture."""
+    """CARLA's labels in a semantic or an instance picture."""
     return np.ascontiguousarray(colours_of(image)[..., 0])
 
 
 def numbers_of(image: Any) -> Int[np.ndarray, "H W"]:
-    """What Unreal numbers the objects of an instance picture by, as far as 16 bits tell."""
+    """Unreal's numbers of the objects in an instance picture: their lower 16 bits."""
     colours = colours_of(image).astype(np.int32)
     return colours[..., 1] + 256 * colours[..., 2]

@@ -1,4 +1,6 @@
-"""A CARLA server while we record: on the right map, in step with us, and put back afterwards."""
+"""A session on a CARLA server: the right map, synchronous ticks, and everything restored at the
+end.
+"""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -12,30 +14,30 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.recorder import Server
 
 LOADING = 180.0
-"""So long may a map take to load [s]."""
+"""How long a map may take to load [s]."""
 ENDING = 5.0
-"""So long a call may take when all is put back [s]: the server may be gone."""
-OURS = "inspe"
-"""The role of the actors that we spawn."""
+"""How long a call may take while everything is restored [s]: the server may be gone."""
+ROLE_NAME = "inspe"
+"""The role name of the actors that this package spawns."""
 
 _OPENDRIVE = " (OpenDRIVE)"
 _PARKED = ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
 
 
 def client_library() -> Any:
-    """The module ``carla``. Raises InspeError where it is missing."""
+    """The module ``carla``. Raises InspeError if it is not installed."""
     try:
         import carla
     except ImportError as error:
         raise InspeError(
-            "recording with CARLA needs its client, of the server's version: "
+            "recording with CARLA needs its client, in the server's version: "
             "pip install 'inspe_jax[opendrive]' (Linux and Windows, Python up to 3.12)"
         ) from error
     return carla
 
 
 def town_of(place: Intersection) -> str:
-    """The map that an intersection is of. Raises InspeError where no CARLA server can have it."""
+    """The name of an intersection's map. Raises InspeError if it is not an OpenDRIVE map."""
     if not place.source.endswith(_OPENDRIVE):
         raise InspeError(
             f"{place.name}: its source is {place.source}, which a CARLA server cannot show; read "
@@ -45,8 +47,9 @@ def town_of(place: Intersection) -> str:
 
 
 @contextmanager
-def failing_plainly(server: Server) -> Iterator[None]:
-    """What the client raises, a RuntimeError for everything, as an InspeError."""
+def plain_errors(server: Server) -> Iterator[None]:
+    """Turn the client's errors, which are all RuntimeErrors, into InspeErrors with the server's
+    name."""
     try:
         yield
     except RuntimeError as error:
@@ -57,7 +60,12 @@ def failing_plainly(server: Server) -> Iterator[None]:
 
 @dataclass(eq=False)
 class CarlaSession:
-    """A connected client and its world, and what is to be put back there."""
+    """A connected client, its world, and what has to be restored there at the end.
+
+    ``carla`` is the client's module; ``settings`` and ``weather`` are those of before; ``actors``
+    are the ids of spawned actors, ``listening`` the sensors among them; ``hidden`` are the ids of
+    parked vehicles that were hidden.
+    """
 
     carla: Any
     client: Any
@@ -70,7 +78,7 @@ class CarlaSession:
     hidden: list[int] = field(default_factory=list)
 
     def transform(self, cords: Iterable[float]) -> Any:
-        """A transform of cords (6,), as :mod:`~inspe_jax.core.carla_frame` has them."""
+        """CARLA's transform of ``cords`` (6,), see :mod:`~inspe_jax.core.carla_frame`."""
         x, y, z, roll, yaw, pitch = map(float, cords)
         carla = self.carla
         return carla.Transform(
@@ -78,22 +86,22 @@ class CarlaSession:
         )
 
     def spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
-        """An actor, which is gone again at the end."""
+        """Spawn an actor; it is destroyed at the end of the session."""
         actor = self.world.spawn_actor(blueprint, self.transform(cords))
         self.actors[actor.id] = None
         return actor
 
     def try_spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
-        """As :meth:`spawn`, or None where it cannot be."""
+        """As :meth:`spawn`, but None where there is no room for the actor."""
         actor = self.world.try_spawn_actor(blueprint, self.transform(cords))
         if actor is not None:
             self.actors[actor.id] = None
         return actor
 
     def command(self, commands: list[Any]) -> list[int]:
-        """Have commands done, all or as far as possible: the actors' ids.
+        """Run commands as a batch; gives the ids of their actors.
 
-        Raises InspeError where one cannot be.
+        Raises InspeError, after the whole batch, if a command failed.
         """
         if not commands:
             return []
@@ -113,7 +121,7 @@ class CarlaSession:
         return found
 
     def destroy(self, actors: Iterable[int]) -> None:
-        """Destroy actors by id; who is gone already is no matter."""
+        """Destroy actors by id; those that are gone already do no harm."""
         actors = list(actors)
         if actors:
             destroy = self.carla.command.DestroyActor
@@ -121,8 +129,8 @@ class CarlaSession:
         for actor in actors:
             self.actors.pop(actor, None)
 
-    def put_back(self) -> None:
-        """Leave the server as it was, but for the map. Raises RuntimeError where it is gone."""
+    def restore(self) -> None:
+        """Restore everything but the map. Raises RuntimeError if the server is gone."""
         self.client.set_timeout(min(self.server.timeout, ENDING))
         for sensor in self.listening:
             sensor.stop()
@@ -137,12 +145,13 @@ class CarlaSession:
 def session_on(
     server: Server, place: Intersection, rate: float, weather: Any
 ) -> Iterator[CarlaSession]:
-    """A session on the map of a place, where a tick is 1 / rate seconds and waits for us.
+    """A session on the map of an intersection, where every tick is 1 / ``rate`` seconds long.
 
-    Vehicles that are parked there as a part of the map are hidden, as no frame would tell of them.
-    ``weather`` makes the weather's parameters of the module ``carla``. Actors, settings and
-    weather are put back at the end, however it comes. Raises InspeError where there is no server,
-    it is of another version or has no such map, or other traffic is on it.
+    The server is in synchronous mode: it waits for each tick. Vehicles that are parked there as
+    part of the map are hidden, because frames have no boxes for them. ``weather`` is called with
+    the module ``carla`` and gives the weather's parameters. Actors, settings and weather are
+    restored when the block ends, in whichever way. Raises InspeError where no server answers, its
+    version is not the client's, it does not have the map, or other traffic is there.
     """
     town, carla = town_of(place), client_library()
     client = _connected(carla, server)
@@ -151,35 +160,35 @@ def session_on(
     world = _on_map(client, world, town, server)
     session = CarlaSession(carla, client, world, server, settings, world.get_weather())
     try:
-        ours = world.get_settings()
-        ours.synchronous_mode, ours.fixed_delta_seconds = True, 1.0 / rate
-        ours.no_rendering_mode = False
-        world.apply_settings(ours)
-        world.tick(server.timeout)  # where time stood still the client knows of nobody before
+        synchronous = world.get_settings()
+        synchronous.synchronous_mode, synchronous.fixed_delta_seconds = True, 1.0 / rate
+        synchronous.no_rendering_mode = False
+        world.apply_settings(synchronous)
+        world.tick(server.timeout)  # without a tick the client may not know all actors yet
         _check_empty(world, server)
         world.set_weather(weather(carla))
         session.hidden = [
-            thing.id
+            item.id
             for label in _PARKED
-            for thing in world.get_environment_objects(getattr(carla.CityObjectLabel, label))
+            for item in world.get_environment_objects(getattr(carla.CityObjectLabel, label))
         ]
         if session.hidden:
             world.enable_environment_objects(session.hidden, False)
         yield session
     except BaseException:
-        with suppress(RuntimeError):  # the first error tells more
-            session.put_back()
+        with suppress(RuntimeError):  # the first error says more
+            session.restore()
         raise
-    session.put_back()
+    session.restore()
 
 
 def _connected(carla: Any, server: Server) -> Any:
-    """A client of a server of its own version."""
+    """A client for a server. Raises InspeError if the server has another version."""
     server.reach()
     client = carla.Client(server.host, server.port)
     client.set_timeout(server.timeout)
     theirs, own = client.get_server_version(), client.get_client_version()
-    if _release(theirs) != _release(own):  # what does not fit on the wire ends the process
+    if _release(theirs) != _release(own):  # messages of another version crash the process
         raise InspeError(
             f"CARLA at {server} is {theirs} and the client here {own}: "
             f"pip install carla=={_release(theirs)}"
@@ -188,13 +197,13 @@ def _connected(carla: Any, server: Server) -> Any:
 
 
 def _release(version: str) -> str:
-    """0.9.16 of 0.9.16-3-gabc, as builds of one's own are called."""
+    """The release of a version: 0.9.16 of 0.9.16-3-gabc, which is a build from source."""
     found = re.match(r"\d+(\.\d+)*", version)
     return found[0] if found else version
 
 
 def _on_map(client: Any, world: Any, town: str, server: Server) -> Any:
-    """The world on a map, loaded if another one is there."""
+    """The world with a map, which is loaded if the server has another one open."""
     if _plain(world.get_map().name) == _plain(town):
         return world
     there = sorted({name.rpartition("/")[2] for name in client.get_available_maps()})
@@ -209,17 +218,17 @@ def _on_map(client: Any, world: Any, town: str, server: Server) -> Any:
 
 
 def _plain(name: str) -> str:
-    """A map's name without its folder; those in layers are the same map."""
+    """A map's name without its folder, and without the suffix of its layered version."""
     return name.rpartition("/")[2].removesuffix("_Opt")
 
 
 def _check_empty(world: Any, server: Server) -> None:
-    """Others' road users would be in pictures, and no frame would tell of them."""
+    """Raise InspeError if there are road users: pictures would show them, but no frame has them."""
     actors = world.get_actors()
     others = [*actors.filter("vehicle.*"), *actors.filter("walker.*")]
     if others:
         names = ", ".join(sorted({actor.type_id for actor in others})[:3])
         raise InspeError(
             f"CARLA at {server}: {len(others)} vehicles or walkers are there already ({names}), "
-            "which frames would not tell of: destroy them or reload the world"
+            "and would be missing from the frames: destroy them or reload the world"
         )

@@ -1,7 +1,7 @@
-"""Our road users as CARLA's actors: one a track, of its class and near its size, put where it is.
+"""The scene's road users as CARLA's actors: one per track, of its class, and close to its size.
 
-Actors have no physics: they stand upright where they are put, and people glide. What frames tell
-of them is the box that the server has for them, where it says that they were.
+Actors have no physics: they stand upright where they are placed, and people glide. The boxes in
+frames are those that the server has for the actors, at the places that the server reports.
 """
 
 from dataclasses import dataclass
@@ -15,25 +15,27 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.carla_log import kind_of
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, TrafficFrames
-from inspe_jax.simulation.carla.server import OURS, CarlaSession
+from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession
 from inspe_jax.simulation.frame import RoadUserBox
 
-ALOFT = 300.0
-"""Actors appear so high above the junction [m], where nothing is, and are put down from there."""
-APART = 8.0
-"""… one above the other by this much [m]."""
-NEAR = 0.1
-"""Blueprints whose size is off by this much more than the nearest one's will do as well: of the
-logarithm of length, width or height."""
+SPAWN_HEIGHT = 300.0
+"""Actors are spawned this high above the junction [m], where the air is free, and then moved
+down."""
+SPAWN_GAP = 8.0
+"""Vertical distance between actors that are spawned together [m]."""
+SIZE_TOLERANCE = 0.1
+"""A blueprint may be used if its error in size is at most this much larger than the best one's. The
+error is the largest absolute logarithm of the ratios of length, width and height."""
 THINNEST = 0.05
-"""Half a size below this is none [m]: some versions have no width for two wheels."""
+"""Half sizes below this do not count [m]: some versions of CARLA give two-wheelers no width."""
 
-_KNOWN: dict[tuple[str, str], "ActorBody | None"] = {}
+_BODIES: dict[tuple[str, str], "ActorBody | None"] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class ActorBody:
-    """A blueprint's box: its middle from the actor's origin, in our body frame, and size [m]."""
+    """A blueprint's box: its middle relative to the actor's origin, in the body frame (x forward, y
+    left, z up), and its size [m]."""
 
     name: str
     middle: Float[np.ndarray, "3"]
@@ -41,7 +43,11 @@ class ActorBody:
 
 
 class Actors:
-    """Everybody of the traffic who is in the world just now."""
+    """The actors that stand for the road users of the current frame.
+
+    ``lights`` switches the vehicles' lights on; ``seed`` decides blueprints and colours. Raises
+    InspeError where the server has no blueprint for a class of the traffic.
+    """
 
     def __init__(
         self, session: CarlaSession, traffic: TrafficFrames, lights: bool, seed: int
@@ -57,11 +63,11 @@ class Actors:
         ] = {}  # by track: the actor's id, and what it is
 
     def move(self, t: int) -> None:
-        """Put everybody of frame t in place, and nobody else."""
+        """Place the road users of frame t; actors of others are destroyed."""
         here = {int(self.traffic.track[t, b]): b for b in self._entries(t)}
         gone = [track for track in self.present if track not in here]
         self.session.destroy(self.present.pop(track)[0] for track in gone)
-        self._appear(t, {track: b for track, b in here.items() if track not in self.present})
+        self._spawn(t, {track: b for track, b in here.items() if track not in self.present})
         put = self.session.carla.command.ApplyTransform
         self.session.command(
             [
@@ -70,8 +76,8 @@ class Actors:
             ]
         )
 
-    def things(self, t: int, snapshot: Any) -> tuple[RoadUserBox, ...]:
-        """The road users of frame t, as the server has them."""
+    def boxes(self, t: int, snapshot: Any) -> tuple[RoadUserBox, ...]:
+        """The boxes of the road users of frame t, as the server has them in a snapshot."""
         found = []
         for b in self._entries(t):
             track = int(self.traffic.track[t, b])
@@ -98,23 +104,23 @@ class Actors:
             )
         return tuple(found)
 
-    # ── Who they are ────────────────────────────────────────────────────────
+    # ── Blueprints ──────────────────────────────────────────────────────────
 
     def _bodies(self, kinds: set[int]) -> dict[int, tuple[ActorBody, ...]]:
-        """What the library has of each class, by trying each once: only an actor has a box."""
+        """The blueprints of each class. Each is spawned once, because only an actor has a box."""
         version = self.session.client.get_server_version()
         found: dict[int, list[ActorBody]] = {}
         names = [*self.library.filter("vehicle.*"), *self.library.filter("walker.*")]
         for blueprint in sorted(names, key=lambda blueprint: blueprint.id):
-            might = kind_of(blueprint.id, _facts(blueprint), 0.0)
-            if might is None or not kinds & {might, *_longer(might)}:
+            kind = kind_of(blueprint.id, _attributes(blueprint), 0.0)
+            if kind is None or not kinds & {kind, *_longer(kind)}:
                 continue
-            if (version, blueprint.id) not in _KNOWN:
-                _KNOWN[version, blueprint.id] = self._tried(blueprint, len(_KNOWN))
-            body = _KNOWN[version, blueprint.id]
+            if (version, blueprint.id) not in _BODIES:
+                _BODIES[version, blueprint.id] = self._try_blueprint(blueprint, len(_BODIES))
+            body = _BODIES[version, blueprint.id]
             if body is None:
                 continue
-            kind = kind_of(blueprint.id, _facts(blueprint), float(body.size[0]))
+            kind = kind_of(blueprint.id, _attributes(blueprint), float(body.size[0]))
             if kind is not None:
                 found.setdefault(kind, []).append(body)
         missing = [CLASSES[kind] for kind in sorted(kinds) if kind not in found]
@@ -125,55 +131,59 @@ class Actors:
             )
         return {kind: tuple(bodies) for kind, bodies in found.items()}
 
-    def _tried(self, blueprint: Any, k: int) -> ActorBody | None:
-        """What a blueprint makes, None where it makes nothing. Who was destroyed may still be in
-        the way."""
-        actor = self.session.try_spawn(blueprint, to_carla(self._aloft(k % 9)))
+    def _try_blueprint(self, blueprint: Any, k: int) -> ActorBody | None:
+        """The body of a blueprint, None where it cannot be spawned. ``k`` decides at which height:
+        an actor that was just destroyed may still be in the way."""
+        actor = self.session.try_spawn(blueprint, to_carla(self._spawn_pose(k % 9)))
         if actor is None:
             return None
         box = actor.bounding_box
         self.session.destroy([actor.id])
-        return body_of(blueprint.id, box, _usual(blueprint))
+        return body_of(blueprint.id, box, _usual_size(blueprint))
 
     def _body(self, t: int, b: int) -> ActorBody:
-        """Of a road user: by chance among those near its size, the same whenever it appears."""
+        """The body of a road user: a random one of about its size, always the same for a track."""
         bodies = self.bodies[int(self.traffic.kind[t, b])]
         first = self.traffic.track == self.traffic.track[t, b]
         size = self.traffic.size[first & self.traffic.valid][0]
         off = np.array([np.abs(np.log(body.size / size)).max() for body in bodies])
-        near = np.flatnonzero(off <= off.min() + NEAR)
-        return bodies[self._dice(t, b, 1).choice(near)]
+        near = np.flatnonzero(off <= off.min() + SIZE_TOLERANCE)
+        return bodies[self._rng(t, b, 1).choice(near)]
 
-    def _dice(self, t: int, b: int, purpose: int) -> np.random.Generator:
+    def _rng(self, t: int, b: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, int(self.traffic.track[t, b]), purpose])
 
     def _entries(self, t: int) -> list[int]:
-        """Entries of frame t that are no padding."""
+        """Indices of the valid entries of frame t."""
         entries: list[int] = np.flatnonzero(self.traffic.valid[t]).tolist()
         return entries
 
-    # ── Where they are ──────────────────────────────────────────────────────
+    # ── Poses ───────────────────────────────────────────────────────────────
 
-    def _aloft(self, k: int) -> Float[np.ndarray, "6"]:
-        return np.array([*self.middle[:2], self.middle[2] + ALOFT + APART * k, 0.0, 0.0, 0.0])
+    def _spawn_pose(self, k: int) -> Float[np.ndarray, "6"]:
+        return np.array(
+            [*self.middle[:2], self.middle[2] + SPAWN_HEIGHT + SPAWN_GAP * k, 0.0, 0.0, 0.0]
+        )
 
     def _origin(self, t: int, b: int, body: ActorBody) -> Float[np.ndarray, "6"]:
-        """The pose of an actor whose box stands where the road user's does, middle on middle."""
+        """The pose of an actor whose box stands on the same ground as the road user's, with the
+        same middle in plan."""
         yaw, center = float(self.traffic.yaw[t, b]), self.traffic.center[t, b]
         foot = center[2] - self.traffic.size[t, b, 2] / 2
         middle = np.array([center[0], center[1], foot + body.size[2] / 2])
         angles = np.array([0.0, 0.0, yaw])
         return np.array([*(middle - rotation(angles, np) @ body.middle), *angles])
 
-    def _appear(self, t: int, here: dict[int, int]) -> None:
-        """Spawn those of frame t, by track and entry, up in the air."""
+    def _spawn(self, t: int, here: dict[int, int]) -> None:
+        """Spawn the actors of road users of frame t, high in the air. ``here`` maps tracks to their
+        entries in the frame."""
         command = self.session.carla.command
         commands, bodies = [], []
         for k, b in enumerate(here.values()):
             body = self._body(t, b)
             spawn = command.SpawnActor(
-                self._painted(body.name, self._dice(t, b, 2)),
-                self.session.transform(to_carla(self._aloft(k))),
+                self._blueprint(body.name, self._rng(t, b, 2)),
+                self.session.transform(to_carla(self._spawn_pose(k))),
             )
             spawn.then(command.SetSimulatePhysics(command.FutureActor, False))
             if self.lights and body.name.startswith("vehicle."):
@@ -185,19 +195,20 @@ class Actors:
         actors = self.session.command(commands)
         self.present |= dict(zip(here, zip(actors, bodies, strict=True), strict=True))
 
-    def _painted(self, name: str, dice: np.random.Generator) -> Any:
+    def _blueprint(self, name: str, rng: np.random.Generator) -> Any:
         blueprint = self.library.find(name)
-        blueprint.set_attribute("role_name", OURS)
+        blueprint.set_attribute("role_name", ROLE_NAME)
         if blueprint.has_attribute("color"):
             colours = blueprint.get_attribute("color").recommended_values
-            blueprint.set_attribute("color", colours[int(dice.integers(len(colours)))])
+            blueprint.set_attribute("color", colours[int(rng.integers(len(colours)))])
         return blueprint
 
 
 def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
-    """A blueprint's body by the bounding box of its actor; ``usual`` where that has no size [m].
+    """A blueprint's body, from the bounding box of an actor.
 
-    A box without a height stands on the ground, as the actor does.
+    ``usual`` is the size to take where the box has none [m]. A box without a height is taken to
+    stand on the ground, at the actor's origin.
     """
     middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
     given = np.isfinite(half) & (half > THINNEST)
@@ -208,8 +219,8 @@ def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
     return ActorBody(name, flip(middle), 2 * half)
 
 
-def _facts(blueprint: Any) -> dict[str, str]:
-    """What tells a vehicle's class."""
+def _attributes(blueprint: Any) -> dict[str, str]:
+    """The attributes of a blueprint that tell a vehicle's class."""
     facts = {}
     if blueprint.has_attribute("number_of_wheels"):
         facts["number_of_wheels"] = str(int(blueprint.get_attribute("number_of_wheels")))
@@ -219,12 +230,12 @@ def _facts(blueprint: Any) -> dict[str, str]:
 
 
 def _longer(kind: int) -> tuple[int, ...]:
-    """What a vehicle may be, too, by its length, which is not known before it is tried."""
+    """Classes that a vehicle may have as well, once its length is known: a long car is a truck."""
     return (CLASSES.index("truck"),) if CLASSES[kind] == "car" else ()
 
 
-def _usual(blueprint: Any) -> Float[np.ndarray, "3"]:
-    """The size of those whose box the server does not know."""
-    kind = kind_of(blueprint.id, _facts(blueprint), 0.0)
+def _usual_size(blueprint: Any) -> Float[np.ndarray, "3"]:
+    """The usual size of a blueprint's class, for boxes without a size [m]."""
+    kind = kind_of(blueprint.id, _attributes(blueprint), 0.0)
     assert kind is not None
     return np.array(ROAD_USERS[kind].size, float)

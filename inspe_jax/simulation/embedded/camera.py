@@ -1,7 +1,7 @@
-"""A camera in the triangles: a ray through every pixel, shaded by sun, sky and street lamps.
+"""A camera in a world of triangles: a ray through every pixel, lit by sun, sky and street lamps.
 
-What stands still is met and shaded once for each camera. In each frame only those pixels are looked
-at anew that a road user or its shadow may fall on.
+The static world is rendered once for each camera. In each frame only those pixels are rendered
+again on which a road user or its shadow may fall.
 """
 
 from typing import Any, NamedTuple
@@ -17,8 +17,8 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import parts, tone_map
-from inspe_jax.simulation.embedded.road_users import FrameActors, Movers, paints
-from inspe_jax.simulation.embedded.shading import FAR, Shading
+from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
+from inspe_jax.simulation.embedded.shading import FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
 from inspe_jax.simulation.embedded.static_world import (
     BUILDING,
@@ -31,18 +31,19 @@ from inspe_jax.simulation.embedded.static_world import (
     StaticWorld,
 )
 from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
+from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
 SHADOWED = 150.0
-"""Shadows of road users are looked for so far from the centre [m]."""
+"""Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
 LONGEST = 200.0
-"""… and anybody's so far from what throws them [m]."""
+"""Longest shadow of anything [m]."""
 ASIDE = 8.0
-"""What a road user reaches from its centre in plan, at most [m]."""
+"""No road user reaches further from its centre in plan [m]."""
 SKY = 11
 SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
-"""CARLA's labels (0.9.14 and later) of the classes."""
+"""CARLA's semantic labels (0.9.14 and later) of the classes, as all other labels here."""
 _OF_MATERIAL = {KERB: 2, BUILDING: 3, ROOF: 3, TRUNK: 9, CROWN: 9, POLE: 6}
 _OF_LABEL = {
     Region.DRIVEWAY: 1,
@@ -54,36 +55,41 @@ _OF_LABEL = {
     PAINT: 24,
 }
 _GLOSS = np.zeros(len(PARTS), np.float32)
-for _part, _share in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
-    _GLOSS[PARTS.index(_part)] = _share
+for _part, _reflectance in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
+    _GLOSS[PARTS.index(_part)] = _reflectance
 _GLOW = np.zeros((len(PARTS), 3), np.float32)
 _GLOW[PARTS.index("lamp")] = [1.0, 0.95, 0.85]
 _GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
 
 
-class GroundTexture(NamedTuple):
-    """What lies behind every pixel when nobody is there: R pixels, row by row.
+class Background(NamedTuple):
+    """What each of R pixels, row by row, shows of the static world.
 
-    ``other`` is its colour without the sun, before what the air does to it.
+    ``distance`` along the ray and ``point`` [m], the latter relative to the centre; ``in_sun``
+    where the sun shines; ``ambient`` the colour without sunlight and before haze; ``colour`` the
+    colour in the picture, linear; ``semantic`` CARLA's label.
     """
 
     distance: Float[np.ndarray, " R"]
     point: Float[np.ndarray, "R 3"]
     in_sun: Bool[np.ndarray, " R"]
-    other: Float[np.ndarray, "R 3"]
+    ambient: Float[np.ndarray, "R 3"]
     colour: Float[np.ndarray, "R 3"]
     semantic: UInt8[np.ndarray, " R"]
 
 
-class Cells:
-    """Points (R, 3) sorted by the square metre that each is over, those in the sun alone."""
+class SunlitPoints:
+    """Those of R points that are in the sun, sorted by the square metre of the plan they lie in.
+
+    ``reach`` is the distance from the centre, along x and y, up to which points count [m].
+    """
 
     def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
         self.reach, self.size = reach, int(2 * reach)
         x, y = np.abs(point[:, :2].T)
         pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
         cell = np.floor(point[pixels, :2] + reach).astype(int)
-        cell = np.minimum(cell, self.size - 1)  # sums in single precision round up to the rim
+        cell = np.minimum(cell, self.size - 1)  # float32 sums may round up to the rim
         number = cell[:, 1] * self.size + cell[:, 0]
         order = np.argsort(number, kind="stable")
         self.pixels = pixels[order]
@@ -91,11 +97,11 @@ class Cells:
         lowest = np.full(self.size**2, np.inf, np.float32)
         np.minimum.at(lowest, number, point[pixels, 2])
         square = lowest.reshape(self.size, self.size)
-        around = 2 * (int(ASIDE) + 1) + 1  # and a metre more: that from step to step in ``ends``
+        around = 2 * (int(ASIDE) + 1) + 1  # one metre more, which is the step in ``ends``
         self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
-        """Those over the squares that a rectangle touches."""
+        """Pixels of the points in the squares that the rectangle ``low`` to ``high`` touches."""
         x0, y0 = np.clip(np.floor(low + self.reach), 0, self.size - 1).astype(int)
         x1, y1 = np.clip(np.floor(high + self.reach), 0, self.size - 1).astype(int)
         rows = np.arange(y0, y1 + 1) * self.size
@@ -105,8 +111,11 @@ class Cells:
     def ends(
         self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, " B"]:
-        """How far in plan one may go from each top along a sinking direction until no point is
-        beneath any more [m]: on ground that sinks with it, further than on level ground."""
+        """How far in plan shadows of points ``top`` reach along a direction that points down [m].
+
+        A shadow ends where no sunlit point is below its upper edge any more. On ground that falls
+        in this direction it is longer than on level ground.
+        """
         far = np.arange(0, LONGEST)
         unit = along / np.hypot(*along[:2])
         at = top[:, None] + far[:, None] * unit
@@ -117,29 +126,26 @@ class Cells:
         return np.where(beneath, far + 1, 0).max(-1)
 
 
-class CameraView(NamedTuple):
-    """P pixels that look otherwise than when nobody is there: their colours, how far away what is
-    seen is [m], and which road user it is (−1: what stands still, in somebody's shadow)."""
+class ChangedPixels(NamedTuple):
+    """P pixels that differ from the static world's picture: their linear colours, the distance of
+    what they show [m], and the index of the road user (−1: the static world, in a shadow)."""
 
     pixels: Int[np.ndarray, " P"]
     colour: Float[np.ndarray, "P 3"]
     distance: Float[np.ndarray, " P"]
-    thing: Int[np.ndarray, " P"]
+    box: Int[np.ndarray, " P"]
 
 
 class Camera:
     """One camera at its place, in one light."""
 
     def __init__(
-        self,
-        spec: CameraSpec,
-        pose: Float[np.ndarray, "6"],
-        statics: StaticWorld,
-        still: Caster,
-        shading: Shading,
-        scale: float = 1.0,
+        self, spec: CameraSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
     ) -> None:
-        self.pose, self.statics, self.still_caster = np.asarray(pose, float), statics, still
+        self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
+        self.static_caster, self.seed = surroundings.static_caster, surroundings.seed
+        self.recording, shading = surroundings.recording, surroundings.shading
+        scale = self.recording.image_scale
         self.shading, self.light = shading, shading.light
         self.height, self.width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
         across, down = self.width / spec.width, self.height / spec.height
@@ -156,136 +162,145 @@ class Camera:
         self.ahead = 1.0 / np.linalg.norm(body, axis=1)  # depth along the axis for 1 m of ray
         turned = (body * self.ahead[:, None]) @ rotation(self.pose[3:], np).T
         self.directions = np.ascontiguousarray(turned, np.float32)
-        self.origin = (self.pose[:3] - statics.center).astype(np.float32)
-        self.ground = self._behind()
-        self.sunny = Cells(self.ground.point, self.ground.in_sun, SHADOWED)
+        self.origin = (self.pose[:3] - self.static_world.center).astype(np.float32)
+        self.background = self._background()
+        self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
-    # ── What stands still ───────────────────────────────────────────────────
+    # ── The static world ────────────────────────────────────────────────────
 
-    def _behind(self) -> GroundTexture:
-        hits = self.still_caster.cast(self.origin, self.directions, FAR)
+    def _background(self) -> Background:
+        hits = self.static_caster.cast(self.origin, self.directions, FAR)
         many = len(self.directions)
-        point, other, colour = (np.empty((many, 3), np.float32) for _ in range(3))
+        point, ambient, colour = (np.empty((many, 3), np.float32) for _ in range(3))
         in_sun, semantic = np.empty(many, bool), np.empty(many, np.uint8)
-        wholes: tuple[np.ndarray, ...] = (point, in_sun, other, colour, semantic)
+        wholes: tuple[np.ndarray, ...] = (point, in_sun, ambient, colour, semantic)
         for part in parts(many):
-            found = self._behind_part(part, *(x[part] for x in hits))
+            found = self._background_part(part, *(x[part] for x in hits))
             for whole, own in zip(wholes, found, strict=True):
                 whole[part] = own
-        return GroundTexture(hits.distance, point, in_sun, other, colour, semantic)
+        return Background(hits.distance, point, in_sun, ambient, colour, semantic)
 
-    def _behind_part(
+    def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """The look of some of the pixels, as in :class:`GroundTexture` but for the distance."""
-        shading, met = self.shading, face >= 0
-        point = self._points(pixels, np.where(met, distance, 0))
-        albedo, semantic = _still_look(self.statics, face, point, normal)
-        other = shading.other(point, normal, albedo)
-        other[~met] = shading.sky(self.directions[pixels][~met])
+        """The fields of :class:`Background` but ``distance``, for some of the pixels."""
+        shading, hit = self.shading, face >= 0
+        point = self._points(pixels, np.where(hit, distance, 0))
+        albedo, semantic = static_look(self.static_world, face, point, normal)
+        ambient = shading.ambient_light(point, normal, albedo)
+        ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0
         shaded = np.flatnonzero(in_sun)
-        shaded = shaded[self._dark(self.still_caster, point[shaded], normal[shaded])]
+        shaded = shaded[self._in_shadow(self.static_caster, point[shaded], normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
-        colour = shading.through_air(direct + other, distance)
-        return point, in_sun, other, colour, np.where(met, semantic, SKY)
+        colour = shading.through_air(direct + ambient, distance)
+        return point, in_sun, ambient, colour, np.where(hit, semantic, SKY)
 
     def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
-        """What is seen at pixels, by how far away it is, about the centre."""
+        """The points at given distances along the rays of pixels, relative to the centre [m]."""
         return self.origin + self.directions[pixels] * distance[:, None]
 
-    def _dark(
+    def _in_shadow(
         self, caster: Caster, point: np.ndarray, normal: np.ndarray
     ) -> Bool[np.ndarray, " R"]:
-        """Whether something stands between points and the sun."""
+        """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 
     # ── A frame ─────────────────────────────────────────────────────────────
 
+    def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
+        """The picture of one frame, with the layers that the recording asks for."""
+        return self.image(actors, self.seed, rng, self.recording.layers)
+
     def image(
         self,
-        company: FrameActors,
+        actors: FrameActors,
         seed: int,
         rng: np.random.Generator,
         layers: tuple[str, ...] = (),
     ) -> Image:
-        """The picture of one frame; the middle of the exposure is the frame's time."""
+        """The picture of one frame; the middle of the exposure is the frame's time.
+
+        ``seed`` is that of the road users' colours, ``rng`` is for the noise.
+        """
         moments = self.light.moments
-        painted = paints(company.things, seed)
+        painted = paints(actors.boxes, seed)
         middle = None
-        total = self.ground.colour.copy()
+        total = self.background.colour.copy()
         for k in range(moments):
             after = ((k + 0.5) / moments - 0.5) * self.light.exposure
-            seen = self._moment(company, painted, after)
-            total[seen.pixels] += (seen.colour - self.ground.colour[seen.pixels]) / moments
+            seen = self._changes_at(actors, painted, after)
+            total[seen.pixels] += (seen.colour - self.background.colour[seen.pixels]) / moments
             middle = seen if after == 0 else middle
         shape = (self.height, self.width)
         rgb = tone_map(total.reshape(*shape, 3), self.light, rng)
         extra = {}
         if layers:
-            whole = self._layers(middle or self._moment(company, painted, 0.0), company.things)
+            whole = self._layers(middle or self._changes_at(actors, painted, 0.0), actors.boxes)
             extra = {name: whole[name].reshape(shape) for name in layers}
         return Image(self.pose, self.intrinsic, rgb, **extra)
 
-    def _layers(self, seen: CameraView, things: tuple[RoadUserBox, ...]) -> dict[str, np.ndarray]:
+    def _layers(self, seen: ChangedPixels, boxes: tuple[RoadUserBox, ...]) -> dict[str, np.ndarray]:
         """Depth, instance and semantic of every pixel."""
-        distance, semantic = self.ground.distance.copy(), self.ground.semantic.copy()
+        distance, semantic = self.background.distance.copy(), self.background.semantic.copy()
         instance = np.zeros(len(distance), np.int32)
-        met = seen.thing >= 0
-        at, thing = seen.pixels[met], seen.thing[met]
-        distance[at] = seen.distance[met]
-        instance[at] = np.array([t.track + 1 for t in things], int)[thing]
-        semantic[at] = np.array([SEMANTIC[t.kind] for t in things], int)[thing]
+        hit = seen.box >= 0
+        at, box = seen.pixels[hit], seen.box[hit]
+        distance[at] = seen.distance[hit]
+        instance[at] = np.array([t.track + 1 for t in boxes], int)[box]
+        semantic[at] = np.array([SEMANTIC[t.kind] for t in boxes], int)[box]
         return {
             "depth": (distance * self.ahead).astype(np.float32),
             "instance": instance,
             "semantic": semantic,
         }
 
-    def _moment(self, company: FrameActors, painted: np.ndarray, after: float) -> CameraView:
-        """What road users change at one moment."""
-        movers, caster = company.at(after)
-        boxes = corners(company.things) + after * company.velocity[:, None]
-        pixels = self._may_see(boxes)
-        reach = np.minimum(self.ground.distance[pixels], FAR)
+    def _changes_at(self, actors: FrameActors, painted: np.ndarray, after: float) -> ChangedPixels:
+        """The pixels that road users change, ``after`` seconds from the frame's time."""
+        road_users, caster = actors.at(after)
+        box_corners = corners(actors.boxes) + after * actors.velocity[:, None]
+        pixels = self._pixels_near(box_corners)
+        reach = np.minimum(self.background.distance[pixels], FAR)
         hits = caster.cast(self.origin, self.directions[pixels], reach)
-        met = hits.face >= 0
-        at, distance, face = pixels[met], hits.distance[met], hits.face[met]
-        look = self._mover_look(caster, movers, painted, at, distance, face, hits.normal[met])
+        hit = hits.face >= 0
+        at, distance, face = pixels[hit], hits.distance[hit], hits.face[hit]
+        look = self._road_user_colours(
+            caster, road_users, painted, at, distance, face, hits.normal[hit]
+        )
         covered = np.zeros(len(self.directions), bool)
         covered[at] = True
-        shadow = self._shadows(caster, company.things, after)
+        shadow = self._shadows(caster, actors.boxes, after)
         shadow = shadow[~covered[shadow]]
-        distance = np.concatenate([distance, self.ground.distance[shadow]])
-        colour = np.concatenate([look, self.ground.other[shadow]])
-        return CameraView(
+        distance = np.concatenate([distance, self.background.distance[shadow]])
+        colour = np.concatenate([look, self.background.ambient[shadow]])
+        return ChangedPixels(
             np.concatenate([at, shadow]),
             self.shading.through_air(colour, distance),
             distance,
-            np.concatenate([movers.thing[face], np.full(len(shadow), -1)]),
+            np.concatenate([road_users.box[face], np.full(len(shadow), -1)]),
         )
 
-    def _mover_look(
+    def _road_user_colours(
         self,
         caster: Caster,
-        movers: Movers,
+        road_users: RoadUserTriangles,
         painted: np.ndarray,
         at: np.ndarray,
         distance: np.ndarray,
         face: np.ndarray,
         normal: np.ndarray,
     ) -> Float[np.ndarray, "P 3"]:
-        """Colours of road users at the pixels where they are met."""
-        shading, part = self.shading, movers.part[face]
+        """Linear colours of road users at the pixels ``at`` that show them."""
+        shading, part = self.shading, road_users.part[face]
         point = self._points(at, distance)
-        albedo = painted[movers.thing[face], part]
-        colour = shading.other(point, normal, albedo)
+        albedo = painted[road_users.box[face], part]
+        colour = shading.ambient_light(point, normal, albedo)
         if self.light.has_sun:
             direct = shading.sunlight(normal, albedo)
             lit = np.flatnonzero(direct[:, 0] > 0)
-            for one in (caster, self.still_caster):
-                lit = lit[~self._dark(one, point[lit], normal[lit])]
+            for one in (caster, self.static_caster):
+                lit = lit[~self._in_shadow(one, point[lit], normal[lit])]
             colour[lit] += direct[lit]
         colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)
         if self.light.lamps > 0:
@@ -293,48 +308,48 @@ class Camera:
         return colour
 
     def _shadows(
-        self, caster: Caster, things: tuple[RoadUserBox, ...], after: float
+        self, caster: Caster, boxes: tuple[RoadUserBox, ...], after: float
     ) -> Int[np.ndarray, " P"]:
-        """The pixels of what stands still, in the sun but for the shadow of a road user."""
-        if not (self.light.has_sun and things):
+        """The pixels of the static world that the sun would light if no road user stood in it."""
+        if not (self.light.has_sun and boxes):
             return np.zeros(0, int)
         near = np.zeros(len(self.directions), bool)
-        at = np.array([t.center + after * t.velocity for t in things]) - self.statics.center
-        size = np.array([t.size for t in things])
+        at = np.array([t.center + after * t.velocity for t in boxes]) - self.static_world.center
+        size = np.array([t.size for t in boxes])
         away = -self.light.to_sun
-        long = self.sunny.ends(at + [0, 0, 0.5] * size, away)
+        long = self.sunlit.ends(at + [0, 0, 0.5] * size, away)
         end = at[:, :2] + long[:, None] * away[:2] / np.hypot(*away[:2])
         reach = np.hypot(size[:, :1], size[:, 1:2]) / 2
         low, high = np.minimum(at[:, :2], end) - reach, np.maximum(at[:, :2], end) + reach
-        for corners_of_one in zip(low, high, strict=True):
-            near[self.sunny.within(*corners_of_one)] = True
+        for rectangle in zip(low, high, strict=True):
+            near[self.sunlit.within(*rectangle)] = True
         pixels = np.flatnonzero(near)
         up = np.array([0, 0, 1], np.float32)
-        return pixels[self._dark(caster, self.ground.point[pixels], up)]
+        return pixels[self._in_shadow(caster, self.background.point[pixels], up)]
 
-    def _may_see(self, boxes: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
-        """The pixels within the outlines of boxes, and a little around them."""
+    def _pixels_near(self, box_corners: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
+        """The pixels inside the outlines of boxes, and close around them."""
         wanted = Pillow.new("1", (self.width, self.height))
         pen = ImageDraw.Draw(wanted)
-        for outline in outlines(self, boxes, self.width, self.height, margin=2.0):
+        for outline in outlines(self, box_corners, self.width, self.height, margin=2.0):
             pen.polygon(outline.ravel().tolist(), fill=1)
         return np.flatnonzero(np.asarray(wanted))
 
 
-def _still_look(
-    statics: StaticWorld, face: np.ndarray, point: np.ndarray, normal: np.ndarray
+def static_look(
+    static_world: StaticWorld, face: np.ndarray, point: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(linear albedo, CARLA's label) of what stands still, by where it is met."""
-    material = np.where(face >= 0, statics.material[face], -1)
-    body = np.where(face >= 0, statics.body[face], 0)
+    """(linear albedo, CARLA's label) of the static world at points where rays hit its faces."""
+    material = np.where(face >= 0, static_world.material[face], -1)
+    body = np.where(face >= 0, static_world.body[face], 0)
     albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
     for kind, label in _OF_MATERIAL.items():
         semantic[material == kind] = label
     ground = material == GROUND
-    world = point[:, :2] + statics.center[:2]
-    albedo[ground] = statics.surface.albedo(world[ground])
+    world = point[:, :2] + static_world.center[:2]
+    albedo[ground] = static_world.surface.albedo(world[ground])
     labels = np.array([_OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
-    semantic[ground] = labels[statics.surface.label(world[ground])]
+    semantic[ground] = labels[static_world.surface.label(world[ground])]
     albedo[material == KERB] = 0.34
     albedo[material == ROOF] = [0.16, 0.12, 0.11]
     albedo[material == TRUNK] = [0.11, 0.075, 0.05]
@@ -344,7 +359,7 @@ def _still_look(
     tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
     albedo[crown] = np.array([0.065, 0.11, 0.035]) * (leaf * tint)[:, None]
     wall = material == BUILDING
-    albedo[wall] = _facade(point[wall], normal[wall], body[wall])
+    albedo[wall] = _facade_colours(point[wall], normal[wall], body[wall])
     return albedo, semantic
 
 
@@ -359,8 +374,8 @@ _WALLS = np.array(
 )
 
 
-def _facade(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """Plaster or brick with rows of windows, 3 m by 3 m."""
+def _facade_colours(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Linear albedo of walls: plaster or brick with rows of windows, one every 2.8 m and 3 m."""
     along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
     across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
     pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)

@@ -1,4 +1,4 @@
-"""Triangles and the rays that meet them, by Embree; in single precision about a centre."""
+"""Casts rays into triangles with Embree, in single precision."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,8 @@ from inspe_jax.core.errors import InspeError
 
 
 class RayHits(NamedTuple):
-    """What R rays meet first: how far away [m], which face (−1: nothing) and its unit normal."""
+    """What R rays hit first: the distance [m], the index of the face (−1: nothing) and its unit
+    normal."""
 
     distance: Float[np.ndarray, " R"]
     face: Int[np.ndarray, " R"]
@@ -17,13 +18,13 @@ class RayHits(NamedTuple):
 
 
 class Caster:
-    """Triangles (F, 3, 3), ready to be asked; nothing is met where there are none."""
+    """Triangles, ready for rays. There may be none; rays then hit nothing."""
 
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]) -> None:
         self.count = len(triangles)
         if self.count:
             core, mesh = _library()
-            self._scene = core.EmbreeScene(robust=True)  # or rays slip through between faces
+            self._scene = core.EmbreeScene(robust=True)  # else rays slip through between faces
             mesh.TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
 
     def cast(
@@ -32,9 +33,9 @@ class Caster:
         directions: Float[np.ndarray, "R 3"],
         reach: float | Float[np.ndarray, " R"],
     ) -> RayHits:
-        """The first face on each ray within ``reach`` [m]; one origin, or one for each ray.
+        """The first face on each ray within ``reach`` [m], from one origin, or one for each ray.
 
-        Normals face the ray. ``distance`` is infinite where nothing is met.
+        Normals point towards the origin of the ray. ``distance`` is infinite where nothing is hit.
         """
         many = len(directions)
         distance, normal = np.full(many, np.inf, np.float32), np.zeros((many, 3), np.float32)
@@ -42,12 +43,12 @@ class Caster:
             return RayHits(distance, np.full(many, -1), normal)
         start, to, reach = _rays(origins, directions, reach)
         found = self._scene.run(start, to, dists=reach, output=True)
-        met = np.flatnonzero(found["primID"] >= 0)
-        distance[met] = found["tfar"][met]
-        across = found["Ng"][met]
-        along = np.einsum("rk,rk->r", across, to[met])
+        hit = np.flatnonzero(found["primID"] >= 0)
+        distance[hit] = found["tfar"][hit]
+        across = found["Ng"][hit]
+        along = np.einsum("rk,rk->r", across, to[hit])
         across /= np.copysign(np.sqrt(np.einsum("rk,rk->r", across, across)), -along)[:, None]
-        normal[met] = across
+        normal[hit] = across
         return RayHits(distance, found["primID"], normal)
 
     def meets(
@@ -56,7 +57,7 @@ class Caster:
         directions: Float[np.ndarray, "*R 3"],
         reach: float | Float[np.ndarray, " R"] = 1e4,
     ) -> Bool[np.ndarray, " R"]:
-        """Whether anything is met on each ray within ``reach`` [m]; one direction, or many."""
+        """Whether each ray hits anything within ``reach`` [m]; one direction, or one per ray."""
         start, to, reach = _rays(origins, directions, reach)
         if not (self.count and len(to)):
             return np.zeros(len(to), bool)
@@ -64,7 +65,7 @@ class Caster:
 
 
 def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Copies of origins, directions and reaches, one for each ray, as Embree takes them."""
+    """Origins, directions and reaches, one for each ray, in the form that Embree needs."""
     start, to = np.broadcast_arrays(origins, directions)
     given = start, to, np.broadcast_to(reach, start.shape[:1])
     start, to, far = (np.array(x, np.float32, order="C") for x in given)

@@ -1,4 +1,4 @@
-"""Light: where the sun stands, how bright it and the sky are, and what a camera makes of it."""
+"""Light: the position of the sun, the brightness of sun and sky, and a camera's response to it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,11 +12,14 @@ from inspe_jax.sensing.conditions import Conditions
 
 @dataclass(frozen=True)
 class Light:
-    """One time of day. Colours are linear; brightness is in units of a white wall at midday.
+    """One time of day. Colours are linear; a white wall at midday has brightness 1.
 
-    ``elevation`` and ``azimuth`` of the sun [rad], the latter counter-clockwise from east;
-    ``exposure`` [s]; ``gain`` is what the camera multiplies by; ``read`` and ``shot`` are its noise
-    at no light and at full scale, before the gain; ``moments`` are averaged over an exposure.
+    ``elevation`` and ``azimuth`` are those of the sun [rad], the azimuth counter-clockwise from
+    east. ``sun``, ``ambient`` and ``sky`` are the colours of direct light, of diffuse light and of
+    the sky; ``lamps`` is how bright street lamps and headlights are, of 1. ``exposure`` is in
+    seconds; ``gain`` is the camera's. ``read`` and ``shot`` are the standard deviation of its noise
+    in the dark and at full scale, before the gain. A picture is the mean of so many ``moments``
+    of the exposure.
     """
 
     elevation: float
@@ -33,7 +36,7 @@ class Light:
 
     @property
     def to_sun(self) -> Float[np.ndarray, "3"]:
-        """The direction to the sun."""
+        """The unit vector to the sun, in the world."""
         plan = np.cos(self.elevation)
         x, y = plan * np.cos(self.azimuth), plan * np.sin(self.azimuth)
         return np.array([x, y, np.sin(self.elevation)])
@@ -61,23 +64,23 @@ LIGHTS: dict[str, Light] = {
         lamps=1.0, exposure=0.033, gain=7.0, read=0.004, shot=0.02, moments=3,
     ),
 }  # fmt: skip
-"""Plausible figures, brightness by orders of magnitude as on a street."""
+"""Plausible values; the brightness has the order of magnitude that streets have."""
 
 LAMP = (6.0, 5.0, 3.6)
-"""What a street lamp gives at 1 m: a warm white."""
+"""Light of a street lamp at 1 m: a warm white."""
 KOSCHMIEDER = 3.0
-"""Contrast falls to 5 % at the meteorological optical range: exp(−3)."""
+"""Contrast falls to 5 % = exp(−3) at the meteorological optical range."""
 RAIN = 0.00025
-"""What rain of 1 mm/h takes from a sight line of 1 m."""
+"""Extinction per 1 mm/h of rain [1/m]."""
 
 
 def light_of(conditions: Conditions) -> Light:
-    """The light of a time of day."""
+    """The light of the conditions' time of day."""
     return LIGHTS[conditions.light]
 
 
 def haze(conditions: Conditions) -> float:
-    """What the air takes from an image a metre: its extinction [1/m]."""
+    """Extinction of the air [1/m]; 0 if it is clear."""
     if conditions.intensity is None:
         return 0.0
     if conditions.weather == "fog":
@@ -88,7 +91,7 @@ def haze(conditions: Conditions) -> float:
 def tone_map(
     linear: Float[np.ndarray, "H W 3"], light: Light, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """What a camera makes of light: noise, gain, highlights that roll off, and sRGB's curve."""
+    """The 8-bit picture of linear light: noise, gain, roll-off of highlights, sRGB's curve."""
     given = np.asarray(linear, np.float32).ravel()
     picture = np.empty(given.shape, np.uint8)
     for part in parts(len(given)):
@@ -101,17 +104,17 @@ def tone_map(
 
 
 def parts(many: int) -> Iterator[slice]:
-    """So many in parts that stay in a core's cache while they are worked on."""
+    """Slices of ``many`` items, each small enough for a core's cache."""
     return (slice(k, k + AT_ONCE) for k in range(0, many, AT_ONCE))
 
 
 def _normal(many: int, rng: np.random.Generator) -> Float[np.ndarray, " N"]:
-    """Standard normal numbers of 65 536 values, each as likely: many, and soon."""
+    """Standard normal numbers, drawn from 65,536 equally likely quantiles: fast for large N."""
     return np.take(_QUANTILES, rng.integers(0, 2**16, many, np.uint16))
 
 
 def _curve() -> UInt8[np.ndarray, " N"]:
-    """8 bits for even steps of brightness, up to :data:`WHITE`."""
+    """The 8-bit values of evenly spaced brightness from 0 to :data:`WHITE`."""
     value = (np.arange(_FINE + 1) + 0.5) / _FINE * WHITE
     value = value * (1 + value / WHITE**2) / (1 + value)  # Reinhard's, which ends at white
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
@@ -119,9 +122,9 @@ def _curve() -> UInt8[np.ndarray, " N"]:
 
 
 WHITE = 2.5
-"""Brightness that is white in an image, after the gain."""
+"""Brightness after the gain that becomes white in an image."""
 AT_ONCE = 2**16
-"""Numbers, or points, that are worked on at once."""
+"""Largest number of items in a slice of :func:`parts`."""
 _FINE = 2**14
 _CURVE = _curve()
 _QUANTILES = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)

@@ -1,26 +1,29 @@
-"""What the sensors of a layout record in a world of triangles, frame by frame."""
+"""The embedded recorder: simulates the sensors of a layout in a world of triangles."""
 
 import numpy as np
 
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.camera import Camera
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
+from inspe_jax.simulation.embedded.sensors import simulated_sensor
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import build_static_world
-from inspe_jax.simulation.frame import Frame, Image, Scan
-from inspe_jax.simulation.recorder import Recording, recordable, stations_of
+from inspe_jax.simulation.embedded.surroundings import Surroundings
+from inspe_jax.simulation.frame import Frame
+from inspe_jax.simulation.recorder import Recording, stations_of
 
 BELOW = 2.5
-"""A mast ends so far beneath its unit's lowest sensor [m], out of the sensors' sight."""
+"""A mast ends this far below the lowest sensor of its unit [m], so that no sensor sees it."""
 
 
 class EmbeddedRecorder:
-    """The sensors in a world of triangles, by Embree: no simulator needed."""
+    """Records a scene's traffic with ray casting; it needs Embree, but no simulator.
+
+    Raises InspeError where Embree is missing, the recording is not valid, or a sensor is of a kind
+    that this recorder does not know.
+    """
 
     notes: tuple[str, ...] = ()
 
@@ -36,39 +39,35 @@ class EmbeddedRecorder:
         self.recording.check()
         self.scene, self.seed = scene, seed
         layout = conditions.layout(layout)
-        specs = [recordable(sensor.spec) for sensor in layout.sensors]
         poses = np.asarray(layout.poses, float)
         self.layout = layout
-        self.statics = build_static_world(
+        self.static_world = build_static_world(
             scene.intersection, scene.voxels.radius, _masts(layout, poses)
         )
-        self.still = Caster(self.statics.triangles)
-        shading = Shading(conditions, self.statics.poles - self.statics.center)
-        scale = self.recording.image_scale
-        self.sensors: list[Camera | Lidar] = [
-            Camera(spec, pose, self.statics, self.still, shading, scale)
-            if isinstance(spec, CameraSpec)
-            else Lidar(spec, pose, self.statics, self.still)
-            for spec, pose in zip(specs, poses, strict=True)
+        self.static_caster = Caster(self.static_world.triangles)
+        shading = Shading(conditions, self.static_world.poles - self.static_world.center)
+        surroundings = Surroundings(
+            self.static_world, self.static_caster, shading, self.recording, seed
+        )
+        self.sensors = [
+            simulated_sensor(sensor.spec, pose, surroundings)
+            for sensor, pose in zip(layout.sensors, poses, strict=True)
         ]
 
     def frame(self, t: int) -> Frame:
-        """Frame t, as every station recorded it."""
-        things = boxes_at(self.scene.traffic, t, self.seed)
-        company = FrameActors(things, self.statics.center)
-        seen: list[Image | Scan] = []
-        for s, sensor in enumerate(self.sensors):
-            rng = np.random.default_rng([self.seed, t, s, 3])
-            if isinstance(sensor, Camera):
-                seen.append(sensor.image(company, self.seed, rng, self.recording.layers))
-            else:
-                returns = sensor.cast(company, 1.0 / self.recording.rate)
-                seen.append(sensor.scan(returns, self.recording.noise, rng))
-        return Frame(t, float(self.scene.traffic.time[t]), things, stations_of(self.layout, seen))
+        """Frame t of the scene's traffic, as every station recorded it."""
+        boxes = boxes_at(self.scene.traffic, t, self.seed)
+        actors = FrameActors(boxes, self.static_world.center)
+        recorded = [
+            sensor.record(actors, np.random.default_rng([self.seed, t, s, 3]))
+            for s, sensor in enumerate(self.sensors)
+        ]
+        stations = stations_of(self.layout, recorded)
+        return Frame(t, float(self.scene.traffic.time[t]), boxes, stations)
 
 
 def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:
-    """Foot and height of each unit's mast (U, 4): it ends beneath what its own sensors see."""
+    """Foot (x, y, z) and height of each unit's mast, (U, 4) [m]."""
     heights = [min(poses[s, 2] for s in members) - BELOW for members in layout.members()]
     return np.array(
         [

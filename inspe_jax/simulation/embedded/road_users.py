@@ -1,4 +1,4 @@
-"""Who moves: the road users of a frame as things with names, and as triangles."""
+"""The road users of a frame: as boxes with names, and as triangles that rays can hit."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -13,20 +13,25 @@ from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, paint, shape_o
 from inspe_jax.simulation.frame import RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
-"""How far a whole stride or a turn of the crank leads [m]."""
+"""Distance of a whole stride, or of a turn of the crank [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Movers:
-    """Triangles (F, 3, 3) about a centre; which thing each is of, and which part of it."""
+class RoadUserTriangles:
+    """Triangles relative to a centre [m]. ``box`` is the index of the road user that each belongs
+    to, ``part`` the index of its part in ``PARTS``."""
 
     triangles: Float[np.ndarray, "F 3 3"]
-    thing: Int[np.ndarray, " F"]
+    box: Int[np.ndarray, " F"]
     part: Int[np.ndarray, " F"]
 
 
 def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
-    """The road users of frame t; who has a name keeps it, for it hangs on track and seed alone."""
+    """The road users of frame t.
+
+    A road user's name, which is its shape, depends only on its track and the seed, so it is the
+    same in every frame.
+    """
     return tuple(
         RoadUserBox(
             track=int(traffic.track[t, b]),
@@ -45,31 +50,35 @@ def _variant(kind: str, track: int, seed: int) -> int:
     return int(np.random.default_rng([seed, track, 1]).integers(len(VARIANTS[kind])))
 
 
-def pose_things(things: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> Movers:
-    """Things as triangles, where the frame has them."""
-    found, owner, part = [np.zeros((0, 3, 3))], [], []
-    for k, thing in enumerate(things):
-        shape = shape_of(thing.kind, VARIANTS[thing.kind].index(thing.name), _phase(thing))
-        turn = rotation(np.array([0.0, 0.0, thing.yaw]), np)
-        at = thing.center - center
-        found.append(((shape.vertices * thing.size) @ turn.T + at)[shape.faces])
-        owner.append(np.full(len(shape.faces), k))
+def pose_road_users(
+    boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]
+) -> RoadUserTriangles:
+    """The shapes of road users, each in its box; positions are relative to ``center`` [m]."""
+    triangles, box_index, part = [np.zeros((0, 3, 3))], [], []
+    for k, box in enumerate(boxes):
+        shape = shape_of(box.kind, VARIANTS[box.kind].index(box.name), _phase(box))
+        turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
+        at = box.center - center
+        triangles.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
+        box_index.append(np.full(len(shape.faces), k))
         part.append(shape.part)
     none = [np.zeros(0, int)]
-    return Movers(np.concatenate(found), np.concatenate(none + owner), np.concatenate(none + part))
+    return RoadUserTriangles(
+        np.concatenate(triangles), np.concatenate(none + box_index), np.concatenate(none + part)
+    )
 
 
-def _phase(thing: RoadUserBox) -> float:
-    """Where in its stride somebody is: by how far along its heading it has come."""
-    if thing.kind not in STRIDE:
+def _phase(box: RoadUserBox) -> float:
+    """The phase of a stride or a crank, in cycles: it follows the position along the heading."""
+    if box.kind not in STRIDE:
         return 0.0
-    along = thing.center[0] * np.cos(thing.yaw) + thing.center[1] * np.sin(thing.yaw)
-    return float(thing.track * 0.381966 + along / STRIDE[thing.kind])
+    along = box.center[0] * np.cos(box.yaw) + box.center[1] * np.sin(box.yaw)
+    return float(box.track * 0.381966 + along / STRIDE[box.kind])
 
 
-def paints(things: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
-    """Linear albedo of every part of every thing, which keeps its paint."""
-    each = [_paint(thing.kind, thing.track, seed) for thing in things]
+def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
+    """Linear albedo of every part of every road user; it depends only on track and seed."""
+    each = [_paint(box.kind, box.track, seed) for box in boxes]
     return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
 
 
@@ -79,19 +88,18 @@ def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
 
 
 class FrameActors:
-    """Everybody in one frame, ready to be met by rays at any moment about it."""
+    """The road users of one frame, ready for rays at any moment close to the frame's time."""
 
-    def __init__(self, things: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
-        self.things = things
-        self.velocity = np.array([thing.velocity for thing in things], float).reshape(-1, 3)
-        self._now = pose_things(things, center)
-        self._at: dict[float, tuple[Movers, Caster]] = {}
+    def __init__(self, boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
+        self.boxes = boxes
+        self.velocity = np.array([box.velocity for box in boxes], float).reshape(-1, 3)
+        self._now = pose_road_users(boxes, center)
+        self._at: dict[float, tuple[RoadUserTriangles, Caster]] = {}
 
-    def at(self, after: float) -> tuple[Movers, Caster]:
-        """Where they are ``after`` seconds from the frame's time: each goes on as its velocity
-        says."""
+    def at(self, after: float) -> tuple[RoadUserTriangles, Caster]:
+        """The road users ``after`` seconds from the frame's time: each moves on at its velocity."""
         if after not in self._at:
-            way = after * self.velocity[self._now.thing]
-            movers = replace(self._now, triangles=self._now.triangles + way[:, None])
-            self._at[after] = movers, Caster(movers.triangles)
+            way = after * self.velocity[self._now.box]
+            road_users = replace(self._now, triangles=self._now.triangles + way[:, None])
+            self._at[after] = road_users, Caster(road_users.triangles)
         return self._at[after]

@@ -1,4 +1,4 @@
-"""What surfaces send back in one light: the sun's, the sky's and street lamps', through the air."""
+"""The colours of surfaces, lit by sun, sky and street lamps, and seen through the air."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,15 +7,15 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded.light import LAMP, haze, light_of, parts
 
 LAMP_ABOVE = 1.5
-"""Street lamps hang so far above the tops of poles [m]."""
+"""Height of street lamps above the tops of the poles [m]."""
 FAR = 1000.0
-"""Cameras see so far [m], but for haze; how far they perceive is the scores' business."""
+"""Range of cameras in clear air [m]. How far they can detect road users matters to scores only."""
 
 
 class Shading:
-    """One light at one place. Colours are linear, in single precision as everything here.
+    """The light at one place. Colours are linear; everything is in single precision.
 
-    ``poles`` (P, 3) are the tops of the poles, about the centre as points are.
+    ``poles`` are the tops of the poles [m], relative to the centre, as all points are.
     """
 
     def __init__(self, conditions: Conditions, poles: Float[np.ndarray, "P 3"]) -> None:
@@ -31,18 +31,18 @@ class Shading:
     def sunlight(
         self, normal: Float[np.ndarray, "R 3"], albedo: Float[np.ndarray, "R 3"]
     ) -> Float[np.ndarray, "R 3"]:
-        """What surfaces send back of the sun where nothing is in its way (Lambert)."""
+        """Sunlight that surfaces reflect if nothing is in its way (Lambert)."""
         facing = np.maximum(normal @ self.to_sun, 0)
         direct: np.ndarray = albedo * facing[:, None] * self.sun
         return direct
 
-    def other(
+    def ambient_light(
         self,
         point: Float[np.ndarray, "R 3"],
         normal: Float[np.ndarray, "R 3"],
         albedo: Float[np.ndarray, "R 3"],
     ) -> Float[np.ndarray, "R 3"]:
-        """What surfaces send back of all other light: of the sky, and of street lamps."""
+        """All other light that surfaces reflect: from the sky and from street lamps."""
         light = (0.65 + 0.35 * normal[:, 2:]) * self.ambient
         if self.light.lamps > 0 and len(self.lamps):
             light += self._lamplight(point, normal)[:, None] * self.lamp_colour
@@ -51,8 +51,10 @@ class Shading:
     def _lamplight(
         self, point: Float[np.ndarray, "R 3"], normal: Float[np.ndarray, "R 3"]
     ) -> Float[np.ndarray, " R"]:
-        """Σ n·d / (|d|² + 1)^(3/2) over the ways d to the lamps [m]: cos θ / r² from afar, and not
-        more than 0.4 each, as they are no points."""
+        """Σ n·d / (|d|² + 1)^(3/2) over the vectors d to the lamps [m].
+
+        Far from a lamp this is cos θ / r². It is at most 0.4 for each, as lamps are no points.
+        """
         found = np.empty(len(point), np.float32)
         own = (self.lamps**2).sum(1) + 1
         for at in parts(len(point)):
@@ -64,7 +66,8 @@ class Shading:
         return found
 
     def sky(self, directions: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Paler towards the horizon; a glow about the sun."""
+        """Colour of the sky in given directions: paler towards the horizon, with a glow around the
+        sun."""
         up = np.sqrt(np.clip(directions[:, 2:], 0, 1))
         colour = self.sky_colour * (1.25 - 0.55 * up)
         if self.light.has_sun:
@@ -74,23 +77,24 @@ class Shading:
 
     def mirrored(
         self,
-        share: Float[np.ndarray, " R"],
+        head_on: Float[np.ndarray, " R"],
         to: Float[np.ndarray, "R 3"],
         normal: Float[np.ndarray, "R 3"],
     ) -> Float[np.ndarray, "R 3"]:
-        """What lacquer and glass mirror of the sky, more at a grazing angle (Schlick 1994).
+        """Light of the sky that lacquer and glass mirror, more at grazing angles (Schlick 1994).
 
-        ``share`` is what they mirror of a ray that meets them head on, ``to`` where rays go.
+        ``head_on`` is the reflectance for rays along the normal; ``to`` are the directions of the
+        rays, from the camera.
         """
         along = np.einsum("rk,rk->r", to, normal)
-        grazing = share * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
+        grazing = head_on * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
         up = to[:, 2] - 2 * along * normal[:, 2]
         return (grazing * np.clip(0.25 + 1.5 * up, 0.1, 1))[:, None] * self.sky_colour
 
     def through_air(
         self, colour: Float[np.ndarray, "R 3"], distance: Float[np.ndarray, " R"]
     ) -> Float[np.ndarray, "R 3"]:
-        """Colours as they look from a distance [m], which may be infinite (Koschmieder 1924)."""
+        """Colours as they appear from a distance [m], which may be infinite (Koschmieder 1924)."""
         if not self.haze:
             return colour
         clear = np.exp(-np.float32(self.haze) * np.minimum(distance, FAR))[:, None]

@@ -1,7 +1,12 @@
-"""Low-polygon shapes of the road users, made in code: what cameras and LiDARs are shown.
+"""Low-polygon shapes of the road users, made in code: cameras and LiDARs record these.
 
-A shape fills a unit box, so that scaling by (length, width, height) fits it to an
-oriented prism of the traffic, and the ground truth is the shape's own extent.
+A shape fills a unit box. Scaled by (length, width, height) it fills the box of a road user exactly,
+so that the boxes in a data set are the true extents.
+
+Why these modules (``shapes*.py``) and not a library: the primitives of Trimesh are boxes, cylinders
+and extrusions. They would replace a small part of ``shapes_mesh`` only, and would not say which
+part of a vehicle or a person each triangle belongs to, which its colour needs. The rest says what
+cars and people look like. Trimesh would also be one more dependency of recording.
 """
 
 from collections.abc import Callable
@@ -13,11 +18,11 @@ from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.simulation.embedded.shapes_mesh import PARTS, Mesh
-from inspe_jax.simulation.embedded.shapes_paint import paint, reflectance
+from inspe_jax.simulation.embedded.shapes_paint import paint
 from inspe_jax.simulation.embedded.shapes_people import POSTURES, WALKERS, cyclist, pedestrian
 from inspe_jax.simulation.embedded.shapes_vehicles import CARS, car, truck
 
-__all__ = ["PARTS", "PHASES", "VARIANTS", "Shape", "paint", "reflectance", "shape_of"]
+__all__ = ["PARTS", "PHASES", "VARIANTS", "Shape", "paint", "shape_of"]
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     "car": tuple(CARS),
@@ -28,7 +33,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 """Names of the shapes of each class of road user."""
 
 PHASES = 24
-"""Steps of a cycle to which phases are rounded, so that shapes can be kept."""
+"""Number of steps of a cycle. Phases are rounded to a step, so that shapes can be cached."""
 
 _MAKERS: dict[str, Callable[[str, float], Mesh]] = {
     "car": lambda name, _: car(name),
@@ -42,9 +47,9 @@ _MAKERS: dict[str, Callable[[str, float], Mesh]] = {
 class Shape:
     """A mesh that fills −0.5 … 0.5 on each axis: x forward, y left, z up, the ground at −0.5.
 
-    Faces wind counter-clockwise seen from outside; ``part`` indexes ``PARTS``.
-    Scaled to the mean size of its class it has its natural proportions. The arrays
-    are shared and cannot be written to.
+    The corners of a face run counter-clockwise, seen from outside. ``part`` is an index into
+    ``PARTS``. At the mean size of its class the shape has natural proportions. The arrays are
+    shared and read-only.
     """
 
     vertices: Float[np.ndarray, "N 3"]
@@ -54,10 +59,10 @@ class Shape:
 
 
 def shape_of(kind: str, variant: int, phase: float = 0.0) -> Shape:
-    """The shape of a class's variant, an index into its ``VARIANTS``.
+    """The shape of a road user of class ``kind``; ``variant`` is an index into its ``VARIANTS``.
 
-    ``phase`` is where in a stride (pedestrian) or a turn of the crank (cyclist) it
-    is, in cycles, to the nearest of :data:`PHASES`; who stands or drives has none.
+    ``phase`` is how far a stride (pedestrian) or a turn of the crank (cyclist) has come, in cycles.
+    It is rounded to a step of :data:`PHASES`, and ignored for people who stand and for vehicles.
     Raises InspeError for an unknown class or variant.
     """
     if kind not in VARIANTS:

@@ -27,10 +27,11 @@ PARTS: tuple[str, ...] = (
     "shoe",
     "bag",
 )
-"""What a face belongs to; paint and reflectance go by it."""
+"""The parts of road users. The colour of a face depends on its part."""
 
 Strip = str | tuple[str, str, float] | None
-"""Part of a strip across a body; or (outer part, inner part, outer share of each half); or none."""
+"""The part of a strip across a body; or (outer part, inner part, how much of each half is outer);
+or None for no surface."""
 
 Line = Sequence[tuple[float, float]]
 """Points (x, z), or (place, value) of a piecewise linear function."""
@@ -41,7 +42,7 @@ Points = Sequence[Sequence[float] | Float[np.ndarray, "3"]]
 
 
 class Mesh(NamedTuple):
-    """Vertices [m], triangles, and the part of each triangle, an index into :data:`PARTS`."""
+    """Vertices [m]; triangles as indices of vertices; their parts as indices into :data:`PARTS`."""
 
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -49,7 +50,7 @@ class Mesh(NamedTuple):
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several."""
+    """Several meshes as one."""
     start = np.cumsum([0] + [len(m.vertices) for m in meshes])
     return Mesh(
         np.concatenate([m.vertices for m in meshes]),
@@ -59,21 +60,23 @@ def join(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def mirrored(mesh: Mesh) -> Mesh:
-    """The mirror image from left to right."""
+    """The mirror image, left and right exchanged."""
     return Mesh(mesh.vertices * [1, -1, 1], mesh.faces[:, ::-1], mesh.part)
 
 
 def polygon(corners: Points, part: str) -> Mesh:
-    """A convex polygon as a fan; its corners run counter-clockwise seen from outside."""
+    """A convex polygon as a fan; its corners run counter-clockwise, seen from outside."""
     fan = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
     index = np.full(len(fan), PARTS.index(part))
     return Mesh(np.array(corners, float), np.array(fan), index)
 
 
 def triangulate(outline: Line) -> list[tuple[int, int, int]]:
-    """Triangles of a simple polygon by clipping ears, the roundest first; counter-clockwise.
+    """Triangles of a simple polygon, counter-clockwise, by ear clipping, the roundest ear first.
 
-    The polygon may turn either way and may have corners on a straight line.
+    The polygon may run clockwise or counter-clockwise, and may have corners on a straight line.
+    (Shapely's constrained Delaunay triangulation gives other triangles of the same surface, which
+    would change recorded points in their last digits.)
     """
     points = np.array(outline, float)
     left = list(range(len(points)))
@@ -97,7 +100,10 @@ def _area(corners: Float[np.ndarray, "3 2"]) -> float:
 def _roundness(
     points: Float[np.ndarray, "n 2"], ear: tuple[int, int, int], left: list[int]
 ) -> float:
-    """Area over squared longest side; less than none if reflex, flat, or a corner lies in it."""
+    """Area of an ear over its squared longest side.
+
+    −1 if it is reflex or flat, or if another corner lies in it: it must not be clipped then.
+    """
     a, b, c = points[list(ear)]
     area = _area(points[list(ear)])
     if area < 1e-9:
@@ -110,11 +116,11 @@ def _roundness(
 
 
 def strips(points: Line, halves: Sequence[float], parts: Sequence[Strip]) -> Mesh:
-    """The surface across a body from its right outline to its left.
+    """The surface across a body, from its right outline to its left.
 
-    ``points`` run counter-clockwise in x and z; ``halves`` are half widths there;
-    ``parts`` those of the edges. A split strip's corners lie on lines along y, so
-    that neighbours meet without a crack.
+    ``points`` (x, z) run counter-clockwise; ``halves`` are the half widths there [m]; ``parts`` are
+    those of the edges between them. The corners of a split strip lie on lines along y, so that
+    neighbours meet without a crack.
     """
     meshes = []
     for i, strip in enumerate(parts):
@@ -133,7 +139,7 @@ def strips(points: Line, halves: Sequence[float], parts: Sequence[Strip]) -> Mes
 
 
 def sides(points: Line, halves: Sequence[float], part: str) -> Mesh:
-    """A panel (x, z) on the right of a body, and its mirror image on the left."""
+    """A panel with corners (x, z) on the right side of a body, and its mirror image on the left."""
     right = np.array([(x, -half, z) for (x, z), half in zip(points, halves, strict=True)])
     faces = np.array(triangulate(points))
     mesh = Mesh(right, faces, np.full(len(faces), PARTS.index(part)))
@@ -141,7 +147,7 @@ def sides(points: Line, halves: Sequence[float], part: str) -> Mesh:
 
 
 def prism(points: Line, half: float, parts: Sequence[Strip], side: str) -> Mesh:
-    """A solid of outline ``points``, ``half`` wide on either side."""
+    """A solid with the outline ``points`` (x, z), which reaches ``half`` metres to either side."""
     halves = [half] * len(points)
     return join([strips(points, halves, parts), sides(points, halves, side)])
 
@@ -155,9 +161,10 @@ def block(x: tuple[float, float], half: float, z: tuple[float, float], part: str
 def filled(
     x: tuple[float, float], half: float, z: tuple[float, float, float], tub: str, load: str
 ) -> Mesh:
-    """What is seen in an open tub: its walls from the rim down, and a heap with a ridge.
+    """The inside of an open tub: its walls from the rim down, and a load that rises to a ridge.
 
-    ``z`` is the height of the rim, where the load meets the walls, and of the ridge.
+    ``z`` holds three heights [m]: of the rim, of the line where the load meets the walls, and of
+    the ridge.
     """
     (back, front), (rim, low, high) = x, z
     corners = [(back, -half), (front, -half), (front, half), (back, half)]
@@ -173,10 +180,10 @@ def filled(
 
 
 def axle(x: float, radius: float, half: float, *, edges: int = 8, hub: int = 4) -> Mesh:
-    """Two wheels as one roller across the vehicle, which costs half of what two wheels cost.
+    """Two wheels as one roller across the vehicle, with half as many faces as two wheels.
 
-    What lies between them is under the body. ``radius`` is that of the flats, on
-    one of which it stands; each hub is a low pyramid of ``hub`` faces.
+    The part between the wheels is hidden under the body. ``radius`` [m] is the distance to the
+    flats, on one of which it stands. Each hub is a low pyramid of ``hub`` faces.
     """
     turn = 2 * np.pi * (np.arange(edges) + 0.5) / edges - np.pi / 2
     rim = radius / np.cos(np.pi / edges) * np.stack([np.cos(turn), np.sin(turn)], -1)
@@ -202,14 +209,14 @@ def tube(
     edges: int,
     caps: tuple[bool, bool] = (True, True),
 ) -> Mesh:
-    """Elliptical rings along a path, joined; a ring of no width is an apex.
+    """Elliptical rings along a path, joined; a ring without width is an apex.
 
-    ``wide`` is the half width across the path, as far along y as may be (along x
-    if the path runs along y); ``deep`` the one across both. ``parts`` has one entry
-    a section: a part, or one for each of its ``edges``, the first to the left and
-    for an upright tube going on round the back. Both halves are mirror images; four
-    edges are flats across the path, six have a corner there. An end that lies
-    inside another solid needs no cap.
+    ``wide`` is each ring's half width across the path, as close to the y axis as possible (to the
+    x axis if the path runs along y); ``deep`` is the half width across both. ``parts`` has one
+    entry per section between two rings: one part for all, or one for each of its ``edges``. The
+    first edge is at the left; for an upright tube the others follow round the back. Left and right
+    are mirror images. With four edges the left side is a flat, with six it is a corner. An end
+    that lies inside another solid needs no cap.
     """
     rings = _rings(np.array(path, float), np.array(wide), np.array(deep), edges)
     meshes = []
@@ -233,7 +240,7 @@ def _rings(
     deep: Float[np.ndarray, " n"],
     edges: int,
 ) -> Float[np.ndarray, "n e 3"]:
-    """Corners of an ellipse across a path at each of its points, halfway round its bends."""
+    """Corners of an ellipse at each point of a path, across the mean of its directions there."""
     step = np.diff(path, axis=0)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
     along = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])

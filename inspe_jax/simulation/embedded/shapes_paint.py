@@ -1,8 +1,8 @@
-"""What shapes are painted, and how much of a LiDAR's light each part returns.
+"""The colours of road users' shapes.
 
-Colours are picked with their shares on the road. Cars: Axalta's 69th Global
-Automotive Color Popularity Report (2021). The other shares are plausible, not
-counted: most clothing is dark, most lorries' boxes are white.
+Colours are drawn as often as they occur on the road. Those of cars follow Axalta's 69th Global
+Automotive Color Popularity Report (2021). The other frequencies are plausible guesses: most
+clothing is dark, and most trucks' boxes are white.
 """
 
 from collections.abc import Mapping
@@ -95,7 +95,7 @@ PALETTES: dict[str, Palette] = {
     "shoe": {(28, 27, 28): 0.6, (216, 214, 210): 0.25, (96, 66, 44): 0.15},
     "bag": {(30, 32, 38): 0.5, (150, 40, 40): 0.2, (52, 84, 60): 0.15, (120, 90, 60): 0.15},
 }
-"""Colours of each part, in sRGB of 0 … 255, with their shares."""
+"""Colours of each part, in sRGB of 0 … 255, and how frequent each is (of 1)."""
 
 OF_CLASS: dict[str, Mapping[str, Palette]] = {
     "car": {},
@@ -103,42 +103,14 @@ OF_CLASS: dict[str, Mapping[str, Palette]] = {
     "cyclist": {"cloth": CLOTH | BRIGHT},
     "pedestrian": {},
 }
-"""Where a class's palettes are its own."""
-
-NEAR_INFRARED: dict[str, tuple[float, float]] = {
-    "body": (0.06, 0.75),
-    "window": (0.04, 0.0),
-    "trim": (0.08, 0.3),
-    "tyre": (0.02, 0.0),
-    "hub": (0.25, 0.5),
-    "lamp": (0.6, 0.0),
-    "lamp rear": (1.0, 0.0),
-    "cargo": (0.1, 0.75),
-    "tub": (0.08, 0.6),
-    "load": (0.15, 0.5),
-    "frame": (0.1, 0.5),
-    "skin": (0.4, 0.25),
-    "hair": (0.1, 0.6),
-    "helmet": (0.15, 0.6),
-    "cloth": (0.35, 0.4),
-    "trousers": (0.3, 0.4),
-    "shoe": (0.1, 0.5),
-    "bag": (0.3, 0.3),
-}
-"""Diffuse reflectance at 905 nm of black, and what white adds to it.
-
-Rubber at 2 % is as a maker of 905 nm scanners gives it (SICK LD-LRS operating
-instructions, table 3). The rest are plausible figures: paint follows its
-pigment; glass lets light through or mirrors it away; dyes of cloth, and skin and
-hair, return more than they do visibly; reflectors at the rear saturate, read as 1.
-"""
+"""Palettes that differ for one class of road users."""
 
 
 def paint(kind: str, rng: np.random.Generator) -> dict[str, RGB]:
-    """Linear RGB albedo of every part, in the order of ``PARTS``, for one of a class.
+    """Linear RGB albedo of every part, in the order of ``PARTS``, for one road user of a class.
 
-    Palettes are kept in sRGB, varied by a few per cent, and made linear. Raises
-    InspeError for an unknown class.
+    A colour is drawn from each palette, made a few per cent brighter or darker, and converted from
+    sRGB to linear light. Raises InspeError for an unknown class.
     """
     if kind not in OF_CLASS:
         raise InspeError(f"class '{kind}': one of {', '.join(OF_CLASS)}")
@@ -152,14 +124,5 @@ def _pick(palette: Palette, rng: np.random.Generator) -> RGB:
 
 
 def linear(srgb: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Linear light of sRGB values of 0 … 1 (IEC 61966-2-1)."""
+    """Convert sRGB values of 0 … 1 to linear light (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def reflectance(painted: Mapping[str, RGB]) -> dict[str, float]:
-    """Diffuse reflectance at 905 nm, of 0 … 1, of every part that is painted so."""
-    shade = {part: float(colour @ [0.2126, 0.7152, 0.0722]) for part, colour in painted.items()}
-    return {
-        part: NEAR_INFRARED[part][0] + NEAR_INFRARED[part][1] * light
-        for part, light in shade.items()
-    }

@@ -1,6 +1,6 @@
-"""Pedestrians and cyclists as jointed tubes, posed by a phase of their stride or crank.
+"""Pedestrians and cyclists as jointed tubes; their pose follows the phase of a stride or a crank.
 
-Drawn at the mean size of their class: x forward, y left, z up [m], the ground at 0.
+They have the mean size of their class: x forward, y left, z up [m], the ground at 0.
 """
 
 import numpy as np
@@ -14,24 +14,24 @@ HIP, THIGH, SHIN = 0.91, 0.43, 0.40
 """Height of the hip joint and lengths of the leg [m]."""
 
 STRIDE = np.radians(10.0)
-"""Swing of a thigh about the vertical; small, for the class's boxes are short."""
+"""Largest angle of a thigh from the vertical [rad]; small, because the class's boxes are short."""
 
 TRUNK, REACH = 0.14, 0.25
-"""Half the depth of a trunk, and of a pedestrian's box, at the mean size of the class [m]."""
+"""Half the depth of a trunk, and half the length of a pedestrian's box of mean size [m]."""
 
 WALKERS: dict[str, tuple[float, bool]] = {
     "walker.stride_left": (0.0, False),
     "walker.stride_right": (0.5, False),
     "walker.coat": (0.0, True),
 }
-"""Who walks: where in the cycle phase 0 is, and whether in a coat."""
+"""The walking pedestrians: by how many cycles each is ahead, and whether it wears a coat."""
 
 
 def pedestrian(name: str, phase: float) -> Mesh:
-    """Someone standing, or one of :data:`WALKERS` at a phase of 0 … 1 of the cycle.
+    """A pedestrian: one of :data:`WALKERS` at a phase of 0 … 1 of the cycle, or one who stands.
 
-    At phase 0 the left heel has just touched the ground in front, save for
-    ``stride_right``, which is half a cycle on.
+    At phase 0 the left heel has just touched the ground in front; ``stride_right`` is half a cycle
+    ahead of that.
     """
     if name not in WALKERS:
         return _fold(join([_figure(), *_standing_limbs(), _backpack()]))
@@ -41,7 +41,7 @@ def pedestrian(name: str, phase: float) -> Mesh:
 
 
 def _fold(mesh: Mesh) -> Mesh:
-    """Limbs drawn in or out along x to the box, so that the trunk keeps its depth all cycle."""
+    """Scale limbs along x to fill the box, so that the trunk has the same depth at all phases."""
     x = mesh.vertices[:, 0]
     folded = np.interp(x, [x.min(), -TRUNK, TRUNK, x.max()], [-REACH, -TRUNK, TRUNK, REACH])
     return mesh._replace(vertices=np.column_stack([folded, mesh.vertices[:, 1:]]))
@@ -62,7 +62,7 @@ def _figure(coat: bool = False) -> Mesh:
 
 
 def _head(chin: tuple[float, float, float], top: str) -> Mesh:
-    """A head from the chin up: the crown, and for hair the nape, of part ``top``."""
+    """A head from the chin up. Its crown has the part ``top``; if that is hair, the nape too."""
     x, y, z = chin
     nape = "hair" if top == "hair" else "skin"
     return tube(
@@ -75,7 +75,7 @@ def _head(chin: tuple[float, float, float], top: str) -> Mesh:
 
 
 def _leg(hip: Vector, knee: Vector, ankle: Vector, toe_up: float) -> list[Mesh]:
-    """Thigh and shin, and a shoe whose toe points ``toe_up`` [rad] above the level."""
+    """Thigh, shin and shoe; the toe points ``toe_up`` [rad] above the horizontal."""
     cuff = ankle + 0.1 * (ankle - knee)  # in the shoe
     leg = tube(
         [hip, knee, cuff],
@@ -104,7 +104,7 @@ def _arm(shoulder: Vector, elbow: Vector, hand: Vector) -> Mesh:
 
 
 def _walking_limbs(phase: float, coat: bool) -> Mesh:
-    """The left leg and the left arm, which swings against it."""
+    """The left leg, and the left arm, which swings the other way."""
     turn = 2 * np.pi * phase
     thigh = STRIDE * np.cos(turn)
     bend = np.radians(2 + 36 * max(0.0, -np.sin(turn)) + 6 * max(0.0, -np.cos(turn)))
@@ -119,12 +119,12 @@ def _walking_limbs(phase: float, coat: bool) -> Mesh:
 
 
 def _swung(angle: float) -> Vector:
-    """Straight down, swung forward by an angle [rad]."""
+    """The unit vector that points straight down, swung forward by an angle [rad]."""
     return np.array([np.sin(angle), 0.0, -np.cos(angle)])
 
 
 def _standing_limbs() -> list[Mesh]:
-    """One foot ahead, the right hand raised to a telephone."""
+    """Limbs of somebody who stands, one foot ahead, the right hand raised to a telephone."""
     limbs = []
     for side, ahead in ((1.0, 0.06), (-1.0, -0.04)):
         hip = np.array([0, side * 0.09, HIP])
@@ -141,7 +141,7 @@ def _backpack() -> Mesh:
 
 
 WHEEL, REAR, FRONT = 0.34, -0.56, 0.56
-"""Radius and places of a bicycle's wheels [m]."""
+"""Radius of a bicycle's wheels, and where they are along x [m]."""
 CRANK = np.array([-0.1, 0.0, 0.3])
 SADDLE = np.array([-0.28, 0.0, 0.95])
 
@@ -149,11 +149,11 @@ POSTURES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]
     "bicycle.upright": ((-0.17, 0.0, 1.42), (0.3, 0.3, 1.08)),
     "bicycle.sport": ((0.12, 0.0, 1.36), (0.45, 0.27, 0.93)),
 }
-"""Where the shoulders and the left hand of a rider are [m]."""
+"""The middle between the shoulders, and the left hand, of each cyclist (x, y, z) [m]."""
 
 
 def cyclist(name: str, phase: float) -> Mesh:
-    """A bicycle and its rider, the left pedal in front at phase 0 of the crank's turn."""
+    """A bicycle and its rider; at phase 0 the left pedal is in front."""
     neck, grip = (np.array(point) for point in POSTURES[name])
     arm, left, right = _reaching(neck, grip), _pedalling(phase), _pedalling(phase + 0.5)
     chin = neck + [0.06, 0, 0.06]
@@ -179,7 +179,7 @@ def cyclist(name: str, phase: float) -> Mesh:
 
 
 def _bicycle(grip: Vector) -> list[Mesh]:
-    """Two rings, four bars, and the handlebar up to the grips."""
+    """Two wheels, the bars of the frame, and the handlebar up to the grips."""
     head, stem = np.array([0.38, 0.0, 0.82]), np.array([grip[0] + 0.08, 0.0, grip[2]])
     hubs = np.array([FRONT, 0, WHEEL]), np.array([REAR, 0, WHEEL])
     bars = [
@@ -198,7 +198,7 @@ def _bar(path: list[Vector], half: tuple[float, ...]) -> Mesh:
 
 
 def _ring(x: float, edges: int = 8) -> Mesh:
-    """A tyre of triangular section, its ridge outward, standing on one of its flats."""
+    """A tyre with a triangular section, its ridge outward; it stands on one of its flats."""
     turn = 2 * np.pi * (np.arange(edges + 1) + 0.5) / edges - np.pi / 2
     spoke = np.stack([np.cos(turn), np.zeros(edges + 1), np.sin(turn)], -1)
     middle, across = np.array([x, 0, WHEEL]), np.array([0, 0.03, 0])
@@ -215,7 +215,7 @@ def _ring(x: float, edges: int = 8) -> Mesh:
 
 
 def _pedalling(phase: float) -> Mesh:
-    """The left leg."""
+    """The left leg of a cyclist; ``phase`` is that of its pedal."""
     turn = 2 * np.pi * phase
     pedal = CRANK + 0.17 * np.array([np.cos(turn), 0.0, -np.sin(turn)])
     hip, ankle = SADDLE + [0.0, 0.09, 0.0], pedal + [-0.08, 0.12, 0.09]
@@ -231,7 +231,7 @@ def _pedalling(phase: float) -> Mesh:
 
 
 def _reaching(neck: Vector, grip: Vector) -> Mesh:
-    """The left arm."""
+    """The left arm of a cyclist."""
     shoulder = neck + [0.0, 0.17, -0.03]
     elbow = _bent(shoulder, grip, 0.31, 0.31, np.array([0, 0.5, -1.0]))
     return tube(
@@ -245,7 +245,10 @@ def _reaching(neck: Vector, grip: Vector) -> Mesh:
 
 
 def _bent(start: Vector, end: Vector, upper: float, lower: float, towards: Vector) -> Vector:
-    """Knee or elbow of a limb from start to end; straight if the limb is too short."""
+    """The knee or elbow of a limb from start to end, whose parts have these lengths [m].
+
+    It bends ``towards`` a direction. A limb that is too short is stretched.
+    """
     reach = end - start
     far = np.linalg.norm(reach)
     along = np.clip((far**2 + upper**2 - lower**2) / (2 * far), -upper, upper)

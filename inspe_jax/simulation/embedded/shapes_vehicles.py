@@ -1,7 +1,7 @@
-"""Cars and trucks as tables of outlines, drawn at the mean size of their class.
+"""Cars and trucks as tables of outlines, at the mean size of their class.
 
-A body is its right outline in x and z [m], its windows along a belt line, and its
-half width, which is that at a height times a taper along the vehicle.
+A body has an outline in x and z [m], side windows above a belt line, and a half width. The half
+width is a function of height, times a taper along the vehicle.
 """
 
 from typing import NamedTuple
@@ -22,17 +22,18 @@ from inspe_jax.simulation.embedded.shapes_mesh import (
 )
 
 Window = tuple[float, float, float, float]
-"""A side window by x: at the belt front and rear, at the rail rear and front."""
+"""A side window by x [m]: its lower edge, front and rear, then its upper edge, rear and front."""
 
 
 class Body(NamedTuple):
     """A closed body with windows.
 
-    ``lower`` runs from the foot of the rear window down the tail, below and up the
-    front to the foot of the windscreen; ``upper`` from there back over the roof,
-    both feet left out. The belt line joins the feet, the rail [m] is the top of
-    the side windows. ``skirt`` and ``top`` are the parts of the edges. Dark
-    cladding covers the sides between four points of ``lower``, the first ``clad``.
+    ``lower`` runs from the foot of the rear window down the tail, along the underside, and up the
+    front to the foot of the windscreen. ``upper`` continues from there over the roof back to the
+    rear window; it leaves both feet out. The belt line joins the feet; ``rail`` is the height of
+    the upper edge of the side windows [m]. ``skirt`` and ``top`` are the parts of the edges of
+    ``lower`` and ``upper``. If ``clad`` is given, dark cladding covers the sides between four
+    points of ``lower``, of which ``clad`` is the first.
     """
 
     lower: Line
@@ -192,7 +193,7 @@ CARS: dict[str, tuple[Body, tuple[float, float, float]]] = {
         (1.55, -1.45, 0.32),
     ),
 }
-"""Body, and front axle, rear axle and wheel radius [m], of each car."""
+"""Of each car its body, and (x of the front axle, x of the rear axle, radius of the wheels) [m]."""
 
 
 def car(name: str) -> Mesh:
@@ -225,7 +226,7 @@ BUS = Body(
 
 
 def truck(name: str) -> Mesh:
-    """A truck by name."""
+    """A truck or bus by name: ``truck.box``, ``truck.tipper`` or ``truck.bus``."""
     if name == "truck.bus":
         return join([build(BUS), *(axle(x, 0.46, 1.225, edges=7, hub=3) for x in (2.6, -2.4))])
     chassis = prism(

@@ -1,8 +1,8 @@
-"""What stands still: the ground, kerbs, buildings, trees and poles, as triangles of materials.
+"""The static world: ground, kerbs, buildings, trees and poles, as triangles with a material.
 
-Buildings and trees stand beyond the radius of the region of interest, so that no line of sight
-within it meets any: the scores take it to be open. Within it there are only kerbs, as low as they
-are, and thin poles.
+Buildings and trees stand outside the radius of the region of interest, so that they block no line
+of sight inside it. The scores, too, know no obstacles there but vehicles. Inside the radius there
+are only low kerbs and thin poles.
 """
 
 import zlib
@@ -24,9 +24,9 @@ MATERIALS = ("ground", "kerb", "building", "roof", "trunk", "crown", "pole")
 GROUND, KERB, BUILDING, ROOF, TRUNK, CROWN, POLE = range(len(MATERIALS))
 
 HORIZON = 400.0
-"""The ground goes on so far [m]."""
+"""The ground reaches this far from the centre [m]."""
 MAPPED = 15.0
-"""The map is read a little beyond the radius; so far the ground is as it says [m]."""
+"""The ground follows the map to this distance beyond the radius [m]; further out it is coarse."""
 KERB_SIZE = (0.15, 0.12)
 """Width and height of a kerb [m]."""
 POLE_RADIUS = 0.08
@@ -34,16 +34,16 @@ POLE_HEIGHT = 6.0
 CLEAR = 2.0
 """Least distance of trees and buildings from any region [m]."""
 CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
-"""Nothing stands here."""
+"""Regions in which nothing stands."""
 BUILDINGS, TREES = 44, 60
-"""As many are tried for."""
+"""How many the generator tries to place."""
 
 
 @dataclass(frozen=True, eq=False)
 class StaticWorld:
-    """Triangles (F, 3, 3) about ``center``, their materials, and for buildings and trees which one.
-
-    ``poles`` (P, 3) are the tops of the poles, world.
+    """Triangles relative to ``center`` [m], and for each its material, an index into
+    :data:`MATERIALS`. ``body`` numbers the buildings and the trees. ``poles`` are the tops of the
+    poles in the world [m].
     """
 
     center: Float[np.ndarray, "3"]
@@ -59,17 +59,17 @@ def build_static_world(
     radius: float,
     masts: Float[np.ndarray, "U 4"],
 ) -> StaticWorld:
-    """The still world of an intersection, out to the horizon.
+    """The static world of an intersection, out to :data:`HORIZON`.
 
-    ``masts`` are the infrastructure units' feet and how high they rise above them [m]; units over
-    the carriageway have none. Where buildings and trees stand is drawn by lot, the same at every
-    intersection of one name.
+    ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
+    over the carriageway get no mast, as they hang on wires. Buildings and trees stand at random
+    places, which depend only on the intersection's name.
     """
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     center = np.asarray(intersection.center, float)
     open_ = unary_union(list(intersection.regions.values()))
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
-    masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]  # those hang on wires
+    masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]
     feet = [(*p, POLE_HEIGHT) for p in intersection.poles]
     feet = [p for p in feet if np.hypot(*(p[:2] - center[:2])) <= radius + MAPPED]
     feet = [p for p in feet if all(np.hypot(*(np.array(p[:2]) - m[:2])) > 0.5 for m in masts)]
@@ -100,7 +100,7 @@ def build_static_world(
 
 
 def _terrain(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 3 3"]:
-    """The ground as a grid: every metre where the map is, coarser beyond; two triangles if flat."""
+    """The ground as a grid of 1 m on the map and coarser beyond; two triangles if it is flat."""
     center = intersection.center
     heights = intersection.ground_points[:, 2]
     if np.ptp(heights) < 1e-6:
@@ -119,7 +119,7 @@ def _terrain(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 
 
 
 def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
-    """A ridge along the edge of the carriageway, lowered at crossings."""
+    """Kerbs along the edge of the carriageway, with gaps at crossings."""
     regions = intersection.regions
     road = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION) if r in regions]
     foot = [regions[r] for r in (Region.SIDEWALK, Region.SHOULDER) if r in regions]
@@ -138,7 +138,7 @@ def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
 
 
 def _wall(line: np.ndarray, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """An upright ribbon along a line."""
+    """A vertical ribbon along a line (N, 2), as high as ``height`` above the ground."""
     low = np.column_stack([line, place.ground(line) - 0.05])
     high = low + [0.0, 0.0, height + 0.05]
     a, b, c, d = low[:-1], low[1:], high[1:], high[:-1]
@@ -146,7 +146,7 @@ def _wall(line: np.ndarray, place: Intersection, height: float) -> Float[np.ndar
 
 
 def _lid(shape: BaseGeometry, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """A shape's area at a height above the ground."""
+    """The area of a shape, at ``height`` above the ground."""
     cut = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
     if not len(cut):
         return np.zeros((0, 3, 3))
@@ -156,7 +156,7 @@ def _lid(shape: BaseGeometry, place: Intersection, height: float) -> Float[np.nd
 
 
 def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """An upright prism of eight sides, closed above."""
+    """A vertical prism with eight sides, closed at the top."""
     turn = np.linspace(0, 2 * np.pi, 9)
     ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(9)])
     top = ring + [0.0, 0.0, height]
@@ -168,7 +168,7 @@ def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "
 def _plots(
     intersection: Intersection, taken: BaseGeometry, radius: float, rng: np.random.Generator
 ) -> Iterator[Float[np.ndarray, "4 2"]]:
-    """Corners of buildings: along the streets, clear of all that is taken and of each other."""
+    """Corners of buildings that face the streets and keep clear of ``taken`` and of each other."""
     built: list[Polygon] = []
     streets = unary_union(list(intersection.regions.values())).boundary
     for _ in range(BUILDINGS):
@@ -192,7 +192,7 @@ def _plots(
 def _house(
     corners: np.ndarray, place: Intersection, height: float
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"]]:
-    """Walls and a flat roof; sunk a little where the ground slopes."""
+    """Walls and a flat roof; the walls begin below the lowest ground at the corners."""
     base = place.ground(corners).min() - 0.5
     low = np.column_stack([corners, np.full(4, base)])
     high = low + [0.0, 0.0, height + 0.5]
@@ -204,7 +204,7 @@ def _house(
 def _trees(
     intersection: Intersection, taken: BaseGeometry, radius: float, rng: np.random.Generator
 ) -> Iterator[tuple[Float[np.ndarray, "3"], float]]:
-    """Feet and heights of trees whose crowns are clear of all that is taken."""
+    """Feet and heights of trees whose crowns keep clear of ``taken`` [m]."""
     for _ in range(TREES):
         height = rng.uniform(4.5, 9.0)
         for _ in range(15):
@@ -216,7 +216,7 @@ def _trees(
 
 
 def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> Float[np.ndarray, "F 3 3"]:
-    """A lumpy ball on a trunk: rings of latitude, each point a little off."""
+    """A crown: a ball of rings of latitude, each point moved a little."""
     tall, wide = 0.62 * height / 2, 0.28 * height
     rows, columns = 5, 8
     up = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)[:, None]

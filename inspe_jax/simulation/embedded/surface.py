@@ -1,7 +1,7 @@
-"""The ground as it looks: which region each point of it is of, what is painted on it, its colour.
+"""What the ground looks like: the region at each point, the paint on it, and its colour.
 
-A raster of labels, drawn once for a scene; colours come from it and from noise that is fixed to the
-ground, so that every camera sees the same asphalt.
+A raster of labels is drawn once for a scene. Colours follow from the labels and from noise that is
+fixed to the ground, so that every camera sees the same asphalt.
 """
 
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ from inspe_jax.scene.regions import PRECEDENCE, Region
 CELL = 0.05
 """Edge of a cell of the raster [m]."""
 STRIPE = 0.5
-"""Width of a zebra crossing's stripes, and of the gaps between them [m]."""
+"""Width of the stripes of a zebra crossing, and of the gaps between them [m]."""
 LINE = 0.12
 """Width of a line between lanes [m]."""
 
 GRASS, PAINT = len(Region), len(Region) + 1
-"""Labels beside the regions': what is none of them, and white paint."""
+"""Labels in addition to the regions': no region, and white paint."""
 
 ALBEDO = np.array(
     [
@@ -39,27 +39,29 @@ ALBEDO = np.array(
         [0.62, 0.62, 0.60],  # paint
     ]
 )
-"""Linear albedo of each label: plausible figures, asphalt as it is after some years."""
+"""Linear albedo of each label: plausible values, for asphalt that is some years old."""
 ROUGH = np.array([0.25, 0.25, 0.25, 0.12, 0.25, 0.6, 0.12])
-"""How much the noise varies each."""
+"""How strongly the noise changes the albedo of each label."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Labels (N, N) of cells of :data:`CELL` metres from a corner (x, y), rows northward."""
+    """Labels of square cells, :data:`CELL` metres wide. The first cell is at ``corner`` (x, y) [m];
+    rows run northward."""
 
     labels: Int[np.ndarray, "N N"]
     corner: Float[np.ndarray, "2"]
 
     def label(self, xy: Float[np.ndarray, "R 2"]) -> Int[np.ndarray, " R"]:
-        """The label at points: a region, :data:`PAINT`, or :data:`GRASS` beyond the raster too."""
+        """The label at points: a region, :data:`PAINT` or :data:`GRASS`; the latter, too, outside
+        the raster."""
         x, y = np.floor((xy - self.corner).T / CELL).astype(int)
         size = len(self.labels)
         inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
         return np.where(inside, self.labels[np.where(inside, y, 0), np.where(inside, x, 0)], GRASS)
 
     def albedo(self, xy: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, "R 3"]:
-        """Linear colour at points."""
+        """Linear albedo at points."""
         label = self.label(xy)
         grain = 0.5 * noise(xy / 0.07) + 0.3 * noise(xy / 0.6) + 0.2 * noise(xy / 5.0)
         colour = ALBEDO[label] * (1 + ROUGH[label] * 2 * (grain - 0.5))[:, None]
@@ -89,7 +91,8 @@ def _fill(
     label: int,
     hole: int | None,
 ) -> None:
-    """Draw a shape; its holes too, for what lies in them is drawn after."""
+    """Draw a shape with a label, and its holes with another (``hole``; None leaves them as they
+    are). What lies in the holes is drawn later."""
     for part in shapely.get_parts(shape):
         if part.geom_type != "Polygon" or part.is_empty:
             continue
@@ -100,7 +103,7 @@ def _fill(
 
 
 def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
-    """Stripes across the crossings, in the direction of the traffic that they cross."""
+    """The stripes of zebra crossings, along the direction of the traffic that is crossed."""
     walks = intersection.regions.get(Region.CROSSWALK, MultiPolygon())
     for walk in shapely.get_parts(walks):
         corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
@@ -115,7 +118,7 @@ def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
 
 
 def _lines(intersection: Intersection) -> list[BaseGeometry]:
-    """Lines beside the lanes, outside junctions and clear of kerbs."""
+    """Lines between lanes, outside junctions and away from kerbs."""
     driveway = intersection.regions.get(Region.DRIVEWAY)
     if driveway is None or driveway.is_empty:
         return []
@@ -133,8 +136,10 @@ def _lines(intersection: Intersection) -> list[BaseGeometry]:
 
 
 def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
-    """Smooth noise of 0 … 1 that is always the same at the same point: random values on a lattice
-    of edge 1, blended between."""
+    """Smooth noise of 0 … 1, always the same at the same point.
+
+    Value noise: random values on a lattice with spacing 1, and a smooth blend between them.
+    """
     cell = np.floor(at.T)
     x, y = cell.astype(np.int64)
     part = (at.T - cell).astype(np.float32)
@@ -144,7 +149,8 @@ def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
 
 
 def _hashed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A number of 0 … 1 for each pair of whole ones (multiply and shift; overflow is meant)."""
+    """A number of 0 … 1 for each pair of integers: a hash by multiply and shift, which overflows
+    on purpose."""
     mixed = x.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= y.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)

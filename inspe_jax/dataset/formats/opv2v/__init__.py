@@ -1,1 +1,1 @@
-"""OPV2V's folders and its Infra-Set variant."""
+"""OPV2V's format, and its Infra-Set variant."""

@@ -1,7 +1,7 @@
-"""A frame out of the files of a scenario: ours, and OPV2V-style sets of others.
+"""Reads frames from OPV2V files: those of this package, and data sets of other people.
 
-Of others only ``lidar_pose`` or ``true_ego_pos`` is needed, and of a thing ``angle``, ``extent``
-and ``location``. Keys that we do not know are passed over.
+The latter need only have ``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``extent`` and
+``location`` of each road user. Unknown keys are ignored.
 """
 
 import os
@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 
 from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
-from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, PROTOCOL, SECTIONS
+from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
 from inspe_jax.dataset.formats.png import read_depth, read_instance, read_rgb, read_semantic
+from inspe_jax.dataset.formats.protocol_file import as_mapping, brief, load_yaml
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
 TICK = 0.05
-"""Time [s] from one frame number to the next, where no protocol tells it."""
+"""Time from one frame number to the next [s], if no protocol says it."""
 
 OBJ_TYPES: dict[str, str] = {
     "car": "car",
@@ -37,50 +37,41 @@ OBJ_TYPES: dict[str, str] = {
     "pedestrian": "pedestrian",
     "walker": "pedestrian",
 }
-"""The kind that each ``obj_type`` stands for, in small letters."""
+"""The kind of road user for each ``obj_type``, in lower case."""
 
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_THINGS = b"\nvehicles:"
+_BOXES = b"\nvehicles:"
 
 
 def agent_ids(scenario: Path) -> tuple[int, ...]:
-    """Agents of a scenario: infrastructure −1, −2, … first, then vehicles."""
+    """Ids of a scenario's agents: infrastructure −1, −2, … first, then vehicles."""
     with os.scandir(scenario) as entries:
         names = [e.name for e in entries if re.fullmatch(r"0|-?[1-9]\d*", e.name) and e.is_dir()]
     return tuple(sorted(map(int, names), key=lambda agent: (agent > 0, abs(agent))))
 
 
 def stems(agent: Path) -> dict[int, str]:
-    """The beginning of the file names of each frame that an agent has, by number."""
+    """The stem of the file names of each frame that an agent has, by the frame's number."""
     found = [m[1] for m in (re.fullmatch(r"(\d+)\.yaml", name) for name in os.listdir(agent)) if m]
     return {int(stem): stem for stem in sorted(found)}
 
 
-def read_protocol(scenario: str | os.PathLike[str]) -> dict[str, Any]:
-    """What made a scenario; empty where it does not tell. Raises InspeError if it is not YAML."""
-    path = Path(scenario) / PROTOCOL
-    return _mapping(_parse(path.read_bytes(), path), path) if path.is_file() else {}
-
-
-def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
-    """A frame of a scenario; pictures and points are read when they are first asked for.
-
-    Its things are those of all its agents together, in the order of their tracks; where agents
-    differ in one, the first to list it is right. A thing moves the way it faces, since files
-    tell the speed alone; roll and pitch of its box are left out. A camera without its picture
-    is left out, too. Raises InspeError where there is no such folder or frame, or a file is
-    broken: naming the file, at the latest when its pixels or points are asked for.
-    """
-    folder = Path(scenario)
-    if not folder.is_dir():
-        raise InspeError(f"{folder}: no such folder")
-    return frame_of(folder, number, agent_ids(folder), read_protocol(folder))
+def frame_numbers(scenario: Path, agents: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of the frames that all ``agents`` have; a frame's YAML files are written last."""
+    each = [set(stems(scenario / str(agent))) for agent in agents]
+    return tuple(sorted(set.intersection(*each))) if each else ()
 
 
 def frame_of(
     scenario: Path, number: int, agents: tuple[int, ...], protocol: Mapping[str, Any]
 ) -> Frame:
-    """:func:`read_frame`, for whoever knows the agents and the protocol."""
+    """A frame of a scenario; pictures and points are read when they are first used.
+
+    Its boxes are those of all ``agents`` together, in the order of their tracks. Where agents
+    differ in one, the first agent that lists it is taken. A road user is taken to move the way it
+    faces, since files hold the speed alone; roll and pitch of its box are left out. A camera
+    without its picture is left out, too. Raises InspeError where there is no such frame, or a file
+    is broken: for pixels and points, only when they are used.
+    """
     if not agents:
         raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")
     files = [_frame_file(scenario / str(agent), number) for agent in agents]
@@ -91,7 +82,7 @@ def frame_of(
     return Frame(
         number=number,
         time=number * _tick(protocol),
-        things=_things(contents, files),
+        boxes=_boxes(contents, files),
         stations=tuple(
             _station(agent, str(names.get(agent, agent)), content, path)
             for agent, content, path in zip(agents, contents, files, strict=True)
@@ -117,42 +108,29 @@ def _frame_file(agent: Path, number: int) -> Path:
 
 
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
-    """What a frame's YAML holds.
+    """What a frame's YAML file holds.
 
-    Of our own sets most is the things, the same for each agent: they are parsed once, by their
-    text, into ``known``. A file that cannot be cut in two so, since it is broken or has an
-    anchor in one half that is meant in the other, is parsed whole.
+    In this package's own data sets most of it is road users, which are the same for every agent.
+    This text is parsed only once; ``known`` keeps what it holds. A file that cannot be divided so,
+    because it is broken or an anchor in one half is used in the other, is parsed as a whole.
     """
     check_input(path)
     text = path.read_bytes()
-    head, mark, tail = text.partition(_THINGS)
+    head, mark, tail = text.partition(_BOXES)
     if mark:
         try:
             if tail not in known:
-                known[tail] = _mapping(_parse(mark + tail, path), path)
-            return {**_mapping(_parse(head, path), path), **known[tail]}
+                known[tail] = as_mapping(load_yaml(mark + tail, path), path)
+            return {**as_mapping(load_yaml(head, path), path), **known[tail]}
         except InspeError:
-            pass  # the whole file says where the fault is, if there is one
-    return _mapping(_parse(text, path), path)
-
-
-def _parse(text: bytes, path: Path) -> Any:
-    try:
-        return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError) as e:
-        raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
-
-
-def _mapping(content: Any, where: object) -> dict[str, Any]:
-    if not isinstance(content, dict):
-        raise InspeError(f"{where}: must hold keys with values, got {_brief(content)}")
-    return content
+            pass  # if the file is broken, parsing it as a whole says where
+    return as_mapping(load_yaml(text, path), path)
 
 
 def _numbers(
     content: Mapping[str, Any], key: str, shape: tuple[int, ...], where: object
 ) -> Float[np.ndarray, "..."]:
-    """The numbers under a key. Raises InspeError where they are missing, or something else."""
+    """The numbers under a key. Raises InspeError if they are missing or not of this shape."""
     if key not in content:
         raise InspeError(f"{where}: {key}: missing key")
     try:
@@ -161,32 +139,30 @@ def _numbers(
         array = np.array(None)
     if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
         many = " x ".join(map(str, shape)) or "1"
-        raise InspeError(f"{where}: {key}: must be {many} numbers, got {_brief(content[key])}")
+        raise InspeError(f"{where}: {key}: must be {many} numbers, got {brief(content[key])}")
     return array.astype(float)
 
 
-def _brief(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> tuple[RoadUserBox, ...]:
+    """The boxes that all agents list, each track once.
 
-
-def _things(contents: list[dict[str, Any]], files: list[Path]) -> tuple[RoadUserBox, ...]:
-    """The things of all agents; an entry by kind tells more than one in ``vehicles``."""
+    The sections of one kind come before ``vehicles``, which does not say the kind.
+    """
     found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):
         for section, kind in places:
-            entries = _mapping(content.get(section) or {}, f"{path}: {section}")
+            entries = as_mapping(content.get(section) or {}, f"{path}: {section}")
             for track, entry in entries.items():
                 where = f"{path}: {section}.{track}"
                 if not isinstance(track, int) or isinstance(track, bool):
                     raise InspeError(f"{where}: the id must be a whole number")
                 if track not in found:
-                    found[track] = _thing(track, kind, _mapping(entry, where), where)
+                    found[track] = _box(track, kind, as_mapping(entry, where), where)
     return tuple(found[track] for track in sorted(found))
 
 
-def _thing(track: int, kind: str, entry: Mapping[str, Any], where: str) -> RoadUserBox:
+def _box(track: int, kind: str, entry: Mapping[str, Any], where: str) -> RoadUserBox:
     if "obj_type" in entry:
         word = str(entry["obj_type"])
         if word.lower() not in OBJ_TYPES:
@@ -218,13 +194,13 @@ def _station(agent: int, name: str, content: dict[str, Any], path: Path) -> Stat
 
 
 def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
-    """Keys that are a word and a number, by the number."""
+    """The keys that consist of ``word`` and a number, by the number."""
     found = (re.fullmatch(rf"{word}(\d+)", key) for key in content if isinstance(key, str))
     return dict(sorted((int(m[1]), m[0]) for m in found if m))
 
 
 def _scans(content: dict[str, Any], lidars: dict[int, str], path: Path) -> Iterator[Scan]:
-    """Scans, their points to be read; none where the file says that there is no LiDAR."""
+    """The scans of an agent, their points not yet read; none if the file says "no LiDAR"."""
     for i, key in lidars.items():
         points = path.with_name(f"{path.stem}_lidar{i}.pcd")
         if i == 0 and not points.is_file():
@@ -240,10 +216,10 @@ def _points(path: Path) -> Float[np.ndarray, "N 4"]:
 
 
 def _images(content: dict[str, Any], path: Path) -> Iterator[Image]:
-    """Images, their pixels to be read; those of which there is a picture."""
+    """The images of an agent, their pixels not yet read; cameras without a picture are left out."""
     for i, key in _numbered(content, "camera").items():
         where = f"{path}: {key}"
-        camera = _mapping(content[key], where)
+        camera = as_mapping(content[key], where)
         pose = from_carla(_numbers(camera, "cords", (6,), where))
         intrinsic = _numbers(camera, "intrinsic", (3, 3), where)
         files = {field: path.with_name(f"{path.stem}_{word}{i}.png") for field, word in _PICTURES}

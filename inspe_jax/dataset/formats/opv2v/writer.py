@@ -1,28 +1,24 @@
-"""A frame into the files of a scenario: OPV2V's layout, and the Infra-Set variant's beside it.
+"""Writes frames as OPV2V files, which also have the names and keys of the Infra-Set variant.
 
-SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar0.pcd`` …, ``_camera0.png`` …, and where
-there are any ``_depth0.png``, ``_instance0.png`` and ``_semantic0.png``. The YAML is a superset
-of the keys of both. Not in any file are a frame's time, which is its number times the tick that
-``data_protocol.yaml`` tells, and the direction in which a thing moves.
+SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar0.pcd`` …, ``_camera0.png`` …, and, if they
+were recorded, ``_depth0.png``, ``_instance0.png`` and ``_semantic0.png``. The YAML file has the
+keys of both. Two things are in no file: the time of a frame, which is its number times the time
+step in ``data_protocol.yaml``, and the direction in which a road user moves.
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from inspe_jax.core.carla_frame import between, flip, to_carla
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import whole_file, write_text
 from inspe_jax.dataset.formats.pcd import write_pcd
 from inspe_jax.dataset.formats.png import write_depth, write_instance, write_rgb, write_semantic
+from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
-
-PROTOCOL = "data_protocol.yaml"
-"""What made a scenario; in the scenario's folder."""
 
 SECTIONS: dict[str, str] = {
     "car": "cars",
@@ -30,70 +26,33 @@ SECTIONS: dict[str, str] = {
     "pedestrian": "pedestrians",
     "truck": "trucks",
 }
-"""The Infra-Set variant's dictionary for each kind, beside ``vehicles`` with all of them."""
+"""The Infra-Set variant's section for each kind, in addition to ``vehicles`` with all kinds."""
 
 NO_LIDAR = "no LiDAR"
 """The comment in the empty PCD file of a station without one."""
 
 KMH = 3.6
-"""km/h in a m/s."""
+"""1 m/s in km/h."""
 
 DECIMALS = 7
-"""Lengths [m], angles [°] and speeds [km/h] are rounded to this many: 1e-6 is certain, also of
-the sum of ``location`` and ``center``."""
+"""Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
+sum of ``location`` and ``center``."""
 
 MATRIX_DECIMALS = 12
-"""So are the entries of matrices, which are multiplied by as much as kilometres."""
-
-_WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
-
-_Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-class _Dumper(_Base):
-    """YAML without anchors: an object that is in two dictionaries is written twice."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """Always."""
-        return True
-
-
-def write_protocol(
-    scenario: str | os.PathLike[str],
-    protocol: Mapping[str, Any],
-    stations: Iterable[Station] = (),
-) -> None:
-    """Write ``data_protocol.yaml``, in the order given; the folder is made where there is none.
-
-    ``protocol`` must have ``world`` with fixed_delta_seconds (the tick [s]), client_port, seed,
-    weather and town, which some readers want. The names of ``stations`` are added under
-    ``stations``. Raises InspeError where a key is missing or a value is not for YAML.
-    """
-    path = _folder(Path(scenario)) / PROTOCOL
-    world = protocol.get("world")
-    for key in _WORLD:
-        if not isinstance(world, Mapping) or key not in world:
-            raise InspeError(f"{path}: world.{key}: missing key")
-    names = {-station.number: station.name for station in stations}
-    content = {**protocol, "stations": names} if names else dict(protocol)
-    try:
-        text = _dump(content)
-    except yaml.YAMLError as e:
-        raise InspeError(f"{path}: {' '.join(str(e).split())}") from e
-    write_text(path, text)
+"""Decimals of the entries of matrices, which are multiplied by distances of up to kilometres."""
 
 
 def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
-    """Write a frame into each station's folder of a scenario, over what was there of it.
+    """Write a frame into the folder of each station, over an earlier frame of this number.
 
-    Each file appears whole, the YAML files last of all: a frame without them is not there.
-    Every frame of a scenario should have the same stations. Raises InspeError, before anything
-    is written, where the frame cannot be.
+    Every file appears when it is complete, and the YAML files come last: without them a frame does
+    not count as complete. Every frame of a scenario should have the same stations. Raises
+    InspeError, before anything is written, if the frame is not valid.
     """
     check_frame(frame)
     stem = f"{frame.number:06d}"
-    things = _dump(_sections(frame.things))
-    agents = [_folder(Path(scenario) / str(-station.number)) for station in frame.stations]
+    boxes = dump_yaml(_sections(frame.boxes))
+    agents = [make_folder(Path(scenario) / str(-station.number)) for station in frame.stations]
     for agent in agents:
         _clear(agent, stem)
     for station, agent in zip(frame.stations, agents, strict=True):
@@ -101,21 +60,13 @@ def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
         for i, image in enumerate(station.images):
             _write_image(agent, stem, i, image)
     for station, agent in zip(frame.stations, agents, strict=True):
-        write_text(agent / f"{stem}.yaml", _dump(_sensors(station)) + things)
-
-
-def _folder(path: Path) -> Path:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise InspeError(f"{path}: cannot be made a folder: {e.strerror}") from e
-    return path
+        write_text(agent / f"{stem}.yaml", dump_yaml(_sensors(station)) + boxes)
 
 
 def _clear(agent: Path, stem: str) -> None:
-    """Take away what there is of a frame: the YAML first, and last the file written first.
+    """Delete the files of a frame: first the YAML file, and last the file that is written first.
 
-    So that a long folder is listed only for a frame that was begun before.
+    So a folder with many files is listed only if a frame of this number was begun before.
     """
     last, first = agent / f"{stem}.yaml", agent / f"{stem}_lidar0.pcd"
     if not (last.exists() or first.exists()):
@@ -128,7 +79,7 @@ def _clear(agent: Path, stem: str) -> None:
 
 
 def _write_scans(agent: Path, stem: str, scans: Sequence[Scan]) -> None:
-    """The first LiDAR has two names, OPV2V's and the variant's."""
+    """Write the scans. The first one gets two names: OPV2V's and the Infra-Set variant's."""
     first = agent / f"{stem}_lidar0.pcd"
     if not scans:
         write_pcd(first, np.zeros((0, 4)), note=NO_LIDAR)
@@ -136,7 +87,7 @@ def _write_scans(agent: Path, stem: str, scans: Sequence[Scan]) -> None:
         write_pcd(agent / f"{stem}_lidar{i}.pcd", flip(scan.points))
     second = agent / f"{stem}.pcd"
     try:
-        os.link(first, second)  # points are most of a set: twice the name, once the space
+        os.link(first, second)  # most of a set is points: two names, but stored only once
     except OSError:
         with whole_file(second) as f:
             f.write(first.read_bytes())
@@ -153,7 +104,7 @@ def _write_image(agent: Path, stem: str, i: int, image: Image) -> None:
 
 
 def _sensors(station: Station) -> dict[str, Any]:
-    """What the YAML says of a station and its sensors."""
+    """The part of the YAML file about a station and its sensors."""
     unit = _cords(station.pose)
     lidars = [_cords(scan.pose) for scan in station.scans] or [unit]
     return {
@@ -168,7 +119,8 @@ def _sensors(station: Station) -> dict[str, Any]:
 
 
 def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
-    """``extrinsic`` is inv(camera to world) · LiDAR to world, of the poses as they are written."""
+    """A camera's entry. ``extrinsic`` is inv(camera to world) · (LiDAR to world), from the rounded
+    poses."""
     cords = _cords(image.pose)
     return {
         "cords": cords,
@@ -177,31 +129,31 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
     }
 
 
-def _sections(things: Sequence[RoadUserBox]) -> dict[str, dict[int, Any]]:
-    """What the YAML says of the things: all in ``vehicles``, and again by kind."""
-    ordered = sorted(things, key=lambda thing: thing.track)
-    entries = {int(thing.track): _entry(thing) for thing in ordered}
+def _sections(boxes: Sequence[RoadUserBox]) -> dict[str, dict[int, Any]]:
+    """The part of the YAML file about road users: all in ``vehicles``, and again by kind."""
+    ordered = sorted(boxes, key=lambda box: box.track)
+    entries = {int(box.track): _entry(box) for box in ordered}
     sections: dict[str, dict[int, Any]] = {"vehicles": entries}
     for kind, section in SECTIONS.items():
-        tracks = [int(thing.track) for thing in ordered if thing.kind == kind]
+        tracks = [int(box.track) for box in ordered if box.kind == kind]
         sections[section] = {track: entries[track] for track in tracks}
     return sections
 
 
-def _entry(thing: RoadUserBox) -> dict[str, Any]:
-    """A thing as an entry. Readers add ``center`` to ``location`` as it is, unrotated: it is
-    straight up from the middle of the bottom."""
-    half = np.asarray(thing.size, float) / 2
-    x, y, z = np.asarray(thing.center, float)
-    cords = to_carla([x, y, z - half[2], 0.0, 0.0, thing.yaw])
-    speed = np.linalg.norm(np.asarray(thing.velocity, float))
+def _entry(box: RoadUserBox) -> dict[str, Any]:
+    """The entry of a road user. ``location`` is the middle of the bottom of the box, and ``center``
+    points straight up from there, because readers add it without rotating it."""
+    half = np.asarray(box.size, float) / 2
+    x, y, z = np.asarray(box.center, float)
+    cords = to_carla([x, y, z - half[2], 0.0, 0.0, box.yaw])
+    speed = np.linalg.norm(np.asarray(box.velocity, float))
     return {
         "angle": _rounded(cords[3:]),
         "center": _rounded([0.0, 0.0, half[2]]),
         "extent": _rounded(half),
         "location": _rounded(cords[:3]),
-        "name": thing.name,
-        "obj_type": thing.kind.capitalize(),
+        "name": box.name,
+        "obj_type": box.kind.capitalize(),
         "speed": _rounded(speed * KMH),
     }
 
@@ -212,11 +164,3 @@ def _cords(pose: Any) -> list[float]:
 
 def _rounded(values: Any, decimals: int = DECIMALS) -> Any:
     return (np.round(np.asarray(values, float), decimals) + 0.0).tolist()  # + 0.0: no −0.0
-
-
-def _dump(content: Mapping[str, Any]) -> str:
-    """YAML in the order given, a list of numbers on one line."""
-    text: str = yaml.dump(
-        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=2**31 - 1
-    )
-    return text

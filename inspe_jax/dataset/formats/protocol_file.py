@@ -1,0 +1,97 @@
+"""The file that says what made a scenario, and the YAML that formats share."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import write_text
+from inspe_jax.simulation.frame import Station
+
+PROTOCOL = "data_protocol.yaml"
+"""The usual name of the file, in the scenario's folder."""
+
+_WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _Dumper(_Base):
+    """YAML without anchors: an object that is in two dictionaries is written twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Always."""
+        return True
+
+
+def write_protocol_file(
+    path: Path, protocol: Mapping[str, Any], stations: Iterable[Station] = ()
+) -> None:
+    """Write a protocol, its keys in the order given.
+
+    ``protocol`` must have ``world`` with fixed_delta_seconds (the time step [s]), client_port,
+    seed, weather and town, because some readers need them. The names of ``stations`` are added
+    under ``stations``. The folder is made if it is missing. Raises InspeError where a key is
+    missing, or YAML cannot hold a value.
+    """
+    make_folder(path.parent)
+    world = protocol.get("world")
+    for key in _WORLD:
+        if not isinstance(world, Mapping) or key not in world:
+            raise InspeError(f"{path}: world.{key}: missing key")
+    names = {-station.number: station.name for station in stations}
+    content = {**protocol, "stations": names} if names else dict(protocol)
+    try:
+        text = dump_yaml(content)
+    except yaml.YAMLError as e:
+        raise InspeError(f"{path}: {' '.join(str(e).split())}") from e
+    write_text(path, text)
+
+
+def read_protocol_file(path: Path) -> dict[str, Any]:
+    """What a protocol says; empty if there is no such file. Raises InspeError if it is not YAML."""
+    return as_mapping(load_yaml(path.read_bytes(), path), path) if path.is_file() else {}
+
+
+def make_folder(path: Path) -> Path:
+    """Make a folder and those above it, and return it. Raises InspeError where that fails."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise InspeError(f"{path}: the folder cannot be created: {e.strerror}") from e
+    return path
+
+
+def dump_yaml(content: Mapping[str, Any]) -> str:
+    """YAML in the order given, with each list of numbers on one line."""
+    text: str = yaml.dump(
+        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=2**31 - 1
+    )
+    return text
+
+
+def load_yaml(text: bytes, path: Path) -> Any:
+    """What a YAML text holds. Raises InspeError, which names ``path``, on any other text.
+
+    For files of programs: it uses libyaml where that is there, which is fast, and does not look
+    for keys that are given twice, as :func:`~inspe_jax.core.files.parse_yaml` does.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError) as e:
+        raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
+
+
+def as_mapping(content: Any, where: object) -> dict[str, Any]:
+    """The content, if it is a mapping. Raises InspeError, which names ``where``, otherwise."""
+    if not isinstance(content, dict):
+        raise InspeError(f"{where}: must hold keys with values, got {brief(content)}")
+    return content
+
+
+def brief(value: Any) -> str:
+    """A value as text of at most 80 characters, for error messages."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

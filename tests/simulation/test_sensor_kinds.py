@@ -1,0 +1,114 @@
+"""A kind of sensor of one's own: a spec, and one row in the table of a backend."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from worlds import CAMERA, place_sensors, with_boxes, world
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.simulation.backends import recorder_of
+from inspe_jax.simulation.carla import sensor_kinds
+from inspe_jax.simulation.carla.recorder import CarlaRecorder
+from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.sensors import SENSORS
+from inspe_jax.simulation.frame import Scan
+from inspe_jax.simulation.recorder import Recording
+
+
+@dataclass(frozen=True)
+class FanSpec:
+    """A flat fan of rays ahead, as of a radar: so many across ``fov`` [rad], to ``reach`` [m]."""
+
+    name: str
+    count: int
+    fov: float
+    reach: float
+
+    kind = "fan"
+
+
+class Fan:
+    """Its simulation: the nearest return of each ray."""
+
+    def __init__(self, spec, pose, surroundings):
+        turn = np.linspace(-spec.fov / 2, spec.fov / 2, spec.count)
+        self.body = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(spec.count)])
+        self.pose, self.reach, self.surroundings = pose, spec.reach, surroundings
+
+    def record(self, actors, rng):
+        static = self.surroundings.static_world
+        _, caster = actors.at(0.0)
+        origin, to = self.pose[:3] - static.center, self.body @ rotation(self.pose[3:], np).T
+        casters = Caster(static.triangles), caster
+        far = np.min([one.cast(origin, to, self.reach).distance for one in casters], 0)
+        met = np.isfinite(far)
+        points = np.column_stack([self.body[met] * far[met, None], np.ones(met.sum())])
+        return Scan(self.pose, points.astype(np.float32))
+
+
+FAN = FanSpec("a fan", 41, np.radians(40), 60.0)
+"""A ray for every degree."""
+
+
+def test_a_fan_of_rays_is_recorded_beside_a_camera(monkeypatch):
+    """Broadside on a car 10 m ahead of it, 1 m up: its side of 4.6 m, at y = 10 − 0.925."""
+    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+    monkeypatch.setitem(SENSORS, "fan", Fan)
+    scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, 10, 0, 4.6, 1.85, 1.5))
+    layout = place_sensors(
+        (FAN, [0, 0, 0.6, 0, 0, np.pi / 2]), (CAMERA, [0, 0, 5, 0, -0.3, np.pi / 2])
+    )
+    recording = Recording(image_scale=0.1)
+    with recorder_of("embedded", scene, layout, recording=recording) as recorder:
+        fan, camera = recorder.frame(0).stations
+    assert (len(fan.images), len(camera.images), len(camera.scans)) == (0, 1, 0)
+    (scan,) = fan.scans
+    on_car = scan.points[scan.points[:, 0] < 11]
+    assert on_car[:, 0] == pytest.approx(9.1, abs=0.15)
+    half = np.degrees(np.arctan(2.3 / 9.075))
+    assert len(on_car) == pytest.approx(2 * np.floor(half) + 1, abs=2)
+    assert np.abs(on_car[:, 1]).max() == pytest.approx(2.3, abs=0.3)
+
+
+def test_a_kind_without_a_row_is_an_error():
+    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+    scene, layout = world(count=0, radius=20.0, voxel=2.0), place_sensors((FAN, [0, 0, 3, 0, 0, 0]))
+    words = "a fan: backend {} cannot simulate a sensor of kind 'fan', only camera and lidar"
+    for backend in ("embedded", "carla"):
+        with pytest.raises(InspeError, match=words.format(backend)):
+            recorder_of(backend, scene, layout)
+
+
+def test_carla_needs_a_row_as_well(monkeypatch):
+    """Without a server: what it would spawn, what it notes, and what becomes of a measurement."""
+    row = sensor_kinds.CarlaSensorKind(
+        blueprints=lambda recording: {"returns": "sensor.other.radar"},
+        attributes=lambda spec, recording: {"range": repr(spec.reach)},
+        note=lambda spec: f"{spec.name}: CARLA's radar has no fixed rays",
+        result=lambda measured: Scan(measured.pose, measured.data["returns"]),
+    )
+    monkeypatch.setitem(sensor_kinds.SENSOR_KINDS, "fan", row)
+    layout = place_sensors((FAN, [1, 2, 3, 0, 0, 0]), (FAN, [0, 0, 3, 0, 0, 0]))
+    recorder = CarlaRecorder(world(count=0, radius=20.0, voxel=2.0), layout)
+    assert recorder.notes == ("a fan: CARLA's radar has no fixed rays",)
+
+    points = np.ones((5, 4), np.float32)
+
+    class Queue:
+        def take(self, number, until):
+            return points if number == 7 else None
+
+    recorder.queues = [{"returns": Queue()}] * 2
+    scan = recorder._record(0, t=0, number=7, boxes=())
+    assert scan.points is points
+    assert scan.pose.tolist() == [1, 2, 3, 0, 0, 0]
+
+
+def test_cameras_need_no_more_than_their_layers():
+    row = sensor_kinds.SENSOR_KINDS["camera"]
+    layers = {"instance": ["rgb", "instance", "depth"], "semantic": ["rgb", "semantic"]}
+    assert [*row.blueprints(Recording())] == ["rgb"]
+    for layer, pictures in layers.items():
+        assert [*row.blueprints(replace(Recording(), layers=(layer,)))] == pictures

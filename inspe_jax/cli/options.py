@@ -19,10 +19,6 @@ if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
     from inspe_jax.sensing.conditions import Conditions
 
-WeightsOption = Annotated[
-    tuple[float, float, float],
-    typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
-]
 PriceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -41,7 +37,39 @@ OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder fo
 
 
 @dataclass(frozen=True)
-class SearchOptions:
+class WeightOptions:
+    """The weights of metrics in P_sm, by name; or as three numbers, in the way of before."""
+
+    weight: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Weight of a metric in P_sm, such as coverage=0.3; repeat it for other metrics. "
+            "Metrics that you do not name get 0, and all weights must sum to 1. Without this "
+            "option every metric has its usual weight (see `inspe metrics`).",
+        ),
+    ] = None
+    three_weights: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--weights", metavar="C O IG", hidden=True),
+    ] = None
+
+    def weights(self) -> dict[str, float]:
+        """The weight of every metric. Raises InspeError where they are not weights."""
+        from inspe_jax.scoring.metrics import weights_of
+
+        if self.weight and self.three_weights:
+            raise InspeError("--weight and --weights say the same thing: give only --weight")
+        return weights_of(_weights(self.weight) if self.weight else self.three_weights)
+
+
+def _weights(given: list[str]) -> dict[str, float]:
+    """Weights by metric from ``NAME=VALUE``. Raises InspeError where one is not that."""
+    return _numbers("--weight", given, "NAME=VALUE, such as coverage=0.3")
+
+
+@dataclass(frozen=True)
+class SearchOptions(WeightOptions):
     """What every searching command takes: a budget, an objective and constraints."""
 
     seconds: Annotated[
@@ -53,7 +81,6 @@ class SearchOptions:
         float | None,
         typer.Option(help="Work of a search, in exact scores; a seed then repeats on one machine."),
     ] = None
-    weights: WeightsOption = (0.3, 0.5, 0.2)
     also: Annotated[
         list[str] | None,
         typer.Option(
@@ -121,7 +148,7 @@ class SearchOptions:
             )
         check_budget(self.seconds_each(), self.evaluations)
         wanted = Objective(
-            weights=self.weights,
+            weights=self.weights(),
             over="worst" if self.worst else "mean",
             failures=self.failures,
             **objective,
@@ -179,17 +206,22 @@ def _places(given: list[str]) -> str | dict[str, str]:
 
 def prices(given: list[str] | None) -> dict[str, float]:
     """Prices by device from ``DEVICE=USD``. Raises InspeError where one is not that."""
-    found = {}
-    for text in given or ():
+    return _numbers("--price", given or [], "DEVICE=USD, such as hesai-xt32=5000")
+
+
+def _numbers(option: str, given: list[str], form: str) -> dict[str, float]:
+    """Numbers by name from ``NAME=NUMBER``, in the order in which they are given."""
+    found: dict[str, float] = {}
+    for text in given:
         name, _, number = text.partition("=")
         try:
             value = float(number.replace(",", ""))
         except ValueError:
             value = float("nan")
         if not name.strip() or isnan(value):
-            raise InspeError(f"--price {text}: DEVICE=USD, such as hesai-xt32=5000")
+            raise InspeError(f"{option} {text}: write {form}")
         if name.strip() in found:
-            raise InspeError(f"--price {text}: {name.strip()} is named twice")
+            raise InspeError(f"{option} {text}: {name.strip()} is given twice")
         found[name.strip()] = value
     return found
 
@@ -211,6 +243,6 @@ def counts(given: list[str]) -> dict[str, list[int]]:
                 f"--device {text}: DEVICE:COUNTS, such as hesai-xt32:0-4 or hesai-xt32:0,2,4"
             )
         if name in found:
-            raise InspeError(f"--device {text}: {name} is named twice")
+            raise InspeError(f"--device {text}: {name} is given twice")
         found[name] = numbers
     return found

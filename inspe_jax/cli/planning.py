@@ -33,7 +33,7 @@ from inspe_jax.cli.options import (
     OutOption,
     PriceOption,
     SearchOptions,
-    WeightsOption,
+    WeightOptions,
     counts,
     prices,
     takes,
@@ -122,6 +122,7 @@ def pareto(
 
 
 @app.command()
+@takes(WeightOptions)
 def tolerance(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -133,7 +134,6 @@ def tolerance(
     ] = 1.0,
     samples: Annotated[int, typer.Option(help="Random installations.")] = 50,
     seed: Annotated[int, typer.Option(help="Seed of their errors.")] = 0,
-    weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
@@ -141,6 +141,8 @@ def tolerance(
         str | None,
         typer.Option("--json", metavar="FILE|-", help="Write it all as JSON; - for stdout."),
     ] = None,
+    *,
+    options: WeightOptions,
 ) -> None:
     """What an installation error costs: slopes by sensor, and the P_sm that random errors leave.
 
@@ -159,7 +161,7 @@ def tolerance(
     from inspe_jax.sensing.conditions import Conditions
 
     check_record(record)
-    objective = Objective(weights=weights)
+    objective = Objective(weights=options.weights())
     objective.check()
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):

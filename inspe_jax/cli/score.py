@@ -27,6 +27,7 @@ from inspe_jax.cli.common import (
     scene_and_layout,
     show,
 )
+from inspe_jax.cli.options import WeightOptions, takes
 from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
@@ -230,6 +231,7 @@ def layout(
 
 
 @app.command()
+@takes(WeightOptions)
 def score(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -238,10 +240,6 @@ def score(
         typer.Option("--json", metavar="FILE|-", help="Write the scores as JSON; - for stdout."),
     ] = None,
     plot: PlotOption = None,
-    weights: Annotated[
-        tuple[float, float, float],
-        typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
-    ] = (0.3, 0.5, 0.2),
     occlusion_reference: Annotated[
         str | None,
         typer.Option(
@@ -259,6 +257,8 @@ def score(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    *,
+    options: WeightOptions,
 ) -> None:
     """Score a layout on a scene: coverage, occlusion, information gain and P_sm.
 
@@ -269,6 +269,7 @@ def score(
     - `inspe score j189.npz layout.yaml --json -`
     - `inspe score j189.npz layout.yaml --light night --weather rain:10`
     - `inspe score four_way L-d1 --profile ideal`
+    - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
@@ -279,7 +280,7 @@ def score(
 
     check_output(plot, FORMATS)
     check_record(record)
-    conditions = Conditions.of(light, weather)
+    conditions, weights = Conditions.of(light, weather), options.weights()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("scoring"):
@@ -295,6 +296,17 @@ def score(
     if plot:
         save_figure(plan_view(world, placed, scores), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+
+
+@app.command()
+def metrics() -> None:
+    """List the metrics that a layout is scored by: name, symbol, usual weight in P_sm, meaning.
+
+    Example: `inspe metrics`; then `inspe score --weight coverage=0.3 --weight occlusion=0.7`.
+    """
+    from inspe_jax.report.tables import metrics_table
+
+    out.print(metrics_table())
 
 
 @app.command()

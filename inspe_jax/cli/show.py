@@ -26,7 +26,7 @@ from inspe_jax.cli.common import (
     out,
     progress,
 )
-from inspe_jax.cli.options import WeightsOption
+from inspe_jax.cli.options import WeightOptions, takes
 
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
+@takes(WeightOptions)
 def report(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: Annotated[
@@ -62,10 +63,11 @@ def report(
         ),
     ] = None,
     frame: Annotated[int, typer.Option(help="Frame of the traffic that is drawn.")] = 0,
-    weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    *,
+    options: WeightOptions,
 ) -> None:
     """Write a page to hand on: scores side by side, maps, the scene in three dimensions.
 
@@ -88,7 +90,7 @@ def report(
 
     check_output(path, (".html", ".htm"))
     check_output(pdf, (".pdf",))
-    conditions = Conditions.of(light, weather)
+    conditions, weights = Conditions.of(light, weather), options.weights()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         check_frame(world, frame)
@@ -132,6 +134,7 @@ def found_or_placed(world: "Scene", given: str) -> "tuple[Layout, Result | None]
 
 
 @app.command()
+@takes(WeightOptions)
 def view(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -152,10 +155,11 @@ def view(
             "On this machine alone it can be left out."
         ),
     ] = True,
-    weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    *,
+    options: WeightOptions,
 ) -> None:
     """Serve a page on which sensors are dragged and the scores follow.
 
@@ -180,7 +184,7 @@ def view(
     from inspe_jax.viewer.app import Viewer
 
     check_output(path, (".yaml", ".yml"))
-    conditions = Conditions.of(light, weather)
+    conditions, weights = Conditions.of(light, weather), options.weights()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)

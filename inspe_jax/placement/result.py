@@ -91,6 +91,10 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         check_input(place / name)
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
+        if record.pop("format") == BEFORE:
+            _name_weights(record["settings"]["objective"])
+            _name_weights(record["scores_before"]["settings"])
+            _name_weights(record["scores"]["settings"])
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
@@ -126,7 +130,7 @@ def _read_record(place: Path) -> dict[str, Any]:
     """What ``result.json`` holds. Raises InspeError where it is something else."""
     try:
         record = json.loads((place / "result.json").read_text(encoding="utf-8"))
-        written = str(record.pop("format"))
+        written = str(record["format"])
     except (AttributeError, KeyError, TypeError, ValueError) as e:
         raise InspeError(f"{place}: not a result saved by this package") from e
     if written not in (FORMAT, BEFORE):
@@ -140,6 +144,7 @@ def _read_record(place: Path) -> dict[str, Any]:
     return record
 
 
+_PAPER = ("coverage", "occlusion", "information_gain")
 _POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
@@ -198,9 +203,13 @@ def _by_metric(record: dict[str, Any]) -> dict[str, Any]:
     """A record of scores with its metrics by name; before, each of the paper's had a key."""
     if "metrics" in record:
         return dict(record)
-    paper = ("coverage", "occlusion", "information_gain")
-    rest = {key: value for key, value in record.items() if key not in paper}
-    return rest | {"metrics": {name: record[name] for name in paper}}
+    rest = {key: value for key, value in record.items() if key not in _PAPER}
+    return rest | {"metrics": {name: record[name] for name in _PAPER}}
+
+
+def _name_weights(settings: dict[str, Any]) -> None:
+    """Give weights by name; in a record of before they are three numbers."""
+    settings["weights"] = dict(zip(_PAPER, settings["weights"], strict=True))
 
 
 def csv_text(rows: Sequence[dict[str, Any]]) -> str:

@@ -37,6 +37,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import Metric, listed
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 from inspe_jax.visibility.queries import check_frame
@@ -61,6 +62,8 @@ _WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
 KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 _MARKERS = {"camera": "o", "lidar": "s"}
+LINE = 126
+"""Characters that fit on a line of a figure's heading."""
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
@@ -105,9 +108,7 @@ def plan_view(
     layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     facts = (
-        f"coverage C {scores.coverage:.3f},  occlusion O {scores.occlusion:.3f},  "
-        f"information gain IG {scores.information_gain:.3f},  "
-        f"surrogate $P_{{sm}}$ {scores.surrogate:.3f}\n"
+        f"{_score_line(scores)}\n"
         f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}"
     )
     keys = plan_keys(scene, layout)
@@ -126,6 +127,19 @@ def plan_view(
         _list_sensors(panel, layout, poses, top)
         panel.legend(handles=keys, loc="lower left", **KEYS)
     return fig
+
+
+def _score_line(scores: Scores) -> str:
+    """Every score by name and symbol on one line; by its symbol alone where there are many."""
+    values = [(metric, f"{in_math(metric)} {scores.value(metric.name):.3f}") for metric in listed()]
+    line = ",  ".join(f"{metric.words} {value}" for metric, value in values)
+    return line if len(line) <= LINE else ",  ".join(value for _, value in values)
+
+
+def in_math(metric: Metric) -> str:
+    """A metric's symbol for matplotlib: its index is set below the line, as in P_sm."""
+    letter, _, index = metric.symbol.partition("_")
+    return f"${letter}_{{{index}}}$" if index else letter
 
 
 def column_raster(

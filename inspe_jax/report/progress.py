@@ -18,12 +18,14 @@ from inspe_jax.report.figures import (
     column_raster,
     draw_badges,
     draw_layer,
+    in_math,
     plan_keys,
 )
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.layout import Layout
 
 MOVED = 0.5
@@ -38,6 +40,7 @@ LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 
 _SIDE, _LEFT, _GAP = 3.10, 0.48, 0.30  # of the two maps, before the first, between them [inch]
 _HEAD, _BELOW = 0.66, 1.14  # above and below the maps [inch]
+_CAPTION = 60  # characters of a line above a map
 _ARROW: dict[str, Any] = dict(color="#202020", lw=0.9)
 
 
@@ -109,9 +112,11 @@ def before_after(
 
 
 def _caption(when: str, scores: Scores) -> str:
-    parts = dict(C=scores.coverage, O=scores.occlusion, IG=scores.information_gain)
-    each = ", ".join(f"{name} {value:.3f}" for name, value in parts.items())
-    return f"{when}: $P_{{sm}}$ {scores.surrogate:.3f}  ({each})"
+    """The scores of a map, P_sm first; on two lines where there are many."""
+    *metrics, surrogate = listed()
+    each = ", ".join(f"{in_math(m)} {scores.value(m.name):.3f}" for m in metrics)
+    first = f"{when}: {in_math(surrogate)} {scores.surrogate:.3f}"
+    return f"{first}  ({each})" if len(first) + len(each) <= _CAPTION else f"{first}\n({each})"
 
 
 def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> bool:

@@ -21,7 +21,7 @@ from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.scoring.metrics import listed
+from inspe_jax.scoring.metrics import METRICS, listed
 from inspe_jax.sensing.catalogue import Device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
@@ -73,19 +73,30 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     return Group(beside, "", each)
 
 
+def metrics_table() -> RenderableType:
+    """The metrics and P_sm for people: name, symbol, usual weight and meaning."""
+    table = table_of("Metrics, each from 0 to 1, higher is better", "name", "symbol", "weight", "")
+    for metric in listed():
+        weight = f"{metric.weight:g}" if metric.name in METRICS else ""
+        table.add_row(metric.name, metric.symbol, weight, metric.summary)
+    return table
+
+
 def before_after_table(result: Result) -> RenderableType:
     """The four scores before and after a search, and its objective where that is something else."""
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
     table = table_of(title, "metric", "symbol", *_CHANGE)
+    before, after = result.scores_before, result.scores
     rows = [
-        (m.words, m.symbol, result.scores_before.value(m.name), result.scores.value(m.name))
+        (m.words, m.symbol, before.value(m.name), after.value(m.name))
         for m in listed()
+        if m.name in {*before.metrics, "surrogate"} & {*after.metrics, "surrogate"}
     ]
     if abs(result.objective - result.scores.surrogate) > _SAME:
         rows.append(("objective", "", result.objective_before, result.objective))
-    for name, symbol, before, after in rows:
+    for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""
-        numbers = (f"{before:.3f}", f"{after:.3f}", f"{after - before:+z.3f}")
+        numbers = (f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}")
         table.add_row(name, symbol, *numbers, style=look)
     return table
 
@@ -420,10 +431,6 @@ def _resolution(spec: Spec) -> tuple[str, str]:
 
 def _position(center: Iterable[float]) -> str:
     return ", ".join(f"{value:z.1f}" for value in center)
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _plain(value: Any) -> Any:

@@ -20,7 +20,10 @@ The file; paths are relative to it, and every setting is one value or a list of 
       density: [low, medium, high]   # of scenes: profile, radius, voxel, spacing, density, frames,
                                      #   step, mix, traffic (waypoints or sumo), seed
       light: [midday, night]         # of the sensors: light, weather
-      weather: [clear, "rain:10"]    # of the scores: weights, occlusion_reference, visibility
+      weather: [clear, "rain:10"]
+      weights:                       # of the scores: weights, occlusion_reference, visibility
+        - {coverage: 0.3, occlusion: 0.5, information_gain: 0.2}
+        - {coverage: 0.3, occlusion: 0.7}  # or three numbers, of C, O and IG
       method: [none, greedy-adam]    # score as it is, or search first: method, seconds,
       seconds: 30                    #   evaluations, search_seed
 """
@@ -65,6 +68,8 @@ from inspe_jax.study.sources import (
     with_named_layouts,
 )
 
+PAPER_METRICS = 3
+"""The registry begins with so many metrics of the paper."""
 AS_IT_IS = "none"
 """The method that only scores."""
 BUILD = (
@@ -113,16 +118,37 @@ class Study:
 # ── The file ────────────────────────────────────────────────────────────────
 
 
-def _rows(value: Any) -> Any:
-    """Weights are a list already: of three, or of several such."""
-    nested = isinstance(value, list) and value and isinstance(value[0], list)
-    return value if nested else [value]
+def _several_weights(value: Any) -> Any:
+    """A list of weights, also where the file has only one; three numbers are one, and a list."""
+    several = isinstance(value, list) and value and isinstance(value[0], list | dict)
+    return value if several else [value]
+
+
+def _canonical_weights(given: Any) -> list[float] | dict[str, float]:
+    """Weights, spelt in one way: a job's key depends on them, and not on how a study gives them.
+
+    As three numbers where no other metric than the paper's has weight, as in every study of before.
+    """
+    by_name = metrics.weights_of(given)
+    if any(list(by_name.values())[PAPER_METRICS:]):
+        return {name: weight for name, weight in by_name.items() if weight}
+    return list(by_name.values())[:PAPER_METRICS]
+
+
+def _check_weights(value: Any) -> None:
+    """Raise InspeError where a study's weights are not numbers by name, or three numbers."""
+    numbers = list(value.values()) if isinstance(value, dict) else value
+    if not isinstance(numbers, list) or not all(
+        isinstance(number, int | float) and not isinstance(number, bool) for number in numbers
+    ):
+        raise InspeError(
+            f"{value!r}: give a number for each metric, such as {{coverage: 0.3, occlusion: 0.7}}"
+        )
+    metrics.weights_of(value)
 
 
 _Frames = Annotated[int, Field(ge=1)]
 _Budget = Annotated[float, Field(gt=0)]
-_One = Annotated[float, Field(ge=0, le=1)]
-_Weights = Annotated[list[_One], Field(min_length=3, max_length=3)]
 
 
 class _Build(WorldSettings):
@@ -135,9 +161,7 @@ class _Build(WorldSettings):
 class _Settings(_Build):
     light: Several[str] = Field(default=[])
     weather: Several[str] = Field(default=[])
-    weights: Annotated[list[_Weights], BeforeValidator(_rows), Field(min_length=1)] = Field(
-        default=[]
-    )
+    weights: Annotated[list[Any], BeforeValidator(_several_weights)] = Field(default=[])
     occlusion_reference: Several[str] = Field(default=[])
     visibility: Several[str] = Field(default=[])
     method: Several[str] = Field(default=[])
@@ -156,7 +180,7 @@ class _StudyFile(Sources):
 
 
 _CHECKS = CHECKS | {
-    "weights": lambda value: check_options(tuple(value), "roi", "in_view"),
+    "weights": _check_weights,
     "occlusion_reference": lambda value: check_options(None, value, "in_view"),
     "visibility": lambda value: check_options(None, "roi", value),
     "method": one_of((AS_IT_IS, *METHODS)),
@@ -209,7 +233,7 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
         defaults_of((*BUILD, *CONDITIONS), profile)
         | lattice
         | dict(
-            weights=[list(metrics.weights_of().values())[:3]],
+            weights=[None],
             occlusion_reference=[own.occlusion_reference],
             visibility=[own.visibility],
             method=[AS_IT_IS],
@@ -221,7 +245,8 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
 
 
 def _searched(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings, without those of a search where there is none."""
+    """Settings with weights spelt in one way, and without those of a search where there is none."""
+    settings = settings | dict(weights=_canonical_weights(settings["weights"]))
     if settings["method"] == AS_IT_IS:
         return settings | dict(seconds=None, evaluations=None, search_seed=None)
     if settings["seconds"] is None and settings["evaluations"] is None:

@@ -1,5 +1,6 @@
 """What a worker does: builds a scene, and turns a job into a row of the results."""
 
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -148,7 +149,7 @@ def _scored(scene: Scene, layout: Layout, job: Job) -> tuple[Scores, float | Non
     given = job.settings
     around = Conditions.of(given["light"], given["weather"])
     options: dict[str, Any] = dict(
-        weights=tuple(given["weights"]),
+        weights=given["weights"],
         occlusion_reference=given["occlusion_reference"],
         visibility=given["visibility"],
     )
@@ -169,6 +170,8 @@ def _scored(scene: Scene, layout: Layout, job: Job) -> tuple[Scores, float | Non
 def _word(value: Any) -> str:
     if value is None:
         return ""
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={_word(item)}" for key, item in value.items())
     if isinstance(value, list):
         return " ".join(map(_word, value))
     return str(value).removesuffix(".0") if isinstance(value, float) else str(value)

@@ -33,6 +33,8 @@ units:
       - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
 """
 
+HALVES = {"coverage": 0.5, "occlusion": 0.5, "information_gain": 0.0}
+
 # On a corner of the four-way, with its back to the traffic: easily bettered.
 AWAY = """
 units:
@@ -162,10 +164,14 @@ def test_a_scene_without_traffic_is_built(inspe, files):
     arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
     assert inspe("scene", "four_way", *arguments)[0] == 0
     assert (files / "quiet.npz").is_file()
-    weights = ("--weights", 0.5, 0.5, 0)
-    status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
-    assert status == 0
-    assert json.loads(text)["information_gain"] == 0
+    by_name = ("--weight", "coverage=0.5", "--weight", "occlusion=0.5")
+    for weights in (by_name, ("--weights", 0.5, 0.5, 0)):
+        status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
+        assert status == 0
+        record = json.loads(text)
+        assert record["information_gain"] == 0
+        assert record["settings"]["weights"] == HALVES
+        assert record["surrogate"] == pytest.approx((record["coverage"] + record["occlusion"]) / 2)
 
 
 def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
@@ -173,6 +179,13 @@ def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
     assert "objects on average, not the 60 asked" in " ".join(
         inspe("scene", "triangle", *arguments)[2].split()
     )
+
+
+def test_metrics_are_listed(inspe):
+    text = inspe("metrics")[1]
+    for name, symbol, weight in (("coverage", "C", 0.3), ("information_gain", "IG", 0.2)):
+        assert re.search(rf"{name} +{symbol} +{weight} +\w+", text)
+    assert re.search(r"surrogate +P_sm +the weighted sum", text)
 
 
 def test_devices_and_version(inspe):
@@ -211,12 +224,22 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
 def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
     options = ("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5)
-    options = (*options, "--weights", 0.5, 0.5, 0, "--start", "random", "--checkpoint", "c.npz")
+    options = (
+        *options,
+        "--weight",
+        "coverage=0.5",
+        "--weight",
+        "occlusion=0.5",
+        "--start",
+        "random",
+        "--checkpoint",
+        "c.npz",
+    )
     assert inspe("optimise", *arguments, *options)[0] == 0
     settings = json.loads((files / "p" / "result.json").read_text())["settings"]
     assert (settings["start"], settings["budget"]["evaluations"]) == ("random", 3)
     assert settings["objective"]["over"] == "worst"
-    assert settings["objective"]["weights"] == [0.5, 0.5, 0]
+    assert settings["objective"]["weights"] == HALVES
     assert settings["constraints"]["places"] == "areas"
     assert settings["constraints"]["heights"] == [4, 8]
     assert len(settings["scenes"]) == 2
@@ -373,6 +396,17 @@ BAD = [
     (("score", "empty.npz", "layout.yaml"), "information gain needs traffic"),
     (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
     (("score", "s.npz", "layout.yaml", "--weights", 1, 1, 1), "sum to 1"),
+    (("score", "s.npz", "layout.yaml", "--weight", "coverage=0.3"), "sum to 1"),
+    (("score", "s.npz", "layout.yaml", "--weight", "coverage"), "coverage=0.3"),
+    (("score", "s.npz", "layout.yaml", "--weight", "coverag=1"), "did you mean coverage"),
+    (
+        ("score", "s.npz", "layout.yaml", "--weight", "coverage=1", "--weight", "coverage=1"),
+        "coverage is given twice",
+    ),
+    (
+        ("score", "s.npz", "layout.yaml", "--weight", "coverage=1", "--weights", 1, 0, 0),
+        "give only --weight",
+    ),
     (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
     (("score", "s.npz", "layout.yaml", "--json", "a.json", "--plot", "b.xyz"), "must end in .png"),
     (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
@@ -438,7 +472,7 @@ BAD = [
     (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
-    (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is named twice"),
+    (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
     (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
     (("pareto", "s.npz", "--price", "hesai-xt32=-5"), "price of hesai-xt32 -5.0: 0 or more"),
     (("pareto", "s.npz", "--budget", 100), "the cheapest costs 4,000"),

@@ -105,7 +105,7 @@ def test_the_record_says_of_what_and_how(scene, layout):
         "contributions", "settings", "scene", "layout", "versions",
     }  # fmt: skip
     assert record["settings"] == {
-        "weights": [0.3, 0.5, 0.2],
+        "weights": named(0.3, 0.5, 0.2),
         "occlusion_reference": "roi",
         "at": 0.5,
     }

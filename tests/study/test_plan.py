@@ -28,6 +28,12 @@ settings:
 """
 
 
+KEYS_OF_BEFORE = {
+    "usual": ["e70ffa92fa6cfc61", "194f5ed49f4ea489", "0a98fbe58a02320e", "69f79aa52acd777b"],
+    "weights": ["ebf1c908cf187077", "5dc587edc8c8f67f", "cdc2659e4b834b9d", "07f24b4f67a88d3e"],
+}
+
+
 @pytest.fixture
 def read(tmp_path):
     def read(text, **changes):
@@ -103,11 +109,25 @@ def test_a_search_has_a_budget_and_a_score_has_none(read):
     assert default.jobs[0].settings["seconds"] == 60
 
 
-def test_weights_are_three_or_several_such(read):
-    one = read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5]))
-    assert {tuple(job.settings["weights"]) for job in one.jobs} == {(0.2, 0.3, 0.5)}
-    two = read(STUDY, settings=dict(weights=[[0.2, 0.3, 0.5], [1, 0, 0]]))
-    assert len(two.jobs) == 2 * len(one.jobs)
+def test_weights_are_by_name_or_three_numbers(read):
+    """However they are spelt, the same weights are the same job."""
+    numbers = read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5]))
+    assert {tuple(job.settings["weights"]) for job in numbers.jobs} == {(0.2, 0.3, 0.5)}
+    by_name = dict(occlusion=0.3, coverage=0.2, information_gain=0.5)
+    for weights in (by_name, [by_name], [by_name, [0.2, 0.3, 0.5]]):
+        assert read(STUDY, settings=dict(weights=weights)).jobs == numbers.jobs
+    two = read(STUDY, settings=dict(weights=[by_name, {"coverage": 1}]))
+    assert len(two.jobs) == 2 * len(numbers.jobs)
+    assert {tuple(job.settings["weights"]) for job in two.jobs} == {(0.2, 0.3, 0.5), (1, 0, 0)}
+    usual = read(STUDY, settings=dict(weights=[0.3, 0.5, 0.2]))
+    assert read(STUDY, settings={}).jobs == usual.jobs
+
+
+def test_the_key_of_a_job_stays_from_version_to_version(read):
+    """Results of before are taken up again: these keys were written before weights had names."""
+    keys = [job.key for job in read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5])).jobs]
+    assert keys == KEYS_OF_BEFORE["weights"]
+    assert [job.key for job in read(STUDY, settings={}).jobs] == KEYS_OF_BEFORE["usual"]
 
 
 def test_devices_of_ones_own(read, tmp_path):
@@ -187,7 +207,11 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
         (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
         (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
-        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights\[0\]: needs at least 3"),
+        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights: .* 3 numbers, of coverage"),
+        (dict(settings=dict(weights=["0.5", 0.5, 0])), r"settings.weights: .* a number for each"),
+        (dict(settings=dict(weights={"coverag": 1})), r"settings.weights: .* mean coverage\?"),
+        (dict(settings=dict(weights={"coverage": 0.9})), r"settings.weights: .* sum to 1"),
+        (dict(settings=dict(weights=1)), r"settings.weights: 1: give a number for each metric"),
         (dict(settings=dict(frames=0)), r"settings.frames\[0\]: .*greater than or equal to 1"),
         (dict(settings=dict(seconds=[])), r"settings.seconds: needs at least 1"),
         (dict(settings=dict(light=None)), r"settings.light\[0\]: input should be a valid string"),

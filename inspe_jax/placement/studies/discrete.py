@@ -53,7 +53,12 @@ def best_subset(
     if not 0 <= reliability <= 1:
         raise InspeError(f"reliability {reliability:g}: from 0 to 1")
     given = metrics.weights_of(weights)
-    c, o, ig = (given[name] for name in ("coverage", "occlusion", "information_gain"))
+    c, o, ig = (given.pop(name) for name in ("coverage", "occlusion", "information_gain"))
+    if any(given.values()):
+        raise InspeError(
+            f"weights on {', '.join(name for name in given if given[name])}: the integer program "
+            "is of coverage, occlusion and information gain only"
+        )
     ideal = reliability == 1  # then IG is a union too
     union = np.concatenate([c * weight + (ig * entropy if ideal else 0.0), o * np.ravel(free)])
     groups = [_together(np.concatenate([f, np.reshape(seen, (count, -1))], 1), union)]

@@ -79,7 +79,7 @@ def pareto(
     """
     from inspe_jax.core.files import check_folder
     from inspe_jax.placement.optimise import DEFAULT_METHOD
-    from inspe_jax.placement.studies.pareto import called, mixes, save_pareto
+    from inspe_jax.placement.studies.pareto import device_mixes, mix_name, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
     from inspe_jax.report.sheet import save_figure
@@ -89,7 +89,7 @@ def pareto(
     check_folder(folder)
     objective, constraints = options.checked(prices=prices(price), budget=budget)
     wanted = counts(device or list(DEFAULT_DEVICES))
-    total = len(mixes(wanted, objective))
+    total = len(device_mixes(wanted, objective))
     with busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
     with search_bar("searching") as tell:
@@ -104,7 +104,7 @@ def pareto(
             constraints=constraints,
             progress=None
             if tell is None
-            else lambda row, done, best: tell(done, best, called(row)),
+            else lambda row, done, best: tell(done, best, mix_name(row)),
         )
     save_pareto(found, folder)
     out.print(pareto_table(found))

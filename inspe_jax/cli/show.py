@@ -83,7 +83,7 @@ def report(
     from inspe_jax.placement.problem import Case, Objective
     from inspe_jax.placement.studies.pareto import load_pareto
     from inspe_jax.placement.studies.tolerance import tolerance as installed
-    from inspe_jax.report.page import check_names, entry_of, report_page, report_sheets
+    from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.visibility.queries import check_frame
@@ -101,7 +101,7 @@ def report(
     entries = []
     for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = entry_of(case, layout, weights, result)
+            entry = report_entry(case, layout, weights, result)
         if tolerance:
             with progress(f"installations of {layout.name}") as tell:
                 slopes = installed(
@@ -178,7 +178,7 @@ def view(
     from inspe_jax.core.errors import InspeError
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.problem import Case
-    from inspe_jax.report.server import Door
+    from inspe_jax.report.server import AccessRules
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.viewer.app import Viewer
@@ -188,19 +188,21 @@ def view(
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)
-    door = Door(host) if token else Door(host, token="")
-    if not (token or door.local):
+    access = AccessRules(host) if token else AccessRules(host, token="")
+    if not (token or access.local):
         raise InspeError(f"--no-token: only on this machine, and --host {host} lets others in")
-    viewer = Viewer(Case(world, conditions), layout, path, weights=weights, door=door, port=port)
+    viewer = Viewer(
+        Case(world, conditions), layout, path, weights=weights, access=access, port=port
+    )
     try:
         if port not in (0, viewer.port):
             note([f"port {port} cannot be had: this is {viewer.port}"])
         out.print(f"open {viewer.url}", highlight=False, soft_wrap=True)
-        if door.local:
+        if access.local:
             out.print("only this machine can; --host 0.0.0.0 lets others in", highlight=False)
         for url in viewer.other_urls:
             out.print(f"from other machines {url}", highlight=False, soft_wrap=True)
-        if not door.local:
+        if not access.local:
             note(["who has the address can look, change and save; it is not encrypted"])
         for earlier in viewer.store.earlier:
             note(

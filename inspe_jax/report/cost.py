@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.studies.pareto import DeviceMix, Point
+from inspe_jax.placement.studies.pareto import DeviceMix, ParetoPoint
 from inspe_jax.report.sheet import WIDTH, fit, house_style
 
 FRONT, BEATEN = "#0072b2", "#808080"
@@ -15,7 +15,7 @@ NAMED = 12
 """Mixes on the front that are named at most: those that add most."""
 
 
-def pareto_view(mixes: Sequence[DeviceMix | Point]) -> Figure:
+def pareto_view(mixes: Sequence[DeviceMix | ParetoPoint]) -> Figure:
     """Score against cost of every mix of devices; the front as a staircase with its mixes named.
 
     Raises InspeError where there is no mix.
@@ -65,7 +65,7 @@ def pareto_view(mixes: Sequence[DeviceMix | Point]) -> Figure:
     return fig
 
 
-def _named(front: Sequence[Point]) -> list[Point]:
+def _named(front: Sequence[ParetoPoint]) -> list[ParetoPoint]:
     """The mixes of a front to name, in its order: the first, and those that add most to it."""
     score = np.array([mix.objective for mix in front])
     adds = np.diff(score, prepend=-np.inf)

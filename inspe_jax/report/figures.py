@@ -22,7 +22,7 @@ from matplotlib.ticker import MaxNLocator
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.layers import Layer, seen_layer
+from inspe_jax.report.layers import MapLayer, seen_layer
 from inspe_jax.report.sheet import (
     CIRCLE,
     HALO,
@@ -94,7 +94,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
 
 
 def plan_view(
-    scene: Scene, layout: Layout, scores: Scores, layer: Layer | None = None, *, frame: int = 0
+    scene: Scene, layout: Layout, scores: Scores, layer: MapLayer | None = None, *, frame: int = 0
 ) -> Figure:
     """Plan view of a scored layout: what each column's chance of being seen is, and by whom.
 
@@ -286,7 +286,7 @@ def draw_layer(
     scene: Scene,
     layout: Layout,
     poses: np.ndarray,
-    layer: Layer,
+    layer: MapLayer,
     raster: np.ndarray,
     extent: tuple[float, float, float, float],
     frame: int,
@@ -404,7 +404,7 @@ def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) 
         _badge(ax, place, k + 1, kind)
 
 
-def _color_bar(fig: Figure, panel: Axes, image: Any, layer: Layer) -> None:
+def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> None:
     depth = -panel.get_ylim()[0]
     axes = panel.inset_axes((0.02, 1 - 30 / depth, 0.94, 7 / depth))
     ticks = ticks_of(layer)
@@ -414,7 +414,7 @@ def _color_bar(fig: Figure, panel: Axes, image: Any, layer: Layer) -> None:
     panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)
 
 
-def ticks_of(layer: Layer) -> list[float]:
+def ticks_of(layer: MapLayer) -> list[float]:
     """Round values to mark on a layer's colour bar, from 0."""
     if layer.most == 1.0:
         return [0, 0.25, 0.5, 0.75, 1]
@@ -422,7 +422,7 @@ def ticks_of(layer: Layer) -> list[float]:
     return [float(f"{tick:g}") for tick in ticks if 0 <= tick <= layer.most]
 
 
-def _list_kinds(panel: Axes, layer: Layer) -> float:
+def _list_kinds(panel: Axes, layer: MapLayer) -> float:
     """The kinds of columns there are, by colour; how far down they go [pt]."""
     handles = [Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds]
     panel.add_artist(panel.legend(handles=handles, loc="upper left", **KEYS))

@@ -27,7 +27,7 @@ SIGHT_COLORS: dict[Visibility, str] = {
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Layer:
+class MapLayer:
     """A value for each column, and how it is shown.
 
     ``values`` (L,), NaN where there is none; ``label`` says what they are, with their unit; they
@@ -45,7 +45,7 @@ class Layer:
     """Whether the road users of one frame are drawn over it."""
 
 
-def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
+def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     """Every layer, by its name."""
     levels = scene.voxels.level_count
 
@@ -59,15 +59,15 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
     most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
     found = (
         seen_layer(seen.mean(1) / frames),
-        Layer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
-        Layer(
+        MapLayer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
+        MapLayer(
             "redundancy",
             "sensors that have a column in view,\nmean over its levels",
             sensors.mean(1),
             most=max(float(sensors.max(initial=0)), 1.0),
             colors="viridis",
         ),
-        Layer(
+        MapLayer(
             "entropy",
             "entropy of a column's occupancy,\nsum over its levels [bit]",
             entropy.sum(1),
@@ -75,7 +75,7 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
             colors="magma",
             users=False,
         ),
-        Layer(
+        MapLayer(
             "unresolved",
             "entropy that sensors leave,\nsum over a column's levels [bit]",
             left.sum(1),
@@ -87,9 +87,9 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
     return {layer.name: layer for layer in found}
 
 
-def seen_layer(share: Float[np.ndarray, " L"]) -> Layer:
+def seen_layer(share: Float[np.ndarray, " L"]) -> MapLayer:
     """How often each column is seen: :attr:`~inspe_jax.scoring.evaluate.Scores.seen_share`."""
-    return Layer("seen", "share of frames and levels\nin which a column is seen", share)
+    return MapLayer("seen", "share of frames and levels\nin which a column is seen", share)
 
 
 def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:

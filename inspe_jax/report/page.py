@@ -20,14 +20,14 @@ from matplotlib.figure import Figure
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
-from inspe_jax.placement.studies.pareto import Point
+from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
-from inspe_jax.report.layers import BLIND, SIGHT_COLORS, Layer, layers
+from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
 from inspe_jax.report.progress import before_after, history_view
-from inspe_jax.report.scene3d import USER_COLOR, stage_page
+from inspe_jax.report.scene3d import USER_COLOR, scene3d_page
 from inspe_jax.report.sheet import house_style
 from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -50,7 +50,7 @@ CAPTIONS: dict[str, str] = {
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Entry:
+class ReportEntry:
     """A layout with all that a page says of it.
 
     Of one that a search found, ``result``, and ``before``, the scores of where it began. Those and
@@ -65,12 +65,12 @@ class Entry:
     before: Scores | None = None
 
 
-def entry_of(
+def report_entry(
     case: Case,
     layout: Layout,
     weights: Weights,
     result: Result | None = None,
-) -> Entry:
+) -> ReportEntry:
     """All that a page says of a layout, but for the tolerance; ``result`` is that it comes from.
 
     Raises InspeError as :func:`inspe_jax.evaluate` does.
@@ -82,14 +82,14 @@ def entry_of(
 
     shed = viewshed(scene, layout, conditions=conditions)
     before = None if result is None else scores(result.start)
-    return Entry(layout, scores(layout), shed, result=result, before=before)
+    return ReportEntry(layout, scores(layout), shed, result=result, before=before)
 
 
 def report_page(
     scene: Scene,
-    entries: Sequence[Entry],
+    entries: Sequence[ReportEntry],
     *,
-    front: Sequence[Point] = (),
+    front: Sequence[ParetoPoint] = (),
     frame: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
@@ -123,7 +123,7 @@ def report_page(
                     (words, drawn(_plan(scene, entry, of_columns[name], frame)))
                     for name, words in CAPTIONS.items()
                 ],
-                stage=_text(stage_page(scene, entry.layout, entry.scores.conditions, frame)),
+                scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
                 search=_search(scene, entry, frame, drawn),
                 tolerance=None
                 if entry.tolerance is None
@@ -168,7 +168,11 @@ def template(room: str, name: str) -> Template:
 
 
 def report_sheets(
-    scene: Scene, entries: Sequence[Entry], *, front: Sequence[Point] = (), frame: int = 0
+    scene: Scene,
+    entries: Sequence[ReportEntry],
+    *,
+    front: Sequence[ParetoPoint] = (),
+    frame: int = 0,
 ) -> bytes:
     """The page's figures as a PDF, one a sheet."""
     check_names([entry.layout.name for entry in entries])
@@ -197,11 +201,11 @@ def check_names(names: Sequence[str]) -> None:
             raise InspeError(f"two layouts are named '{name}': give each file a `name:` of its own")
 
 
-def _plan(scene: Scene, entry: Entry, layer: Layer, frame: int) -> Figure:
+def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:
     return plan_view(scene, entry.layout, entry.scores, layer, frame=frame)
 
 
-def _moves(scene: Scene, entry: Entry, frame: int) -> Figure:
+def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
     result = entry.result
     assert result is not None
     assert entry.before is not None
@@ -211,7 +215,7 @@ def _moves(scene: Scene, entry: Entry, frame: int) -> Figure:
 
 
 def _search(
-    scene: Scene, entry: Entry, frame: int, drawn: Callable[[Figure], str]
+    scene: Scene, entry: ReportEntry, frame: int, drawn: Callable[[Figure], str]
 ) -> dict[str, Any] | None:
     """What a page says of the search that a layout comes from."""
     result = entry.result
@@ -236,7 +240,7 @@ def _search(
     )
 
 
-def _shares(blind: Layer) -> list[tuple[str, str, float]]:
+def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     """(kind, colour, share of the columns) of blind spots."""
     share = np.bincount(blind.values.astype(int), minlength=len(BLIND)) / len(blind.values)
     rows = zip(BLIND, share.tolist(), strict=True)

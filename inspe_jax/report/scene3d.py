@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS, view_outline
 from inspe_jax.report.layers import SIGHT_COLORS
-from inspe_jax.report.server import Door, quiet, serve
+from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -54,7 +54,7 @@ _FACES = np.array(
 )
 
 
-class Stage:
+class Scene3D:
     """A scene on a viser server: what stands still is drawn at once, the rest when it is told."""
 
     def __init__(self, api: viser.SceneApi, scene: Scene) -> None:
@@ -306,15 +306,15 @@ def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
 
 
-def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
+def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
     """A page of its own: one frame of a scene, and what a layout sees of it, to turn and zoom."""
-    server = serve(Door("127.0.0.1", browsers=0), 0)  # nobody looks: the page is a file
+    server = serve(AccessRules("127.0.0.1", browsers=0), 0)  # nobody looks: the page is a file
     try:
-        stage = Stage(server.scene, scene)
-        stage.draw_users(frame)
+        scene3d = Scene3D(server.scene, scene)
+        scene3d.draw_users(frame)
         sight = sight_in(scene, layout, frame, conditions=conditions)
-        stage.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
-        stage.draw_layout(conditions.layout(layout))
+        scene3d.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
+        scene3d.draw_layout(conditions.layout(layout))
         look_from(server.initial_camera, scene)
         return server.scene.as_html()
     finally:

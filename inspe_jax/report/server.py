@@ -87,7 +87,7 @@ _serving = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Door:
+class AccessRules:
     """Who is let in at a server that listens on ``host``: those who know the ``token``.
 
     Without a token, every page of this server's own; ``browsers`` at the same time at most.
@@ -198,12 +198,12 @@ def _own_names() -> set[str]:
     return names | {f"{name}.local" for name in names}
 
 
-def serve(door: Door, port: int) -> viser.ViserServer:
+def serve(access: AccessRules, port: int) -> viser.ViserServer:
     """A server for browsers, at the port or the next that can be had; any at port 0.
 
     Raises InspeError where the host is none of this machine's, or no port can be had.
     """
-    host = door.host
+    host = access.host
     _own_names()
     try:
         kind, _, _, _, at = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -220,7 +220,7 @@ def serve(door: Door, port: int) -> viser.ViserServer:
             if e.errno not in (errno.EADDRINUSE, errno.EACCES):
                 break
         else:
-            return _guarded(door, free)
+            return _guarded(access, free)
     raise InspeError(f"host {host}, port {port}: nothing can be served there ({wrong.strerror})")
 
 
@@ -229,8 +229,8 @@ def quiet() -> AbstractContextManager[Any]:
     return redirect_stdout(io.StringIO())
 
 
-def _guarded(door: Door, port: int) -> viser.ViserServer:
-    """viser's server behind a door.
+def _guarded(access: AccessRules, port: int) -> viser.ViserServer:
+    """viser's server behind a access.
 
     viser has no option for any of it, and opens its port by ``websockets.asyncio.server.serve``:
     that gets more options here, for as long as it takes to open.
@@ -241,13 +241,13 @@ def _guarded(door: Door, port: int) -> viser.ViserServer:
         if handler.__module__ != viser.infra._infra.__name__:  # somebody else's, at the same time
             return real(handler, *args, **options)
         opened.append(port)
-        guard = _Guard(door, handler, options["process_request"])
+        guard = _Guard(access, handler, options["process_request"])
         return real(guard.handle, *args, **options | guard.options)
 
     with _serving, quiet():
         try:
             module.serve = serve_behind  # type: ignore[assignment, misc]
-            server = viser.ViserServer(host=door.host, port=port, verbose=False)
+            server = viser.ViserServer(host=access.host, port=port, verbose=False)
         finally:
             module.serve = real  # type: ignore[misc]
         if not opened:
@@ -262,8 +262,8 @@ def _guarded(door: Door, port: int) -> viser.ViserServer:
 class _Guard:
     """What stands between the connections of one server and viser's ``handler`` and ``files``."""
 
-    def __init__(self, door: Door, handler: Any, files: Callable[..., Any]) -> None:
-        self.door, self.pages = door, 0
+    def __init__(self, access: AccessRules, handler: Any, files: Callable[..., Any]) -> None:
+        self.access, self.pages = access, 0
         self._silent: dict[ServerConnection, None] = {}  # in the order in which they came
         self._sockets = 0
         self._logged: list[float] = []
@@ -315,15 +315,15 @@ class _Guard:
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Of a request: a refusal, a file, or None to go on to the handshake."""
         self._silent.pop(connection, None)
-        why, status = self.door.refusal(request), 403
-        if not why and request.headers.get_all("Upgrade") and self.pages >= self.door.browsers:
+        why, status = self.access.refusal(request), 403
+        if not why and request.headers.get_all("Upgrade") and self.pages >= self.access.browsers:
             why, status = f"{self.pages} pages are open already, as many as may be", 503
         if why:
             self._refused(connection, why)
             words = f"This is refused: {why}.\nOpen the address that was printed.\n"
             response: Response | None = connection.respond(status, words)
         else:
-            path = self.door.rest(request.path)
+            path = self.access.rest(request.path)
             response = self._files(connection, replace(request, path=path))
         if response is not None:
             for name, value in HEADERS.items():
@@ -332,7 +332,7 @@ class _Guard:
 
     async def handle(self, connection: ServerConnection) -> None:
         """Hand a connection on to viser, unless there are too many."""
-        if self.pages >= self.door.browsers:
+        if self.pages >= self.access.browsers:
             self._refused(connection, "too many pages are open")
             await connection.close(1013, "too many pages are open")
             return

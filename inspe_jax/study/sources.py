@@ -1,4 +1,4 @@
-"""Where the scenes and the layouts of a study come from, whatever it is for."""
+"""Where the scenes and layouts of a study come from; for sweeps and for data sets."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_input
+from inspe_jax.core.files import check_input, read_yaml
 from inspe_jax.placement.strategies import choose
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.profiles import BEFORE_PROFILES
@@ -24,7 +24,8 @@ from inspe_jax.study.settings import Length, Line, Strict, Text, check_names, ch
 class SceneSource:
     """Where a scene comes from: a built-in, a map's ``junction`` or ``center``, or a saved scene.
 
-    ``content`` is the digest of the file, so that a job is known to be of what was in it.
+    ``content`` is the digest of the file: a job is of the file as it was when the study was read.
+    The name of this class is part of the keys of jobs in saved results.
     """
 
     name: str
@@ -37,7 +38,7 @@ class SceneSource:
 
     @property
     def anywhere(self) -> "SceneSource":
-        """The same, wherever its file lies."""
+        """The same source without the folder of its file."""
         map_, file = (path and Path(path).name for path in (self.map, self.file))
         return replace(self, map=map_, file=file)
 
@@ -46,7 +47,8 @@ class SceneSource:
 class LayoutSource:
     """Where a layout comes from: a strategy with its ``options``, or the ``text`` of a file.
 
-    Among the options, devices of the study's own are specs, and others names.
+    In the options, the study's own devices are specs, and devices of the catalogue are names. The
+    name of this class is part of the keys of jobs in saved results.
     """
 
     name: str
@@ -56,11 +58,19 @@ class LayoutSource:
 
 
 def digest_of(path: Path) -> str:
-    """A text that is the same for the same content of a file."""
+    """The SHA-256 of a file's content, as text."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # ── The file ────────────────────────────────────────────────────────────────
+
+
+def read_study(path: Path) -> dict[str, Any]:
+    """The content of a study file. Raises InspeError if it is missing, empty or not YAML."""
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not content:
+        raise InspeError(f"{path}: the study is empty: it needs 'scenes' and 'layouts'")
+    return content
 
 
 class SceneEntry(Strict):

@@ -28,7 +28,7 @@ from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.work import columns
 from inspe_jax.viewer.score_panel import score_panel
-from inspe_jax.viewer.scorer import Scored
+from inspe_jax.viewer.scorer import ScoredLayout
 
 TOY = Metric("toy_metric", "TM_x", 0.0, "share of toys that are seen")
 VALUE, DROP, BEFORE = 0.2468, 0.1357, 0.1111
@@ -126,11 +126,11 @@ def report_page(there):
     there.monkeypatch.setattr(page, "_png", lambda _: "")
     there.monkeypatch.setattr(page, "stage_page", lambda *_: "")
     shed = page.viewshed(there.scene, there.layout)
-    return page.report_page(there.scene, [page.Entry(there.layout, there.scores, shed)])
+    return page.report_page(there.scene, [page.ReportEntry(there.layout, there.scores, shed)])
 
 
 def viewer_panel(there):
-    scored = Scored(there.layout, there.scores, 3, 0.1)
+    scored = ScoredLayout(there.layout, there.scores, 3, 0.1)
     return score_panel(there.layout, scored, frames=3)
 
 

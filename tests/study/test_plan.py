@@ -10,8 +10,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import save_layout
-from inspe_jax.study.plan import AS_IT_IS, SETTINGS, load_study
-from inspe_jax.study.work import placed
+from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, load_study
+from inspe_jax.study.work import place_layout
 
 STUDY = """
 scenes:
@@ -68,7 +68,7 @@ def test_every_combination_is_a_job(read):
         assert set(job.settings) == set(SETTINGS)
         assert job.settings["radius"] == (30 if job.source.name == "circle" else 50)
         assert (job.settings["voxel"], job.settings["frames"]) == (1, 100)
-        assert (job.settings["method"], job.settings["seconds"]) == (AS_IT_IS, None)
+        assert (job.settings["method"], job.settings["seconds"]) == (SCORE_ONLY, None)
     assert study.jobs[0].layout.strategy == "Cam-d1"
     assert study.jobs[4].layout.options == (("lidar", "paper-lidar-32"),)
 
@@ -137,7 +137,7 @@ def test_devices_of_ones_own(read, tmp_path):
     study = read(STUDY, devices=own, layouts=layouts)
     scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
     specs = {
-        job.layout.name: {sensor.spec for sensor in placed(job.layout, scene).sensors}
+        job.layout.name: {sensor.spec for sensor in place_layout(job.layout, scene).sensors}
         for job in study.jobs
     }
     (far,), (near,) = specs["far"], specs["Cam-d1"]

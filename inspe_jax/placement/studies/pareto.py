@@ -43,19 +43,19 @@ class DeviceMix:
     @property
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera"."""
-        return called(self.counts)
+        return mix_name(self.counts)
 
     @property
-    def point(self) -> "Point":
+    def point(self) -> "ParetoPoint":
         """What a front shows of it."""
         result = self.result
         scene = " and ".join(dict.fromkeys(row["name"] for row in result.settings["scenes"]))
         known = (self.cost, result.objective, self.front, scene, result.method)
-        return Point(dict(self.counts), *known)
+        return ParetoPoint(dict(self.counts), *known)
 
 
 @dataclass(frozen=True)
-class Point:
+class ParetoPoint:
     """A mix on paper: what it costs [US dollars], what the search for its places came to, where
     and by which method, and whether it is on the front."""
 
@@ -69,15 +69,15 @@ class Point:
     @property
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera"."""
-        return called(self.counts)
+        return mix_name(self.counts)
 
 
-def called(counts: Mapping[str, int]) -> str:
+def mix_name(counts: Mapping[str, int]) -> str:
     """A mix in words."""
     return " + ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
-def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
+def starting_layout(scene: Scene, counts: Mapping[str, int]) -> Layout:
     """A start for so many of each device: round the junction's corners, then its roadsides.
 
     Each sensor is a unit of its own, LiDARs first; they go on to the next post in turn, so that
@@ -110,7 +110,7 @@ def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
             site.lidar(post, foot) if spec.kind == "lidar" else site.camera(post, foot, site.center)
         )
         views.append((view, spec))
-    return replace(join(called(counts), scene.intersection, views), profile=scene.profile.name)
+    return replace(join(mix_name(counts), scene.intersection, views), profile=scene.profile.name)
 
 
 def pareto(
@@ -138,9 +138,9 @@ def pareto(
     the place, or where no mix is left; all before the first search.
     """
     objective = objective or Objective()
-    wanted = mixes(counts, objective)
+    wanted = device_mixes(counts, objective)
     cases = cases_of(scene)
-    starts = [around(cases[0].scene, row) for _, row in wanted]
+    starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
         try:
@@ -187,7 +187,7 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
     write_text(place / "pareto.csv", csv_text(rows))
 
 
-def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
+def load_pareto(folder: str | os.PathLike[str]) -> list[ParetoPoint]:
     """Read what :func:`save_pareto` wrote of every mix.
 
     Raises InspeError where it is missing or is something else.
@@ -200,7 +200,7 @@ def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
             names = list(table.fieldnames or ())
             devices = names[: names.index("cost_usd")]
             return [
-                Point(
+                ParetoPoint(
                     {name: int(row[name]) for name in devices},
                     float(row["cost_usd"]),
                     float(row["objective"]),
@@ -214,7 +214,7 @@ def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
         raise InspeError(f"{path}: not a table that inspe pareto wrote") from e
 
 
-def mixes(
+def device_mixes(
     counts: Mapping[str, Sequence[int]], objective: Objective
 ) -> list[tuple[float, dict[str, int]]]:
     """Cost [US dollars] and counts of every mix within the budget, cheapest first.

@@ -1,6 +1,6 @@
-"""Look at data sets: `inspe dataset stats` and `inspe dataset show`.
+"""Inspect data sets: `inspe dataset stats` and `inspe dataset show`.
 
-Imports stay inside the commands, as of matplotlib.
+Imports are inside the commands: matplotlib loads slowly.
 """
 
 from pathlib import Path
@@ -11,14 +11,17 @@ import typer
 from inspe_jax.cli.common import PlotOption, app, busy, check_record, err, out, progress, show
 
 dataset_app = typer.Typer(
-    help="Look at data sets: what they hold, and single frames.",
+    help="Inspect data sets: statistics, and single frames.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
 app.add_typer(dataset_app, name="dataset")
 
 SetArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A data set, one split of it, or one scenario.")
+    Path,
+    typer.Argument(
+        metavar="DIR", help="Folder of a data set, of one of its splits, or of one scenario."
+    ),
 ]
 
 
@@ -28,18 +31,20 @@ def stats(
     plot: PlotOption = None,
     record: Annotated[
         str | None,
-        typer.Option("--json", metavar="FILE", help="Write the numbers; - for stdout alone."),
+        typer.Option(
+            "--json", metavar="FILE", help="Write the numbers as JSON; - prints them instead."
+        ),
     ] = None,
     row: Annotated[
         Path | None,
         typer.Option(
-            "--csv", metavar="FILE.csv", help="Write its row of a table that compares data sets."
+            "--csv", metavar="FILE.csv", help="Write one row, for a table that compares data sets."
         ),
     ] = None,
 ) -> None:
-    """Count what a data set holds: frames, boxes, sizes, and points in boxes against range.
+    """Count the frames and boxes of a data set, their sizes, and LiDAR points against range.
 
-    Reads OPV2V's format and the Infra-Set variant's. Pictures are counted, not read.
+    Reads OPV2V's format and the variant of Infra-Set. Images are counted, but not opened.
 
     Examples:
 
@@ -76,16 +81,16 @@ def stats(
 @dataset_app.command("show")
 def show_frame(
     folder: SetArgument,
-    frame: Annotated[int, typer.Argument(metavar="FRAME", help="The number of a frame.")],
+    frame: Annotated[int, typer.Argument(metavar="FRAME", help="Number of a frame.")],
     scenario: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Which scenario, where there are several."),
+        typer.Option(metavar="NAME", help="Name of the scenario, if there are several."),
     ] = None,
     plot: PlotOption = None,
 ) -> None:
-    """List what is in a frame, and draw its boxes on its images and on its point cloud.
+    """List the content of a frame, and draw its boxes on the images and on the point cloud.
 
-    The boxes are put onto the images by the calibration that is written in the files.
+    The boxes are drawn on the images with the calibration that the files contain.
 
     Examples:
 

@@ -1,6 +1,6 @@
-"""Data sets: every layout on every scene in every setting, recorded: `inspe generate`.
+"""Data sets, recorded for every layout, scene and setting: `inspe generate`.
 
-Imports stay inside the command, as of Dask.
+Imports are inside the command: Dask loads slowly.
 """
 
 from collections import Counter
@@ -12,7 +12,7 @@ import typer
 from inspe_jax.cli.common import app, busy, err, note, out, progress
 
 SHOWN = 3
-"""Scenarios that could not be made whose error is printed."""
+"""Number of failed scenarios whose error is printed."""
 
 
 @app.command()
@@ -20,36 +20,41 @@ def generate(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="STUDY.yaml", help="What to record, see below; or a data_protocol.yaml."
+            metavar="STUDY.yaml", help="What to record, see above; or a data_protocol.yaml."
         ),
     ],
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
     backend: Annotated[
         str | None,
-        typer.Option(help="What records: embedded or carla; embedded, or as the protocol says."),
+        typer.Option(
+            help="Simulator that records: embedded or carla. If not given, embedded, or the one "
+            "that a data_protocol.yaml names."
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes; one a core if not given, and one with carla.")
+        int | None,
+        typer.Option(help="Processes; one per core if not given. With carla always one."),
     ] = None,
     address: Annotated[
         str | None,
         typer.Option(
             "--server",
             metavar="HOST:PORT",
-            help="Where CARLA listens, with --backend carla; 127.0.0.1:2000 if not given.",
+            help="Address of the CARLA server, for --backend carla; 127.0.0.1:2000 if not given.",
         ),
     ] = None,
     files: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of the map that a data_protocol.yaml names."),
+        typer.Option(metavar="DIR", help="Folder with the map that a data_protocol.yaml names."),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check the study and say what it would make.")
+        bool,
+        typer.Option("--dry-run", help="Only check the study, and print what it would record."),
     ] = False,
 ) -> None:
-    """Make a data set in the format of OPV2V: what sensors record at every layout, scene, setting.
+    """Record a data set in OPV2V's format, for every layout on every scene in every setting.
 
-    A study says what to combine; every setting is one value or a list of them:
+    A study says what to combine. Every setting is one value or a list of values:
 
         scenes:
           - built_in: four_way
@@ -64,11 +69,12 @@ def generate(
         layers: [depth, instance]
         splits: {train: 7, validate: 1, test: 2}
 
-    Into --out go train, validate and test with a folder for each scenario, which appears when it
-    is whole. A run that was stopped or killed goes on when the same command is given again, to
-    the same bytes. A scenario's data_protocol.yaml in place of the study makes it once more; what
-    could not be recorded as asked is noted in it, and at the end. Where scenarios cannot be made,
-    the others are, and the exit status is 1.
+    The folder of --out gets train, validate and test, with one folder for each scenario, which
+    appears when it is complete. To resume a run that was stopped or killed, give the same command
+    again; the files are the same to the byte. To record one scenario again, give its
+    data_protocol.yaml in place of the study. What could not be recorded as asked is noted in that
+    file, and printed at the end. If a scenario fails, the others are still recorded, and the exit
+    status is 1.
 
     Examples:
 
@@ -104,7 +110,7 @@ def generate(
         with progress("frames") as report:
             made = run(generation, folder, backend, workers=workers, server=server, progress=report)
     except KeyboardInterrupt:
-        err.print("stopped; the same command goes on from here", soft_wrap=True)
+        err.print("stopped; give the same command again to resume", soft_wrap=True)
         raise typer.Exit(130) from None
     speed = f", {made.seconds / made.recorded:.2g} s a frame" if made.recorded else ""
     out.print(
@@ -120,8 +126,7 @@ def generate(
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:
         err.print(
-            f"{_counted(len(failures), 'scenario')} could not be made; "
-            "the same command tries again",
+            f"{_counted(len(failures), 'scenario')} failed; the same command tries them again",
             soft_wrap=True,
         )
         raise typer.Exit(1)

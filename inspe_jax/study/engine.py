@@ -163,7 +163,9 @@ def _run_jobs(
         try:
             found = future.result()  # waits if its worker has died since
         except CancelledError:
-            raise InspeError("the scheduler was lost; the same command goes on from here") from None
+            raise InspeError(
+                "the scheduler was lost; give the same command again to resume"
+            ) from None
         except Exception as e:
             found = e
         send(place)

@@ -136,7 +136,7 @@ def test_view_serves_until_it_is_stopped(files, stop):
     assert url.startswith("http://127.0.0.1:")
     assert not url.startswith(f"http://127.0.0.1:{port}/")
     assert len(urlsplit(url).path) > 20  # a token
-    assert f"port {port} cannot be had" in said
+    assert f"port {port} is not available" in said
     assert "refused 127.0.0.1: it does not have the token" in said
     assert "not saved" not in words  # nothing was changed
     assert "Traceback" not in said
@@ -386,7 +386,7 @@ def test_help_has_examples(inspe, command):
 BAD = [
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "missing.yaml"), "missing.yaml: no such file"),
-    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': a .yaml file or a strategy: Cam-c"),
+    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': give a .yaml file or a strategy: Cam-c"),
     (("score", "s.npz", "none.yaml"), "the layout is empty"),
     (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
     (("score", "s.npz", "buried.yaml"), "is in the ground"),
@@ -414,23 +414,23 @@ BAD = [
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
     (("score", "zero.npz"), "not a scene saved by this package"),
     (("score", "array.npz"), "not a scene saved by this package"),
-    (("scene", "nosuch", "--list"), "no scene 'nosuch': a built-in (four_way"),
+    (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
-    (("scene", "four_way", "--junction", 3), "--junction and --center are for maps"),
+    (("scene", "four_way", "--junction", 3), "--junction and --center are only for maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
     (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
-    (("scene", "s.npz", "--radius", 30), "a saved scene keeps its settings"),
-    (("scene", "page.xodr"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
+    (("scene", "page.xodr"), "choose a place on the map with --junction ID or --center X Y"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
     (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, profile, units"),
     (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
     (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
     (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),
-    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has its own traffic"),
+    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has traffic of its own"),
     (("scene", "four_way", "--step", 0), "traffic step 0.0 is out of range: above 0"),
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
-    (("scene", "none.osm"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "none.osm"), "choose a place on the map with --junction ID or --center X Y"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
     (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
@@ -452,7 +452,7 @@ BAD = [
     (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
     (("optimise", "s.npz", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
     (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 0 of kind camera"),
-    (("optimise", "s.npz", "--worst"), "name more with --also"),
+    (("optimise", "s.npz", "--worst"), "add scenes with --also"),
     (("optimise", "s.npz", "--also", "missing.npz"), "missing.npz: no such file"),
     (("optimise", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("optimise", "nosuch", "--out", "s.npz"), "s.npz: is a file; name a folder"),
@@ -469,7 +469,7 @@ BAD = [
     (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("compare", "nosuch", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("pareto", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
-    (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: DEVICE:COUNTS"),
+    (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: write DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
     (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
@@ -495,7 +495,7 @@ BAD = [
     ),
     (
         ("view", "s.npz", "--host", "0.0.0.0", "--no-token"),
-        "--no-token: only on this machine, and --host 0.0.0.0 lets others in",
+        "--no-token is allowed only on this machine, but --host 0.0.0.0 lets others connect",
     ),
     (("view", "s.npz", "layout.yaml", "--light", "noon"), "light"),
     (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),

@@ -96,7 +96,9 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
     other = make_study(
         dict(scenes=[{"built_in": "four_way"}], layouts=["L-c"], settings=dict(seed=9)), tmp_path
     )
-    with pytest.raises(InspeError, match=r"1 of its 1 rows are not jobs of this study, such as L-c on"):
+    with pytest.raises(
+        InspeError, match=r"1 of its 1 rows are not jobs of this study, such as L-c on"
+    ):
         Results(other, folder)
     tagged = make_study(
         dict(scenes=[{"built_in": "four_way", "tags": {"a": "b"}}], layouts=["L-c"]), tmp_path

@@ -195,7 +195,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers as well
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "the same command goes on from here" in err
+    assert "give the same command again to resume" in err
     assert "Traceback" not in err
     assert read_results(tmp_path / "out")
 
@@ -276,7 +276,7 @@ def test_what_is_lost_on_the_way(error, tmp_path, monkeypatch):
     if isinstance(error, ValueError):
         assert [(job.key, str(e)) for job, e in found] == [(study.jobs[0].key, "what")]
     else:
-        with pytest.raises(InspeError, match="the same command goes on from here"):
+        with pytest.raises(InspeError, match="give the same command again to resume"):
             next(found)
 
 
@@ -302,7 +302,7 @@ class Completed(list):
 def test_bad_options(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "TIMEOUT", 0.3)
     study = load_study(write(tmp_path))
-    with pytest.raises(InspeError, match="workers 0: 1 or more"):
+    with pytest.raises(InspeError, match="workers 0: give 1 or more"):
         sweep(study, tmp_path / "out", workers=0)
     with pytest.raises(InspeError, match=r"scheduler '127.0.0.1:1' does not answer"):
         sweep(study, tmp_path / "out", scheduler="127.0.0.1:1")

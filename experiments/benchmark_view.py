@@ -145,7 +145,7 @@ def answers(
     """Choose one sensor after another, of another unit each time, whenever it is ready."""
     for _ in range(count):
         time.sleep(rng.uniform(*PAUSE))
-        s = (viewer._picked + 5) % len(viewer.layout)
+        s = (viewer._selected + 5) % len(viewer.layout)
         ready()
         yield on_server(viewer, s) if tab is None else in_page(tab, viewer, s)
 

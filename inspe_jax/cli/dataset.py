@@ -64,8 +64,8 @@ def stats(
     check_output(row, (".csv",))
     check_record(record)
     data = open_dataset(folder)
-    with progress("frames") as tell:
-        found = statistics(data, tell)
+    with progress("frames") as callback:
+        found = statistics(data, callback)
     show(statistics_table(found), statistics_record(found), record)
     said = err if record == "-" else out
     if row:

@@ -92,7 +92,7 @@ def pareto(
     total = len(device_mixes(wanted, objective))
     with busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
-    with search_bar("searching") as tell:
+    with search_bar("searching") as callback:
         found = search(
             cases,
             wanted,
@@ -103,8 +103,8 @@ def pareto(
             objective=objective,
             constraints=constraints,
             progress=None
-            if tell is None
-            else lambda row, done, best: tell(done, best, mix_name(row)),
+            if callback is None
+            else lambda row, done, best: callback(done, best, mix_name(row)),
         )
     save_pareto(found, folder)
     out.print(pareto_table(found))

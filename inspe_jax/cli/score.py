@@ -120,8 +120,8 @@ def scene(
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import scene_view
+    from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
-    from inspe_jax.report.tables import scene_table
     from inspe_jax.scene.maps.registry import is_map, read_map
     from inspe_jax.scene.procedural.built_ins import built_in
     from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
@@ -223,7 +223,7 @@ def layout(
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.strategies import strategy as place
-    from inspe_jax.report.tables import layout_table
+    from inspe_jax.report.scene_tables import layout_table
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.layout import save_layout
 
@@ -325,7 +325,7 @@ def devices() -> None:
 
     Example: `inspe devices`; in a layout file write `device: hesai-xt32`.
     """
-    from inspe_jax.report.tables import devices_table
+    from inspe_jax.report.scene_tables import devices_table
     from inspe_jax.sensing.catalogue import devices as catalogue
 
     out.print(devices_table(catalogue()))
@@ -337,7 +337,7 @@ def profiles() -> None:
 
     Example: `inspe profiles`; then `inspe score four_way L-d1 --profile ideal`.
     """
-    from inspe_jax.report.tables import profile_table
+    from inspe_jax.report.scene_tables import profile_table
     from inspe_jax.scene.profiles import profiles as known
 
     for profile in known().values():
@@ -359,7 +359,7 @@ def _warn_of_full_roads(built: "Scene") -> None:
 
 
 def _list_places(source: str) -> None:
-    from inspe_jax.report.tables import built_ins_table, junctions_table
+    from inspe_jax.report.scene_tables import built_ins_table, junctions_table
     from inspe_jax.scene.maps.registry import is_map, list_junctions
 
     if is_map(source):

@@ -82,7 +82,7 @@ def optimise(
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
-    with search_bar("searching") as tell:
+    with search_bar("searching") as callback:
         result = search.optimise(
             cases,
             placed,
@@ -93,7 +93,7 @@ def optimise(
             objective,
             constraints,
             start,
-            progress=None if tell is None else lambda done, best: tell(done, best, ""),
+            progress=None if callback is None else lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
     save_result(result, folder)
@@ -162,7 +162,7 @@ def compare(
     def fraction(name: str, seed: int, done: float) -> float:
         return (runs.index((name, seed)) + done) / len(runs)
 
-    with search_bar("comparing") as tell:
+    with search_bar("comparing") as callback:
         results = search.compare(
             cases,
             placed,
@@ -174,8 +174,8 @@ def compare(
             constraints,
             start,
             progress=None
-            if tell is None
-            else lambda name, seed, done, best: tell(
+            if callback is None
+            else lambda name, seed, done, best: callback(
                 fraction(name, seed, done), best, f"{name}, seed {seed}"
             ),
         )

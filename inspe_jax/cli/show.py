@@ -108,14 +108,14 @@ def report(
         with busy(f"scoring {layout.name}"):
             entry = report_entry(case, layout, weights, result)
         if tolerance:
-            with progress(f"installations of {layout.name}") as tell:
+            with progress(f"installations of {layout.name}") as callback:
                 slopes = installed(
-                    case, layout, objective=Objective(weights=weights), progress=tell
+                    case, layout, objective=Objective(weights=weights), progress=callback
                 )
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
-    with progress("drawing") as tell:
-        page = report_page(world, entries, front=mixes, frame=frame, progress=tell)
+    with progress("drawing") as callback:
+        page = report_page(world, entries, front=mixes, frame=frame, progress=callback)
     write_text(path, page)
     for entry in entries:
         out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)

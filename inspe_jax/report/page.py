@@ -1,7 +1,7 @@
-"""One page to hand on: scores side by side, figures, the scene in three dimensions, the settings.
+"""The report page: scores side by side, figures, the scene in three dimensions, the settings.
 
-A single HTML file that needs no network. Numbers are shown rounded; as they were scored they are
-in the page's own record, the same as `inspe score --json` writes.
+It is a single HTML file that needs no network. Numbers are shown rounded. The page contains the
+exact ones too, in the same record as `inspe score --json` writes.
 """
 
 import base64
@@ -39,7 +39,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
 DPI = 170
-"""Of the figures in a page."""
+"""Resolution of the figures in a page [dots per inch]."""
 CAPTIONS: dict[str, str] = {
     "seen": "How often each spot is seen: the share of frames and levels, behind traffic.",
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
@@ -51,10 +51,10 @@ CAPTIONS: dict[str, str] = {
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ReportEntry:
-    """A layout with all that a page says of it.
+    """A layout with all that a page shows of it.
 
-    Of one that a search found, ``result``, and ``before``, the scores of where it began. Those and
-    the tolerance may be left out.
+    ``result`` and ``before``: if a search found the layout, its result, and the scores of its
+    start. ``tolerance``: if given, how carefully the layout must be installed.
     """
 
     layout: Layout
@@ -71,9 +71,10 @@ def report_entry(
     weights: Weights,
     result: Result | None = None,
 ) -> ReportEntry:
-    """All that a page says of a layout, but for the tolerance; ``result`` is that it comes from.
+    """Score a layout for a page, without its tolerance.
 
-    Raises InspeError as :func:`inspe_jax.evaluate` does.
+    ``result`` is that of the search that found the layout, if any. Raises InspeError as
+    :func:`inspe_jax.evaluate` does.
     """
     scene, conditions = case.scene, case.conditions
 
@@ -95,9 +96,11 @@ def report_page(
 ) -> str:
     """The page of one or several layouts on a scene, as HTML.
 
-    ``front``: mixes of devices, whose cost is drawn against their score. ``frame`` of the traffic
-    is the one that is drawn. ``progress(done, total)`` is called on the way. Raises InspeError
-    where there is no layout, two have the same name, or there is no such frame.
+    ``front``: mixes of devices, whose score is drawn against their cost.
+    ``frame``: number of the frame of traffic that is drawn.
+    ``progress``: called with (steps done, steps).
+
+    Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
     searched = sum(entry.result is not None for entry in entries)
@@ -157,7 +160,7 @@ def report_page(
 
 
 def template(room: str, name: str) -> Template:
-    """A template of HTML in a folder of the package; what is put in is text, not markup."""
+    """An HTML template ``name`` in a folder of the package. Inserted text is escaped."""
     return Environment(
         loader=PackageLoader("inspe_jax", room),
         autoescape=True,
@@ -174,7 +177,7 @@ def report_sheets(
     front: Sequence[ParetoPoint] = (),
     frame: int = 0,
 ) -> bytes:
-    """The page's figures as a PDF, one a sheet."""
+    """The figures of the page as a PDF, one on each sheet."""
     check_names([entry.layout.name for entry in entries])
     figures = [scene_view(scene, frame=frame)]
     figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
@@ -193,12 +196,14 @@ def report_sheets(
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raise InspeError where there is no layout, or two have the same name."""
+    """Raise InspeError if there is no layout, or two have the same name."""
     if not names:
         raise InspeError("no layout to report on")
     for name in names:
         if names.count(name) > 1:
-            raise InspeError(f"two layouts are named '{name}': give each file a `name:` of its own")
+            raise InspeError(
+                f"two layouts are named '{name}': give each layout file another `name:`"
+            )
 
 
 def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:
@@ -217,7 +222,7 @@ def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
 def _search(
     scene: Scene, entry: ReportEntry, frame: int, drawn: Callable[[Figure], str]
 ) -> dict[str, Any] | None:
-    """What a page says of the search that a layout comes from."""
+    """What the page shows of the search that found a layout; None if there was no search."""
     result = entry.result
     if result is None:
         return None

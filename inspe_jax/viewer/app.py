@@ -64,10 +64,9 @@ class Viewer:
         self.store = LayoutStore(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
         self.session = LayoutSession(case.scene, layout)
-        self._picked = 0
-        self._dragging: tuple[int, Layout, bool] | None = (
-            None  # sensor, layout, whether it was moved
-        )
+        self._selected = 0
+        # While the handle is dragged: sensor, layout at the start, whether it was moved.
+        self._dragging: tuple[int, Layout, bool] | None = None
         self._searching, self._best = False, layout
         self.queue = JobQueue(self._failed)
         self._typing, self._playing = {key: DelayedAction() for key in POSE}, DelayedAction()
@@ -140,7 +139,7 @@ class Viewer:
         """Select another sensor."""
 
         def job() -> None:
-            self._picked = min(s, len(self.layout) - 1)
+            self._selected = min(s, len(self.layout) - 1)
             self._show_controls()
 
         self.queue.submit(job)
@@ -184,7 +183,7 @@ class Viewer:
         """Add a copy of a sensor to its unit."""
 
         def job() -> None:
-            self._picked = self.session.duplicate(s)
+            self._selected = self.session.duplicate(s)
 
         self._change(job)
 
@@ -197,7 +196,7 @@ class Viewer:
         at = np.array(client.camera.look_at, float)[:2] + self.scene3d.shift[:2]
 
         def job() -> None:
-            self._picked = self.session.add(name, self._inside(at))
+            self._selected = self.session.add(name, self._inside(at))
 
         self._change(job)
 
@@ -295,7 +294,7 @@ class Viewer:
         During the drag its new place is drawn and scored; at the end the layout changes.
         """
         if drag.phase == "start":
-            self._dragging = self._picked, self.layout, False
+            self._dragging = self._selected, self.layout, False
         if self._dragging is None or self._searching:
             return
         s, of, moved = self._dragging
@@ -411,14 +410,14 @@ class Viewer:
             self._show()
 
     def _show(self) -> None:
-        self._picked = min(self._picked, len(self.layout) - 1)
+        self._selected = min(self._selected, len(self.layout) - 1)
         self.display.draw(self.layout, self.session.faults(), self.session.notes)
         self._show_controls()
         self._show_file()
         self.scorer.score(self.layout, whole=True)
 
     def _show_controls(self) -> None:
-        s, layout = self._picked, self.layout
+        s, layout = self._selected, self.layout
         sensor, pose = layout.sensors[s], np.asarray(layout.poses[s], float)
         pitch, yaw = np.degrees(pose[4:6])
         numbers = dict(x=pose[0], y=pose[1], height=self.session.height(s), yaw=yaw, pitch=pitch)
@@ -434,7 +433,7 @@ class Viewer:
         self._show_handle()
 
     def _show_handle(self) -> None:
-        pose = np.asarray(self.layout.poses[self._picked], float)
+        pose = np.asarray(self.layout.poses[self._selected], float)
         self.handle.show(pose, self.scene3d.shift, visible=not self._searching)
 
     def _show_file(self) -> None:

@@ -491,7 +491,7 @@ BAD = [
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
     (
         ("view", "s.npz", "--host", "203.0.113.1"),
-        "host 203.0.113.1, port 8080: nothing can be served",
+        "host 203.0.113.1, port 8080: no server can be started",
     ),
     (
         ("view", "s.npz", "--host", "0.0.0.0", "--no-token"),

@@ -13,15 +13,14 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.tables import (
+from inspe_jax.report.scene_tables import (
     built_ins_table,
     devices_table,
     junctions_table,
     layout_table,
     scene_table,
-    scores_record,
-    scores_table,
 )
+from inspe_jax.report.tables import scores_record, scores_table
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate
 from inspe_jax.sensing.catalogue import Device, devices

@@ -248,13 +248,13 @@ def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatc
 
     stopped = []
     monkeypatch.setattr("inspe_jax.report.server.viser.ViserServer", Other)
-    with pytest.raises(RuntimeError, match="nothing guards it"):
+    with pytest.raises(RuntimeError, match="would be unprotected"):
         serve(AccessRules("127.0.0.1"), 0)
     assert stopped
 
 
 def test_a_host_that_is_not_here_is_said():
-    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1, port 0: nothing can be served"):
+    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1, port 0: no server can be started"):
         serve(AccessRules("203.0.113.1"), 0)
 
 

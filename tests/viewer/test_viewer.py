@@ -58,7 +58,7 @@ def about(axis, degrees):
 
 
 def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
-    at = np.array(viewer.layout.poses[viewer._picked, :3]) - viewer.scene3d.shift
+    at = np.array(viewer.layout.poses[viewer._selected, :3]) - viewer.scene3d.shift
     turn = about(UP, 0) if turn is None else turn
     for phase in phases:
         to = at if phase == "start" else at + shift
@@ -264,7 +264,7 @@ def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
     viewer._click(1)
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(4.0)
-    assert viewer._picked == 1
+    assert viewer._selected == 1
 
 
 def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout, tmp_path):

@@ -98,7 +98,7 @@ def test_what_is_no_table_of_mixes_is_refused(content, tmp_path):
     with pytest.raises(InspeError, match=r"pareto\.csv: no such file"):
         load_pareto(tmp_path)
     (tmp_path / "pareto.csv").write_text(content)
-    with pytest.raises(InspeError, match="not a table that inspe pareto wrote"):
+    with pytest.raises(InspeError, match="not a table written by `inspe pareto`"):
         load_pareto(tmp_path)
 
 
@@ -166,18 +166,22 @@ def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
 @pytest.mark.parametrize(
     ("counts", "objective", "message"),
     [
-        ({}, PRICED, "no device to choose from"),
+        ({}, PRICED, "no devices to combine"),
         ({"no-such": [1]}, PRICED, "no device 'no-such'"),
         ({CAMERA: [1]}, Objective(), f"'{CAMERA}' has no list price"),
-        ({CAMERA: []}, PRICED, "how many of it"),
-        ({CAMERA: [-1, 2]}, PRICED, "numbers from 0"),
-        ({CAMERA: [0]}, PRICED, "no mix is left: allow at least one sensor"),
-        ({CAMERA: [1]}, replace(PRICED, failures=True), "allow at least two sensors"),
-        ({LIDAR: [1]}, Objective(prices={"hesai-xt": 1.0}), "price of 'hesai-xt', which no mix"),
+        ({CAMERA: []}, PRICED, "at least one number of it"),
+        ({CAMERA: [-1, 2]}, PRICED, "each 0 or more"),
+        ({CAMERA: [0]}, PRICED, "no mix is left: a mix needs at least one sensor"),
+        ({CAMERA: [1]}, replace(PRICED, failures=True), "a mix needs at least two sensors"),
+        (
+            {LIDAR: [1]},
+            Objective(prices={"hesai-xt": 1.0}),
+            "price of 'hesai-xt', which is in no mix",
+        ),
         ({CAMERA: range(100_000), LIDAR: range(100_000)}, PRICED, "10,000,000,000 mixes, and at"),
         ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
         ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),
-        ({CAMERA: [99]}, PRICED, "99 sensors, and"),
+        ({CAMERA: [99]}, PRICED, "99 sensors, but only"),
     ],
 )
 def test_bad_input(scene, counts, objective, message):

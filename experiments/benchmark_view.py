@@ -9,14 +9,14 @@ card its drawing takes most of the time. One leaves out what is drawn in three d
 a card did it at once, and one draws it in software.
 
 Scores: sensors are dragged as a browser drags them, by events of the handle: a start, an event
-every 50 ms, an end. Timed from the end to the scores on the page's board, of 20 frames and of all,
+every 50 ms, an end. Timed from the end to the scores on the page's panel, of 20 frames and of all,
 with mounting, the shown frame's voxels and all that is drawn.
 
 Answers: another sensor is chosen, which is what can be done at any time, at rest, while all frames
 are scored over and over, and while a search runs, from its button on, with all that it compiles.
 With a browser, timed in the page, from a click in the list of sensors to the picture in which all
 five numbers of the pose are the chosen sensor's, which the server tells. Without one, from an event
-handed to the server's loop to the end of what it asks of the desk.
+handed to the server's loop to the end of what it asks of the queue.
 
 Stops: half of them while a search compiles, some seconds after it was begun, half while it
 searches. Timed from the button to the end of the search, with its best layout in hand.
@@ -44,8 +44,8 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.handle import Pull
-from inspe_jax.viewer.panel import POSE, put
+from inspe_jax.viewer.handle import HandleDrag
+from inspe_jax.viewer.panel import POSE, set_value
 
 console = Console()
 
@@ -88,18 +88,18 @@ LOOK = """wanted => {
 def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
     """Drag one sensor some metres and turn it; seconds to the scores of few and of all frames."""
     heard: dict[bool, float] = {}
-    told = viewer.panel.board
+    told = viewer.panel.scores
 
     viewer.select(s)
     pose = np.array(viewer.layout.poses[s], float)
-    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.stage.shift
+    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
     away = np.append(rng.uniform(-3, 3, 2), rng.uniform(-1, 1))
-    viewer._hear_pull(Pull("start", at, turn))
+    viewer._on_drag(HandleDrag("start", at, turn))
     for k in range(1, STEPS + 1):
-        viewer._hear_pull(Pull("update", at + away * k / STEPS, turn))
+        viewer._on_drag(HandleDrag("update", at + away * k / STEPS, turn))
         time.sleep(EVERY)
     before, began = viewer.layout, time.monotonic()
-    viewer._hear_pull(Pull("end", at + away, turn))
+    viewer._on_drag(HandleDrag("end", at + away, turn))
     while len(heard) < 2:
         time.sleep(0.002)
         scored = viewer.display.scored
@@ -115,12 +115,12 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
 
 
 def on_server(viewer: Viewer, s: int) -> float:
-    """Choose a sensor by an event of the server's; seconds until the desk has done it."""
+    """Choose a sensor by an event of the server's; seconds until the queue has done it."""
     done: Queue[float] = Queue()
 
     def event() -> None:
         viewer.select(s)
-        viewer.desk.ask(lambda: done.put(time.monotonic()))
+        viewer.queue.submit(lambda: done.put(time.monotonic()))
 
     began = time.monotonic()
     viewer.server.get_event_loop().call_soon_threadsafe(event)
@@ -145,7 +145,7 @@ def answers(
     """Choose one sensor after another, of another unit each time, whenever it is ready."""
     for _ in range(count):
         time.sleep(rng.uniform(*PAUSE))
-        s = (viewer._picked + 5) % len(viewer.layout)
+        s = (viewer._selected + 5) % len(viewer.layout)
         ready()
         yield on_server(viewer, s) if tab is None else in_page(tab, viewer, s)
 
@@ -184,7 +184,7 @@ def searching(viewer: Viewer, tab: Any) -> Iterator[Ready]:
     def check() -> None:
         assert viewer._searching
 
-    put(viewer.panel.seconds, LONG)
+    set_value(viewer.panel.seconds, LONG)
     if tab is None:
         viewer.optimise()
     else:
@@ -229,7 +229,7 @@ def stopped(
     """Searches that are stopped while they compile, and while they search."""
     began = time.monotonic()
     for name, method, most in zip(STOPS, (DEFAULT_METHOD, "random"), BEGUN, strict=True):
-        put(viewer.panel.method, method)
+        set_value(viewer.panel.method, method)
         for _ in range(counts[name]):
             with searching(viewer, tab):
                 if name == STOPS[1]:
@@ -248,7 +248,7 @@ def first_scores(viewer: Viewer) -> tuple[float, list[str]]:
     """Seconds until a page that was just started has scores, and what it says till then."""
     began, said = time.monotonic(), list[str]()
     while viewer.display.scored is None:
-        state = viewer.panel.board.content.partition('data-board="')[2].partition('"')[0]
+        state = viewer.panel.scores.content.partition('data-state="')[2].partition('"')[0]
         if state and state not in said:
             said.append(state)
         time.sleep(0.05)

@@ -52,7 +52,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.study.cluster import client
-from inspe_jax.study.plan import Job, Study, make_study
+from inspe_jax.study.plan import Study, StudyJob, make_study
 from inspe_jax.study.sweep import sweep
 from inspe_jax.study.work import Row
 
@@ -172,7 +172,7 @@ def layouts(at: Setting) -> dict[str, Any]:
 SCORED = ("visibility", "occlusion_reference", "voxel", "radius", "mix", "density")
 
 
-def jobs(at: Setting, given: argparse.Namespace, full: bool = False) -> tuple[Job, ...]:
+def jobs(at: Setting, given: argparse.Namespace, full: bool = False) -> tuple[StudyJob, ...]:
     """What is to be scored at a setting, of a sample or in ``full``: LiDARs alone, which need no
     light, once."""
     whole = full or given.quick

@@ -55,7 +55,7 @@ def browser_on(url: str, *, drawn: bool = True) -> Iterator[Any]:
         if not drawn:
             tab.add_init_script(UNDRAWN)
         tab.goto(url)
-        tab.wait_for_selector('[data-board^="all frames"]', timeout=600_000)
+        tab.wait_for_selector('[data-state^="all frames"]', timeout=600_000)
         tab.wait_for_timeout(8000)  # until all is drawn
         yield tab
         chromium.close()

@@ -36,7 +36,7 @@ from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
 from inspe_jax.placement.optimise import warming
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
-from inspe_jax.placement.studies.pareto import around
+from inspe_jax.placement.studies.pareto import starting_layout
 
 BUILT_INS = ("four_way", "t_junction", "roundabout")
 TOWNS = (("Town03", 422), ("Town04", 53), ("Town05", 53), ("Town07", 725), ("Town10HD", 189))
@@ -314,7 +314,7 @@ def main() -> None:
     for place, scene in scenes(given.quick, given.places):
         for mix in given.mixes.split(",")[: 1 if given.quick else None]:
             jax.clear_caches()  # else the compiled code of many cells exhausts the memory maps
-            layout = around(scene, MIXES[mix])
+            layout = starting_layout(scene, MIXES[mix])
             for row, history in cell(place, mix, scene, layout, given, done):
                 key = {k: row[k] for k in ("place", "mix", "method", "seed")}
                 append(path, [row])

@@ -52,7 +52,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import weights_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, PinholeGrid, RayGrid, Spec
-from inspe_jax.study.work import build, placed
+from inspe_jax.study.work import place_layout, scene_of_job
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view
@@ -965,10 +965,10 @@ def read_world(given: argparse.Namespace, setting: Mapping[str, Any]) -> World:
     world = World([], Variants.of(setting, given.quick), reliability)
     with progress("intersections") as tell:
         for number, group in enumerate(by_scene.values()):
-            scene = build(group[0])
+            scene = scene_of_job(group[0])
             if isinstance(scene, str):
                 raise SystemExit(scene)
-            layouts = {job.layout.name: placed(job.layout, scene) for job in group}
+            layouts = {job.layout.name: place_layout(job.layout, scene) for job in group}
             facts = gather(scene, layouts, group[0].settings, world.variants)
             if number < given.checked:
                 check(facts, scene, layouts, world)

@@ -8,4 +8,4 @@ from inspe_jax.study import work as study
 def work(scene, job, wanted):
     if job.layout.name == "deadly":
         os._exit(1)
-    return study.work(scene, job, wanted)
+    return study.run_job(scene, job, wanted)

@@ -1,9 +1,9 @@
-"""The command line: thin, every command a few calls into the package.
+"""The command line. Every command is a few calls into the package.
 
-A file for each group of commands; importing it adds its commands to the app.
+Each group of commands has a file; importing it adds its commands, in the order of the help.
 """
 
-from inspe_jax.cli import dataset, generate, planning, score, search, show, study  # noqa: F401
+from inspe_jax.cli import score, search, planning, show, study, generate, dataset  # noqa: F401  # isort: skip
 from inspe_jax.cli.common import main
 
 __all__ = ["main"]

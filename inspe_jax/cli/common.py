@@ -1,4 +1,4 @@
-"""What every command shares: the app, its consoles, arguments, progress, and how errors end."""
+"""What all commands share: the app, its consoles, arguments, progress bars, and errors."""
 
 import json
 import sys
@@ -34,40 +34,40 @@ DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
 
 SceneArgument = Annotated[
-    str, typer.Argument(metavar="[SCENE]", help="A built-in intersection or a saved .npz scene.")
+    str, typer.Argument(metavar="SCENE", help="A built-in intersection, or a scene saved as .npz.")
 ]
 LayoutArgument = Annotated[
-    str, typer.Argument(metavar="[LAYOUT]", help="A layout .yaml, or a strategy by name.")
+    str, typer.Argument(metavar="LAYOUT", help="A layout file (.yaml), or the name of a strategy.")
 ]
 LightOption = Annotated[str, typer.Option(help="Light: midday, dusk or night.")]
 WeatherOption = Annotated[
-    str, typer.Option(help="Weather: clear; rain:10, in mm/h; or fog:200, in m of optical range.")
+    str, typer.Option(help="Weather: clear, rain:10 (10 mm/h), or fog:200 (optical range 200 m).")
 ]
 ProfileOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Profile that a built-in is built under: paper, if not given, or ideal (see "
-        "`inspe profiles`).",
+        help="Profile for a built-in scene: paper (used if not given) or ideal; see "
+        "`inspe profiles`.",
     ),
 ]
 PlotOption = Annotated[
-    Path | None, typer.Option("--plot", metavar="FILE", help="Draw it: .png, .svg or .pdf.")
+    Path | None, typer.Option("--plot", metavar="FILE", help="Draw a figure: .png, .svg or .pdf.")
 ]
 
 
 def main() -> None:
-    """Run the command line; an error that the user can mend is one line and status 2."""
+    """Run the command line. An InspeError is printed on one line; the exit status is then 2."""
     try:
         _run()
     except SystemExit as e:
-        # Only if a search has compiled: importing it would take longer than most commands.
+        # Only if a search has compiled: importing this takes longer than most commands.
         ahead = sys.modules.get("inspe_jax.placement.compile_ahead")
         if ahead is not None and ahead.compiles():
             from inspe_jax.core.compiling import leave
 
             for stream in (sys.stdout, sys.stderr):
-                with suppress(OSError):  # nobody reads it any more
+                with suppress(OSError):  # the reader of the pipe has gone
                     stream.flush()
             leave(e.code if isinstance(e.code, int) else int(e.code is not None))
         raise
@@ -102,7 +102,7 @@ def _root(
         bool,
         typer.Option(
             envvar="INSPE_CACHE",
-            help="Keep what is compiled for the next run, in the user's cache folder.",
+            help="Keep compiled programs for the next run, in the user's cache folder.",
         ),
     ] = True,
 ) -> None:
@@ -115,14 +115,14 @@ def _root(
 
 
 COMPILED = 512 * 2**20
-"""Most that what is kept compiled may take up on disk [bytes]; what is used least goes first."""
+"""Largest size of the cache of compiled programs [bytes]; the least used go first."""
 
 
 def keep_compiled() -> None:
-    """Let JAX keep what it compiles from one run to the next.
+    """Let JAX keep compiled programs from one run to the next.
 
-    As the user set it up for JAX, if so. Where there is nowhere to write to, every run compiles
-    anew.
+    A cache folder that the user has set for JAX stays. If no folder can be written, every run
+    compiles again.
     """
     import jax
     from platformdirs import user_cache_path
@@ -131,7 +131,7 @@ def keep_compiled() -> None:
         return
     try:
         folder = user_cache_path("inspe_jax", appauthor=False)
-        if not folder.is_absolute():  # no home
+        if not folder.is_absolute():  # there is no home folder
             return
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -144,19 +144,19 @@ def keep_compiled() -> None:
 
 
 def known(source: str) -> str:
-    """The name of a built-in; raises InspeError with all that a scene can come from."""
+    """Check the name of a built-in. Raises InspeError that lists what a scene can be."""
     from inspe_jax.scene.procedural.built_ins import BUILT_INS
 
     if source not in BUILT_INS:
         raise InspeError(
-            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}), a map (.xodr, .net.xml, "
-            f".osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"
+            f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a map (.xodr, "
+            f".net.xml, .osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"
         )
     return source
 
 
 def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[Scene, Layout]":
-    """A scene, and the layout that a file or a strategy's name gives on it."""
+    """A scene, and a layout on it from a file or from the name of a strategy."""
     from inspe_jax.scene.scene import load_scene
 
     world = load_scene(source, profile)
@@ -164,9 +164,9 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[S
 
 
 def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
-    """The layout that a file or a strategy's name gives on a scene.
+    """A layout on a scene, from a file or from the name of a strategy.
 
-    Without ``unit_rule`` also one whose units' sensors are too far apart.
+    Without ``unit_rule``, a unit's sensors may be further apart than the rule allows.
     """
     from inspe_jax.placement.strategies import STRATEGIES, strategy
     from inspe_jax.sensing.layout import load_layout
@@ -177,22 +177,27 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
         return layout
     if sensors.lower() not in (name.lower() for name in STRATEGIES):
         raise InspeError(
-            f"no layout '{sensors}': a .yaml file or a strategy: {', '.join(STRATEGIES)}"
+            f"no layout '{sensors}': give a .yaml file or a strategy: {', '.join(STRATEGIES)}"
             + nearest(sensors, tuple(STRATEGIES))
         )
     return strategy(world, sensors)
 
 
 def note_other_profile(world: "Scene", layout: "Layout") -> None:
-    """Say so where a layout was made under another profile than its scene."""
+    """Print a note if a layout was made under another profile than its scene."""
     here = world.profile.name
     if layout.profile not in (None, here):
-        note([f"{layout.name} was made under the profile {layout.profile}, the scene under {here}"])
+        note(
+            [
+                f"{layout.name} was made under the profile {layout.profile}, but the scene "
+                f"under {here}"
+            ]
+        )
 
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """A spinner on a terminal, nothing elsewhere."""
+    """Show a spinner, if stderr is a terminal."""
     if not err.is_terminal:
         yield
         return
@@ -202,7 +207,7 @@ def busy(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress(what: str) -> Iterator[Any]:
-    """A progress bar with time left on a terminal; gives a callback (done, total) or None."""
+    """Show a progress bar on a terminal; yields a callback (done, total), or None elsewhere."""
     if not err.is_terminal:
         yield None
         return
@@ -210,49 +215,49 @@ def progress(what: str) -> Iterator[Any]:
     from rich.progress import TimeRemainingColumn as TimeLeft
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeLeft())
-    # The time left is from all steps so far: some take minutes each.
+    # The time left is estimated from all steps so far, since some take minutes.
     with Progress(*columns, console=err, transient=True, speed_estimate_period=1e9) as bar:
         task = bar.add_task(what, total=None)
 
-        def tell(done: int, total: int) -> None:
-            if bar.tasks[0].total is None:  # what was done before it began says nothing of speed
+        def report(done: int, total: int) -> None:
+            if bar.tasks[0].total is None:  # steps of an earlier run say nothing of speed
                 bar.reset(task, total=total, completed=done)
             bar.update(task, completed=done)
 
-        yield tell
+        yield report
 
 
 @contextmanager
 def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None]:
-    """A bar with the best score and the time left, on a terminal.
+    """Show a bar with the best score and the time left, on a terminal.
 
-    Gives a callback of the share done, the best score and a word on what is under way; or None.
+    Yields a callback (fraction done, best score, what is being done), or None elsewhere.
     """
     if not err.is_terminal:
         yield None
         return
     from rich.progress import BarColumn, Progress, TextColumn
 
-    first: list[tuple[float, float]] = []  # when it was first heard of, and how far it was then
+    first: list[tuple[float, float]] = []  # time of the first call, and the fraction then
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[facts]}"))
     with Progress(*columns, console=err, transient=True) as bar:
         task = bar.add_task(what, total=1.0, facts="compiling …")
 
-        def tell(done: float, best: float, now: str) -> None:
+        def report(done: float, best: float, now: str) -> None:
             if not first:
                 first.append((time.monotonic(), done))
             began, before = first[0]
             spent = time.monotonic() - began
-            gone = done - before  # since then: a search that is taken up again begins half way
+            gone = done - before  # a search that is resumed does not begin at 0
             left = f", {spent * (1 - done) / gone:.0f} s left" if gone > 0.02 else ""
             name = f"{what}: {now}" if now else what
             bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
 
-        yield tell
+        yield report
 
 
 def check_record(path: str | None) -> None:
-    """Raise InspeError where the file of ``--json`` cannot be written; - is stdout."""
+    """Raise InspeError if the file of ``--json`` cannot be written; "-" is stdout."""
     from inspe_jax.core.files import check_output
 
     if path != "-":
@@ -260,7 +265,7 @@ def check_record(path: str | None) -> None:
 
 
 def show(table: Any, record: dict[str, Any], path: str | None) -> None:
-    """A table, and its record as JSON in the file of ``--json``; for - the record alone."""
+    """Print a table, and write its record as JSON to ``path``; for "-" print the record alone."""
     from inspe_jax.core.files import write_text
 
     text = json.dumps(record, indent=2)
@@ -274,13 +279,13 @@ def show(table: Any, record: dict[str, Any], path: str | None) -> None:
 
 
 def note(notes: Iterable[str]) -> None:
-    """What a person should know, a line each."""
+    """Print notes on stderr, one per line."""
     for words in notes:
         err.print(Text.assemble(("Note: ", "yellow"), words), soft_wrap=True)
 
 
 def plain(message: str) -> str:
-    """Text with rich's markup brackets escaped."""
+    """A message in which brackets are not read as rich's markup."""
     from rich.markup import escape
 
     return escape(message)

@@ -1,4 +1,4 @@
-"""Options that several commands share: a record of them, and a decorator that adds it."""
+"""Options that several commands share: records of options, and a decorator that adds them."""
 
 import functools
 import inspect
@@ -19,61 +19,97 @@ if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
     from inspe_jax.sensing.conditions import Conditions
 
-WeightsOption = Annotated[
-    tuple[float, float, float],
-    typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
-]
 PriceOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="DEVICE=USD",
-        help="Price of a device that the catalogue has none for, or another; as often as you like.",
+        help="Price of a device, in place of the catalogue's; repeat it for other devices.",
     ),
 ]
 MethodOption = Annotated[
     str | None,
     typer.Option(
-        help="greedy-adam (if not given), adam, lbfgsb, projected-gradient, grid, random, "
-        "greedy or cma-es."
+        help="Search method, such as grid; greedy-adam if not given. `inspe compare` lists and "
+        "compares all methods."
     ),
 ]
 OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")]
 
 
 @dataclass(frozen=True)
-class SearchOptions:
-    """What every searching command takes: a budget, an objective and constraints."""
+class WeightOptions:
+    """The weights of metrics in P_sm, by name. ``--weights C O IG`` of before still works."""
+
+    weight: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Weight of a metric in P_sm, such as coverage=0.3; repeat it for other metrics. "
+            "Metrics that you do not name get 0, and all weights must sum to 1. Without this "
+            "option every metric has its usual weight (see `inspe metrics`).",
+        ),
+    ] = None
+    three_weights: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--weights", metavar="C O IG", hidden=True),
+    ] = None
+
+    def weights(self) -> dict[str, float]:
+        """The weight of every metric. Raises InspeError if the weights are not valid."""
+        from inspe_jax.scoring.metrics import weights_of
+
+        if self.weight and self.three_weights:
+            raise InspeError("--weight and --weights are the same option: give only --weight")
+        return weights_of(_weights(self.weight) if self.weight else self.three_weights)
+
+
+def _weights(given: list[str]) -> dict[str, float]:
+    """Weights by metric from ``NAME=VALUE``. Raises InspeError for any other text."""
+    return _numbers("--weight", given, "NAME=VALUE, such as coverage=0.3")
+
+
+@dataclass(frozen=True)
+class SearchOptions(WeightOptions):
+    """The options of every command that searches: budget, objective and constraints."""
 
     seconds: Annotated[
         float | None,
-        typer.Option(help="Wall time of a search [s]; 60 if no budget is given, and 20 where a "
-                     "command runs several."),
+        typer.Option(help="Wall time of each search [s]. Without a budget, 60; 20 in commands that "
+                     "run several searches."),
     ] = None  # fmt: skip
     evaluations: Annotated[
         float | None,
-        typer.Option(help="Work of a search, in exact scores; a seed then repeats on one machine."),
+        typer.Option(
+            help="Work of each search, in exact scores; the same seed then gives the same "
+            "result on the same machine."
+        ),
     ] = None
-    weights: WeightsOption = (0.3, 0.5, 0.2)
     also: Annotated[
         list[str] | None,
         typer.Option(
             metavar="SCENE",
-            help="Another scene of the same intersection, with other traffic; as often as you "
-            "like. The mean over the scenes is maximised.",
+            help="Another scene of the same intersection, with other traffic; repeat it for more. "
+            "The mean score over the scenes is maximised.",
         ),
     ] = None
     worst: Annotated[
-        bool, typer.Option("--worst", help="Maximise the worst of several scenes, not their mean.")
+        bool,
+        typer.Option(
+            "--worst", help="With several scenes, maximise the worst score, not the mean."
+        ),
     ] = False
     failures: Annotated[
-        bool, typer.Option("--failures", help="N−1: the mean score when any one unit fails.")
+        bool,
+        typer.Option(
+            "--failures", help="N−1: maximise the mean score over the failures of one unit each."
+        ),
     ] = False
     places: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[UNIT=]PLACES",
-            help="Where units may stand: any, areas, poles, or keep where they are; of one unit, "
-            "such as 'corner 1=keep', as often as you like.",
+            help="Where units may stand: any, areas, poles, or keep (where they are). For a single "
+            "unit write, for example, 'corner 1=keep'; repeat it for other units.",
         ),
     ] = None
     heights: Annotated[
@@ -83,24 +119,24 @@ class SearchOptions:
     light: Annotated[
         str,
         typer.Option(
-            metavar="A,B,…", help="Light: midday, dusk, night; several count as several scenes."
+            metavar="A,B,…", help="Light: midday, dusk or night; each one given counts as a scene."
         ),
     ] = "midday"
     weather: WeatherOption = "clear"
     profile: ProfileOption = None
 
     def seconds_each(self) -> float | None:
-        """The budget in seconds of each of several searches."""
+        """Seconds for each search, in a command that runs several."""
         return 20.0 if self.seconds is None and self.evaluations is None else self.seconds
 
     def conditions(self) -> "list[Conditions]":
-        """Every light that is asked for, with the weather."""
+        """The conditions: every light that is given, with the weather."""
         from inspe_jax.sensing.conditions import Conditions
 
         return [Conditions.of(light, self.weather) for light in self.light.split(",")]
 
     def cases(self, scene: "Scene") -> "list[Case]":
-        """The scene and those of ``--also``, each in every light."""
+        """The scene and those of ``--also``, each in every light that is given."""
         from inspe_jax.placement.problem import Case
         from inspe_jax.scene.scene import load_scene
 
@@ -108,7 +144,7 @@ class SearchOptions:
         return [Case(world, conditions) for world in worlds for conditions in self.conditions()]
 
     def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":
-        """What to maximise within what, checked before any scene is read."""
+        """The objective and the constraints, checked before any scene is read."""
         from inspe_jax.placement.constraints import Constraints
         from inspe_jax.placement.problem import Objective
         from inspe_jax.placement.run import check_budget
@@ -116,12 +152,11 @@ class SearchOptions:
         conditions = self.conditions()
         if self.worst and not self.also and len(conditions) == 1:
             raise InspeError(
-                "--worst: the worst of several scenes; name more with --also, or more than one "
-                "--light"
+                "--worst needs several scenes: add scenes with --also, or give more than one light"
             )
         check_budget(self.seconds_each(), self.evaluations)
         wanted = Objective(
-            weights=self.weights,
+            weights=self.weights(),
             over="worst" if self.worst else "mean",
             failures=self.failures,
             **objective,
@@ -133,7 +168,10 @@ class SearchOptions:
 
 
 def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A command whose last argument, ``options``, is this record: its fields become options."""
+    """A decorator for commands whose last argument, ``options``, is of this record.
+
+    The fields of the record become options of the command.
+    """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         hints = get_type_hints(record, include_extras=True)
@@ -156,7 +194,7 @@ def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
                 options=record(**{name: given[name] for name in added}),
             )
 
-        # Where the results go comes last in the help.
+        # The folder for results comes last in the help.
         everything = sorted([*own.values(), *added.values()], key=lambda p: p.name == "folder")
         called.__signature__ = inspect.Signature(everything)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in everything}
@@ -166,36 +204,41 @@ def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 def _places(given: list[str]) -> str | dict[str, str]:
-    """Where units may stand, all of them or by name. Raises InspeError where both are given."""
+    """Where units may stand: all of them, or by name. Raises InspeError if both are given."""
     named = dict(text.rsplit("=", 1) for text in given if "=" in text)
     whole = [text for text in given if "=" not in text]
     if len(whole) + bool(named) > 1 or len(named) + len(whole) < len(given):
         raise InspeError(
-            f"--places {' '.join(given)}: once for all units, or once for each of some; "
-            "units that are not named may stand anywhere"
+            f"--places {' '.join(given)}: give it once for all units, or once for each unit that "
+            "you name; other units may then stand anywhere"
         )
     return named or (whole[0] if whole else "any")
 
 
 def prices(given: list[str] | None) -> dict[str, float]:
-    """Prices by device from ``DEVICE=USD``. Raises InspeError where one is not that."""
-    found = {}
-    for text in given or ():
+    """Prices by device from ``DEVICE=USD``. Raises InspeError for any other text."""
+    return _numbers("--price", given or [], "DEVICE=USD, such as hesai-xt32=5000")
+
+
+def _numbers(option: str, given: list[str], form: str) -> dict[str, float]:
+    """Numbers by name from ``NAME=NUMBER``, in the order in which they are given."""
+    found: dict[str, float] = {}
+    for text in given:
         name, _, number = text.partition("=")
         try:
             value = float(number.replace(",", ""))
         except ValueError:
             value = float("nan")
         if not name.strip() or isnan(value):
-            raise InspeError(f"--price {text}: DEVICE=USD, such as hesai-xt32=5000")
+            raise InspeError(f"{option} {text}: write {form}")
         if name.strip() in found:
-            raise InspeError(f"--price {text}: {name.strip()} is named twice")
+            raise InspeError(f"{option} {text}: {name.strip()} is given twice")
         found[name.strip()] = value
     return found
 
 
 def counts(given: list[str]) -> dict[str, list[int]]:
-    """How many of each device from ``DEVICE:0-4`` or ``DEVICE:0,4,8``."""
+    """Numbers of each device to try, from ``DEVICE:0-4`` or ``DEVICE:0,4,8``."""
     found: dict[str, list[int]] = {}
     for text in given:
         name, _, several = text.rpartition(":")
@@ -208,9 +251,9 @@ def counts(given: list[str]) -> dict[str, list[int]]:
             numbers = []
         if not name or not numbers:
             raise InspeError(
-                f"--device {text}: DEVICE:COUNTS, such as hesai-xt32:0-4 or hesai-xt32:0,2,4"
+                f"--device {text}: write DEVICE:COUNTS, such as hesai-xt32:0-4 or hesai-xt32:0,2,4"
             )
         if name in found:
-            raise InspeError(f"--device {text}: {name} is named twice")
+            raise InspeError(f"--device {text}: {name} is given twice")
         found[name] = numbers
     return found

@@ -1,6 +1,6 @@
-"""What sensors cost, and what their installation may get wrong: `inspe pareto`, `tolerance`.
+"""Cost against score, and errors of installation: `inspe pareto` and `inspe tolerance`.
 
-Imports stay inside the commands, as of the gradient libraries and matplotlib.
+Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ from inspe_jax.cli.options import (
     OutOption,
     PriceOption,
     SearchOptions,
-    WeightsOption,
+    WeightOptions,
     counts,
     prices,
     takes,
@@ -50,13 +50,13 @@ def pareto(
         list[str] | None,
         typer.Option(
             metavar="DEVICE:COUNTS",
-            help="A device of the catalogue and how many of it to try: 0-4, or 0,4,8; as often as "
-            f"you like. {DEFAULT_DEVICES[0]} if none is given.",
+            help="A device of the catalogue, and the numbers of it to try, such as 0-4 or 0,4,8; "
+            f"repeat it for other devices. {DEFAULT_DEVICES[0]} if not given.",
         ),
     ] = None,
     price: PriceOption = None,
     budget: Annotated[
-        float | None, typer.Option(metavar="USD", help="Leave out mixes that cost more.")
+        float | None, typer.Option(metavar="USD", help="Leave out mixes of devices that cost more.")
     ] = None,
     method: MethodOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the searches.")] = 0,
@@ -64,11 +64,11 @@ def pareto(
     *,
     options: SearchOptions,
 ) -> None:
-    """Cost against score: search for places for every mix of devices, and show which are worth it.
+    """Compare mixes of devices by cost and score, and show which are worth their money.
 
-    Every mix starts at the junction's corners and roadsides and gets a search of its own. Ctrl-C
-    ends with the mixes so far. Into --out go pareto.csv, pareto.png and a layout for each mix that
-    no other beats.
+    For every mix a search places the sensors, from a start at the junction's corners and
+    roadsides. Ctrl-C ends with the mixes so far. The folder of --out gets pareto.csv, pareto.png
+    and a layout file for each mix on the Pareto front.
 
     Examples:
 
@@ -79,7 +79,7 @@ def pareto(
     """
     from inspe_jax.core.files import check_folder
     from inspe_jax.placement.optimise import DEFAULT_METHOD
-    from inspe_jax.placement.studies.pareto import called, mixes, save_pareto
+    from inspe_jax.placement.studies.pareto import device_mixes, mix_name, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
     from inspe_jax.report.sheet import save_figure
@@ -89,10 +89,10 @@ def pareto(
     check_folder(folder)
     objective, constraints = options.checked(prices=prices(price), budget=budget)
     wanted = counts(device or list(DEFAULT_DEVICES))
-    total = len(mixes(wanted, objective))
+    total = len(device_mixes(wanted, objective))
     with busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
-    with search_bar("searching") as tell:
+    with search_bar("searching") as callback:
         found = search(
             cases,
             wanted,
@@ -103,8 +103,8 @@ def pareto(
             objective=objective,
             constraints=constraints,
             progress=None
-            if tell is None
-            else lambda row, done, best: tell(done, best, called(row)),
+            if callback is None
+            else lambda row, done, best: callback(done, best, mix_name(row)),
         )
     save_pareto(found, folder)
     out.print(pareto_table(found))
@@ -122,6 +122,7 @@ def pareto(
 
 
 @app.command()
+@takes(WeightOptions)
 def tolerance(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -131,21 +132,24 @@ def tolerance(
     angle: Annotated[
         float, typer.Option(help="Standard deviation of yaw and of pitch [degrees].")
     ] = 1.0,
-    samples: Annotated[int, typer.Option(help="Random installations.")] = 50,
-    seed: Annotated[int, typer.Option(help="Seed of their errors.")] = 0,
-    weights: WeightsOption = (0.3, 0.5, 0.2),
+    samples: Annotated[int, typer.Option(help="Number of random installations.")] = 50,
+    seed: Annotated[int, typer.Option(help="Seed of the random errors.")] = 0,
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
     record: Annotated[
         str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write it all as JSON; - for stdout."),
+        typer.Option(
+            "--json", metavar="FILE|-", help="Write the results as JSON; - prints them instead."
+        ),
     ] = None,
+    *,
+    options: WeightOptions,
 ) -> None:
-    """What an installation error costs: slopes by sensor, and the P_sm that random errors leave.
+    """Show how installation errors change the score: a slope for each sensor, and random errors.
 
-    Slopes say what P_sm gains when one sensor is moved by 10 cm or turned by 1°; the scores after
-    random errors are exact.
+    A slope says how much P_sm gains when one sensor is moved by 10 cm or turned by 1°. The scores
+    after random errors are exact.
 
     Examples:
 
@@ -159,7 +163,7 @@ def tolerance(
     from inspe_jax.sensing.conditions import Conditions
 
     check_record(record)
-    objective = Objective(weights=weights)
+    objective = Objective(weights=options.weights())
     objective.check()
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):

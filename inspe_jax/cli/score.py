@@ -1,6 +1,6 @@
-"""Scenes, layouts by rule, scores: `inspe scene`, `layout`, `score` and `devices`.
+"""Scenes, layouts by rule, and scores: `inspe scene`, `layout`, `score`, `metrics` and `devices`.
 
-Imports stay inside the commands: the map reader and matplotlib load only where they are used.
+Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
 from pathlib import Path
@@ -27,6 +27,7 @@ from inspe_jax.cli.common import (
     scene_and_layout,
     show,
 )
+from inspe_jax.cli.options import WeightOptions, takes
 from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
@@ -38,28 +39,31 @@ def scene(
     source: Annotated[
         str,
         typer.Argument(
-            help="A built-in intersection, a map (.xodr, .net.xml, .osm) or a saved .npz."
+            metavar="SCENE",
+            help="A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved as "
+            ".npz.",
         ),
     ] = DEFAULT_SCENE,
     list_: Annotated[
-        bool, typer.Option("--list", help="List the junctions of a map, or the built-ins.")
+        bool,
+        typer.Option("--list", help="List the junctions of a map, or the built-in intersections."),
     ] = False,
     junction: Annotated[
-        str | None, typer.Option(help="Junction id on the map (see --list).")
+        str | None, typer.Option(help="Id of a junction on the map; see --list.")
     ] = None,
     center: Annotated[
         tuple[float, float] | None,
         typer.Option(
             metavar="X Y",
-            help="Centre [m] instead of a junction id, for a place of several junctions.",
+            help="Centre [m] in place of a junction id, for a place with several junctions.",
         ),
     ] = None,
     profile: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Profile: has what is not given below, and what is scored (see `inspe profiles`); "
-            "paper if not given.",
+            help="Profile: it sets the options below that are not given, and how scores are read; "
+            "paper if not given. See `inspe profiles`.",
         ),
     ] = None,
     radius: Annotated[
@@ -69,28 +73,32 @@ def scene(
     spacing: Annotated[
         float | None,
         typer.Option(
-            help="One voxel in each cell of this edge [m]; the profile's for voxels of its size, "
-            "and for others all voxels."
+            help="Score one voxel in each cell of this edge [m]. If not given: the profile's value "
+            "where --voxel is the profile's too, and otherwise every voxel."
         ),
     ] = None,
     density: Annotated[
         str | None,
-        typer.Option(help="Traffic: none, low, medium, high (0, 20, 40, 60 objects) or a number."),
+        typer.Option(
+            help="Traffic: none, low, medium, high (0, 20, 40, 60 road users), or a number."
+        ),
     ] = None,
-    frames: Annotated[int | None, typer.Option(help="Frames of traffic; 100 if not given.")] = None,
+    frames: Annotated[
+        int | None, typer.Option(help="Number of frames of traffic; 100 if not given.")
+    ] = None,
     step: Annotated[
         float | None, typer.Option(help="Time from one frame to the next [s]; 1 if not given.")
     ] = None,
     mix: Annotated[
         str | None,
-        typer.Option(help="mixed road users, or the paper's largest vehicle only: largest."),
+        typer.Option(help="Road users: mixed, or largest (only the paper's largest vehicle)."),
     ] = None,
     traffic: Annotated[
         str | None,
         typer.Option(
             metavar="waypoints|sumo|LOG",
-            help="What moves it: the paper's waypoint model; SUMO, on maps; or a .log of CARLA's "
-            "recorder. waypoints if not given.",
+            help="Traffic model: waypoints (the paper's; used if not given), sumo (on maps), or a "
+            ".log file of CARLA's recorder.",
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the traffic; 0 if not given.")] = None,
@@ -99,7 +107,7 @@ def scene(
     ] = None,
     plot: PlotOption = None,
 ) -> None:
-    """Build a scene: region of interest, voxels and traffic of one intersection.
+    """Build a scene of one intersection: its region of interest, voxels and traffic.
 
     Examples:
 
@@ -112,8 +120,8 @@ def scene(
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import scene_view
+    from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
-    from inspe_jax.report.tables import scene_table
     from inspe_jax.scene.maps.registry import is_map, read_map
     from inspe_jax.scene.procedural.built_ins import built_in
     from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
@@ -153,7 +161,7 @@ def scene(
         given = [*options, *(name for name, value in places.items() if value is not None)]
         if given:
             raise InspeError(
-                f"{source}: a saved scene keeps its settings; leave out "
+                f"{source}: a saved scene keeps the settings it was built with; leave out "
                 + ", ".join(f"--{name}" for name in given)
             )
         built = load_scene(source)
@@ -162,7 +170,7 @@ def scene(
             own = [name for name in ("density", "mix", "seed") if name in options]
             if own:
                 raise InspeError(
-                    f"--traffic {traffic}: a log has its own traffic; leave out "
+                    f"--traffic {traffic}: a log has traffic of its own; leave out "
                     + ", ".join(f"--{name}" for name in own)
                 )
         elif traffic is not None:
@@ -170,7 +178,7 @@ def scene(
         if is_map(path):
             if (junction is None) == (center is None):
                 raise InspeError(
-                    f"{source}: say which place: --junction ID, or --center X Y; "
+                    f"{source}: choose a place on the map with --junction ID or --center X Y; "
                     "--list shows the junctions"
                 )
             size = profile_of(profile or DEFAULT_PROFILE).of_scene(radius=radius)["radius"]
@@ -178,7 +186,7 @@ def scene(
                 place = read_map(path, junction=junction, center=center, radius=size)
         else:
             if junction is not None or center is not None:
-                raise InspeError(f"{source}: --junction and --center are for maps")
+                raise InspeError(f"{source}: --junction and --center are only for maps")
             place = built_in(known(source))
         with progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
@@ -196,10 +204,11 @@ def scene(
 def layout(
     source: SceneArgument = DEFAULT_SCENE,
     strategy: Annotated[
-        str, typer.Option(help="Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair as Cam-c/L-c.")
+        str,
+        typer.Option(help="Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c."),
     ] = DEFAULT_LAYOUT,
-    camera: Annotated[str | None, typer.Option(help="Camera device (see `inspe devices`).")] = None,
-    lidar: Annotated[str | None, typer.Option(help="LiDAR device (see `inspe devices`).")] = None,
+    camera: Annotated[str | None, typer.Option(help="Camera device; see `inspe devices`.")] = None,
+    lidar: Annotated[str | None, typer.Option(help="LiDAR device; see `inspe devices`.")] = None,
     profile: ProfileOption = None,
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
@@ -214,7 +223,7 @@ def layout(
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.strategies import strategy as place
-    from inspe_jax.report.tables import layout_table
+    from inspe_jax.report.scene_tables import layout_table
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.layout import save_layout
 
@@ -230,37 +239,38 @@ def layout(
 
 
 @app.command()
+@takes(WeightOptions)
 def score(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
     record: Annotated[
         str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write the scores as JSON; - for stdout."),
+        typer.Option(
+            "--json", metavar="FILE|-", help="Write the scores as JSON; - prints them instead."
+        ),
     ] = None,
     plot: PlotOption = None,
-    weights: Annotated[
-        tuple[float, float, float],
-        typer.Option(metavar="C O IG", help="Weights in P_sm; they sum to 1."),
-    ] = (0.3, 0.5, 0.2),
     occlusion_reference: Annotated[
         str | None,
         typer.Option(
-            help="What occlusion is a share of: roi, covered or targets; the profile's if not "
-            "given."
+            help="The voxels that occlusion is measured on: roi, covered or targets; the profile's "
+            "if not given."
         ),
     ] = None,
     visibility: Annotated[
         str | None,
         typer.Option(
-            help="Visibility in information gain: in_view, line_of_sight or past_others; the "
-            "profile's if not given."
+            help="What information gain takes as visible: in_view, line_of_sight or past_others; "
+            "the profile's if not given."
         ),
     ] = None,
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    *,
+    options: WeightOptions,
 ) -> None:
-    """Score a layout on a scene: coverage, occlusion, information gain and P_sm.
+    """Score a layout on a scene: every metric, and their weighted sum P_sm.
 
     Examples:
 
@@ -269,6 +279,7 @@ def score(
     - `inspe score j189.npz layout.yaml --json -`
     - `inspe score j189.npz layout.yaml --light night --weather rain:10`
     - `inspe score four_way L-d1 --profile ideal`
+    - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
@@ -279,7 +290,7 @@ def score(
 
     check_output(plot, FORMATS)
     check_record(record)
-    conditions = Conditions.of(light, weather)
+    conditions, weights = Conditions.of(light, weather), options.weights()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("scoring"):
@@ -298,12 +309,23 @@ def score(
 
 
 @app.command()
-def devices() -> None:
-    """List the catalogue of cameras and LiDARs that a layout can name, with their sources.
+def metrics() -> None:
+    """List the metrics of a layout's score: name, symbol, usual weight in P_sm, and meaning.
 
-    Example: `inspe devices`; a layout then says `device: hesai-xt32`.
+    Example: `inspe metrics`; then `inspe score --weight coverage=0.3 --weight occlusion=0.7`.
     """
-    from inspe_jax.report.tables import devices_table
+    from inspe_jax.report.tables import metrics_table
+
+    out.print(metrics_table())
+
+
+@app.command()
+def devices() -> None:
+    """List the cameras and LiDARs of the catalogue, with the sources of their data.
+
+    Example: `inspe devices`; in a layout file write `device: hesai-xt32`.
+    """
+    from inspe_jax.report.scene_tables import devices_table
     from inspe_jax.sensing.catalogue import devices as catalogue
 
     out.print(devices_table(catalogue()))
@@ -311,11 +333,11 @@ def devices() -> None:
 
 @app.command()
 def profiles() -> None:
-    """List the profiles that a scene can be built under: every value, with the reason for it.
+    """List the profiles for building scenes: every value, and the reason for it.
 
     Example: `inspe profiles`; then `inspe score four_way L-d1 --profile ideal`.
     """
-    from inspe_jax.report.tables import profile_table
+    from inspe_jax.report.scene_tables import profile_table
     from inspe_jax.scene.profiles import profiles as known
 
     for profile in known().values():
@@ -323,7 +345,7 @@ def profiles() -> None:
 
 
 def _warn_of_full_roads(built: "Scene") -> None:
-    """Say so where the roads could not hold the traffic that was asked for."""
+    """Print a note if the roads cannot hold as much traffic as was asked for."""
     from inspe_jax.scene.scene import AS_RECORDED, density_count
 
     density = dict(built.settings).get("density", "none")
@@ -337,7 +359,7 @@ def _warn_of_full_roads(built: "Scene") -> None:
 
 
 def _list_places(source: str) -> None:
-    from inspe_jax.report.tables import built_ins_table, junctions_table
+    from inspe_jax.report.scene_tables import built_ins_table, junctions_table
     from inspe_jax.scene.maps.registry import is_map, list_junctions
 
     if is_map(source):

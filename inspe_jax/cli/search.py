@@ -1,6 +1,6 @@
-"""Search for better places, and compare the methods that do: `inspe optimise`, `compare`.
+"""Search for better placements, and compare search methods: `inspe optimise` and `inspe compare`.
 
-Imports stay inside the commands, as of the gradient libraries and matplotlib.
+Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
 from pathlib import Path
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
 
 StartOption = Annotated[
-    str, typer.Option(help="Where to begin: given (by the layout), random, or a strategy's name.")
+    str,
+    typer.Option(help="Start of a search: given (the layout), random, or the name of a strategy."),
 ]
 
 
@@ -48,17 +49,18 @@ def optimise(
     checkpoint: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.npz", help="Write every 10 s where the search stands; go on from there."
+            metavar="FILE.npz",
+            help="Save the state of the search every 10 s; resume from the file if it exists.",
         ),
     ] = None,
     folder: OutOption = Path("optimised"),
     *,
     options: SearchOptions,
 ) -> None:
-    """Find better places for a layout's sensors, that can be mounted.
+    """Search for a better layout of the same sensors, one that can be mounted.
 
-    Ctrl-C ends the search with the best so far. Into --out go layout.yaml, start.yaml,
-    result.json, history.csv, path.csv and before_after.png.
+    Ctrl-C ends the search with the best layout so far. The folder of --out gets layout.yaml,
+    start.yaml, result.json, history.csv, path.csv and before_after.png.
 
     Examples:
 
@@ -66,6 +68,7 @@ def optimise(
     - `inspe optimise roundabout Cam-d1/L-d1 --method grid --seconds 120 --out grid`
     - `inspe optimise j189.npz layout.yaml --also j189_night.npz --worst --places poles`
     - `inspe optimise j189.npz layout.yaml --light midday,night --weather rain:10`
+    - `inspe optimise --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     """
     from inspe_jax.core.files import check_folder, check_output
@@ -79,7 +82,7 @@ def optimise(
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
-    with search_bar("searching") as tell:
+    with search_bar("searching") as callback:
         result = search.optimise(
             cases,
             placed,
@@ -90,7 +93,7 @@ def optimise(
             objective,
             constraints,
             start,
-            progress=None if tell is None else lambda done, best: tell(done, best, ""),
+            progress=None if callback is None else lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
     save_result(result, folder)
@@ -117,18 +120,24 @@ def compare(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
     methods: Annotated[
-        str, typer.Option(metavar="A,B,…", help="Methods, with commas; all if not given.")
+        str,
+        typer.Option(
+            metavar="A,B,…", help="Search methods, separated by commas; all if not given."
+        ),
     ] = "",
-    seeds: Annotated[int, typer.Option(help="Searches by each method, with seeds from 0.")] = 3,
+    seeds: Annotated[
+        int, typer.Option(help="Number of searches by each method; their seeds count from 0.")
+    ] = 3,
     start: StartOption = "given",
     folder: OutOption = Path("compared"),
     *,
     options: SearchOptions,
 ) -> None:
-    """Search by several methods on equal terms, and show which gets how far, how soon.
+    """Compare search methods on equal terms: how good their layouts are, and how soon.
 
-    Every method compiles before its time begins. Ctrl-C ends with the searches so far. Into --out
-    go compare.csv, history.csv, compare.png and layout.yaml, the best layout found.
+    The time of a method begins after it has compiled. Ctrl-C ends with the searches so far. The
+    folder of --out gets compare.csv, history.csv, compare.png and layout.yaml, the best layout
+    found.
 
     Examples:
 
@@ -150,10 +159,10 @@ def compare(
         cases = options.cases(world)
     runs = [(name, seed) for name in names for seed in range(seeds)]
 
-    def share(name: str, seed: int, done: float) -> float:
+    def fraction(name: str, seed: int, done: float) -> float:
         return (runs.index((name, seed)) + done) / len(runs)
 
-    with search_bar("comparing") as tell:
+    with search_bar("comparing") as callback:
         results = search.compare(
             cases,
             placed,
@@ -165,9 +174,9 @@ def compare(
             constraints,
             start,
             progress=None
-            if tell is None
-            else lambda name, seed, done, best: tell(
-                share(name, seed, done), best, f"{name}, seed {seed}"
+            if callback is None
+            else lambda name, seed, done, best: callback(
+                fraction(name, seed, done), best, f"{name}, seed {seed}"
             ),
         )
     save_comparison(results, folder)
@@ -185,11 +194,11 @@ def compare(
     )
 
 
-# ── What is shown of a search ───────────────────────────────────────────────
+# ── What is printed of a search ───────────────────────────────────────────────
 
 
 def _show(result: "Result") -> None:
-    """Scores before and after, what moved, and what a person should know."""
+    """Print the scores before and after a search, what moved, and its notes."""
     from inspe_jax.placement.result import STATUSES
     from inspe_jax.report.tables import before_after_table, moves_table
 

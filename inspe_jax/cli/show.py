@@ -1,6 +1,6 @@
-"""See it: `inspe report` and `inspe view`.
+"""Pages in a browser: `inspe report` and `inspe view`.
 
-Imports stay inside the commands, as of the browser's library and matplotlib.
+Imports are inside the commands: matplotlib and the web server load slowly.
 """
 
 import signal
@@ -26,7 +26,7 @@ from inspe_jax.cli.common import (
     out,
     progress,
 )
-from inspe_jax.cli.options import WeightsOption
+from inspe_jax.cli.options import WeightOptions, takes
 
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
@@ -35,60 +35,67 @@ if TYPE_CHECKING:
 
 
 @app.command()
+@takes(WeightOptions)
 def report(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[LAYOUT]…",
-            help="Layouts side by side: .yaml files, strategies by name, or folders that "
-            "`inspe optimise` wrote: with before and after and the course of the search.",
+            metavar="LAYOUT",
+            help="Layouts to show side by side: .yaml files, names of strategies, or folders of "
+            "`inspe optimise`, for which the page also shows the search.",
         ),
     ] = None,
     path: Annotated[
-        Path, typer.Option("--out", metavar="FILE.html", help="The page that is written.")
+        Path, typer.Option("--out", metavar="FILE.html", help="File of the page.")
     ] = Path("report.html"),
     pdf: Annotated[
-        Path | None, typer.Option(metavar="FILE.pdf", help="Write the figures as a PDF, too.")
+        Path | None, typer.Option(metavar="FILE.pdf", help="Also write the figures as a PDF.")
     ] = None,
     tolerance: Annotated[
         bool,
-        typer.Option(help="Say how carefully to install each layout; compiles for half a minute."),
+        typer.Option(
+            help="Show how carefully each layout must be installed; takes half a minute to compile."
+        ),
     ] = False,
     front: Annotated[
         Path | None,
         typer.Option(
-            "--pareto", metavar="DIR", help="Cost against score, from a folder of `inspe pareto`."
+            "--pareto",
+            metavar="DIR",
+            help="Also draw cost against score, from a folder of `inspe pareto`.",
         ),
     ] = None,
-    frame: Annotated[int, typer.Option(help="Frame of the traffic that is drawn.")] = 0,
-    weights: WeightsOption = (0.3, 0.5, 0.2),
+    frame: Annotated[int, typer.Option(help="Number of the frame of traffic that is drawn.")] = 0,
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    *,
+    options: WeightOptions,
 ) -> None:
-    """Write a page to hand on: scores side by side, maps, the scene in three dimensions.
+    """Write a page to hand on: scores side by side, maps, and the scene in three dimensions.
 
-    One HTML file that opens without a network. The numbers are those of `inspe score`.
+    The page is one HTML file that needs no network. Its numbers are those of `inspe score`.
 
     Examples:
 
     - `inspe report`  (the built-in four-way with cameras at its corners)
-    - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (better: a search's)
+    - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (`better` is a
+      folder of `inspe optimise`)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
     from inspe_jax.core.files import check_output, whole_file, write_text
     from inspe_jax.placement.problem import Case, Objective
     from inspe_jax.placement.studies.pareto import load_pareto
     from inspe_jax.placement.studies.tolerance import tolerance as installed
-    from inspe_jax.report.page import check_names, entry_of, report_page, report_sheets
+    from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.visibility.queries import check_frame
 
     check_output(path, (".html", ".htm"))
     check_output(pdf, (".pdf",))
-    conditions = Conditions.of(light, weather)
+    conditions, weights = Conditions.of(light, weather), options.weights()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         check_frame(world, frame)
@@ -99,16 +106,16 @@ def report(
     entries = []
     for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = entry_of(case, layout, weights, result)
+            entry = report_entry(case, layout, weights, result)
         if tolerance:
-            with progress(f"installations of {layout.name}") as tell:
+            with progress(f"installations of {layout.name}") as callback:
                 slopes = installed(
-                    case, layout, objective=Objective(weights=weights), progress=tell
+                    case, layout, objective=Objective(weights=weights), progress=callback
                 )
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
-    with progress("drawing") as tell:
-        page = report_page(world, entries, front=mixes, frame=frame, progress=tell)
+    with progress("drawing") as callback:
+        page = report_page(world, entries, front=mixes, frame=frame, progress=callback)
     write_text(path, page)
     for entry in entries:
         out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
@@ -122,7 +129,7 @@ def report(
 
 
 def found_or_placed(world: "Scene", given: str) -> "tuple[Layout, Result | None]":
-    """A layout, and the search that it comes from where a folder of one is given."""
+    """A layout; and the search that found it, if ``given`` is the folder of a search."""
     from inspe_jax.placement.result import load_result
 
     if Path(given).is_dir():
@@ -132,38 +139,41 @@ def found_or_placed(world: "Scene", given: str) -> "tuple[Layout, Result | None]
 
 
 @app.command()
+@takes(WeightOptions)
 def view(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
     path: Annotated[
-        Path, typer.Option("--out", metavar="FILE.yaml", help="Where the layout is saved.")
+        Path, typer.Option("--out", metavar="FILE.yaml", help="File in which the layout is saved.")
     ] = Path("viewed.yaml"),
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port; the next that is free where it is taken.")
+        int, typer.Option(min=0, max=65535, help="Port; if it is taken, the next free one is used.")
     ] = 8080,
     host: Annotated[
         str,
-        typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in."),
+        typer.Option(help="Address to listen on; 0.0.0.0 lets other machines connect."),
     ] = "127.0.0.1",
     token: Annotated[
         bool,
         typer.Option(
-            help="A random token in the page's address: only who has the address can open it. "
-            "On this machine alone it can be left out."
+            help="Put a random token into the page's address, so that only those who have the "
+            "address can open it. --no-token is allowed only with a --host of this machine."
         ),
     ] = True,
-    weights: WeightsOption = (0.3, 0.5, 0.2),
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    *,
+    options: WeightOptions,
 ) -> None:
-    """Serve a page on which sensors are dragged and the scores follow.
+    """Serve a page on which you drag sensors and see the scores follow.
 
-    Sensors snap to where they can be mounted. Add, copy, remove and exchange them, search from
-    where they are, undo, save, write a report. What is not saved is kept beside the file, and no
-    file of an earlier run is replaced unasked. A layout that breaks a rule of mounting opens, too,
-    in red and with the reason. The address that is printed has a secret in it: who knows it can do
-    all this. Ctrl-C ends.
+    A sensor snaps to the nearest place where it can be mounted. You can add, copy, remove and
+    exchange sensors, start a search, undo, save, and write a report. Unsaved changes are kept in
+    a file beside the layout. A file of an earlier run is not replaced without asking. A layout
+    that breaks a rule of mounting opens too; its sensors are red and the page gives the reason.
+    The printed address contains a secret: everyone who has it can do all of this. Ctrl-C ends the
+    server.
 
     Examples:
 
@@ -174,33 +184,48 @@ def view(
     from inspe_jax.core.errors import InspeError
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.problem import Case
-    from inspe_jax.report.server import Door
+    from inspe_jax.report.server import AccessRules
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.viewer.app import Viewer
 
     check_output(path, (".yaml", ".yml"))
-    conditions = Conditions.of(light, weather)
+    conditions, weights = Conditions.of(light, weather), options.weights()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)
-    door = Door(host) if token else Door(host, token="")
-    if not (token or door.local):
-        raise InspeError(f"--no-token: only on this machine, and --host {host} lets others in")
-    viewer = Viewer(Case(world, conditions), layout, path, weights=weights, door=door, port=port)
+    access = AccessRules(host) if token else AccessRules(host, token="")
+    if not (token or access.local):
+        raise InspeError(
+            f"--no-token is allowed only on this machine, but --host {host} lets others connect"
+        )
+    viewer = Viewer(
+        Case(world, conditions), layout, path, weights=weights, access=access, port=port
+    )
     try:
         if port not in (0, viewer.port):
-            note([f"port {port} cannot be had: this is {viewer.port}"])
+            note([f"port {port} is not available: using {viewer.port}"])
         out.print(f"open {viewer.url}", highlight=False, soft_wrap=True)
-        if door.local:
-            out.print("only this machine can; --host 0.0.0.0 lets others in", highlight=False)
+        if access.local:
+            out.print(
+                "only this machine can open it; --host 0.0.0.0 lets other machines connect",
+                highlight=False,
+            )
         for url in viewer.other_urls:
             out.print(f"from other machines {url}", highlight=False, soft_wrap=True)
-        if not door.local:
-            note(["who has the address can look, change and save; it is not encrypted"])
+        if not access.local:
+            note(
+                [
+                    "everyone who has the address can look, change and save; the connection is not "
+                    "encrypted"
+                ]
+            )
         for earlier in viewer.store.earlier:
             note(
-                [f"{earlier.path} is of another time: the page offers it, and does not replace it"]
+                [
+                    f"{earlier.path} is of an earlier run: the page offers to open it, and does "
+                    "not replace it"
+                ]
             )
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         out.print("Ctrl-C ends", highlight=False)
@@ -213,4 +238,4 @@ def view(
             viewer.close()
     if not viewer.store.holds(viewer.layout):
         kept = viewer.store.unsaved
-        out.print(f"not saved: {kept} has the layout", highlight=False, soft_wrap=True)
+        out.print(f"not saved; the layout is kept in {kept}", highlight=False, soft_wrap=True)

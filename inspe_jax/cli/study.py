@@ -1,6 +1,6 @@
-"""Studies: every layout on every scene in every setting: `inspe sweep`.
+"""Studies, which combine layouts, scenes and settings: `inspe sweep`.
 
-Imports stay inside the commands, as of Dask.
+Imports are inside the command: Dask loads slowly.
 """
 
 from pathlib import Path
@@ -11,10 +11,10 @@ import typer
 from inspe_jax.cli.common import app, busy, err, note, out, progress
 
 SHOWN = 3
-"""Failures whose error is printed."""
+"""Number of failures whose error is printed."""
 
 StudyArgument = Annotated[
-    Path, typer.Argument(metavar="STUDY.yaml", help="Scenes, layouts and settings; see below.")
+    Path, typer.Argument(metavar="STUDY.yaml", help="Scenes, layouts and settings; see above.")
 ]
 
 
@@ -25,25 +25,27 @@ def sweep(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="A running Dask scheduler, as tcp://host:8786; else this machine's cores work.",
+            help="Address of a running Dask scheduler, such as tcp://host:8786; if not given, this "
+            "machine's cores are used.",
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; one a core if not given.")
+        int | None, typer.Option(help="Processes on this machine; one per core if not given.")
     ] = None,
     retry: Annotated[
-        bool, typer.Option("--retry", help="Try jobs again that failed in an earlier run.")
+        bool, typer.Option("--retry", help="Run jobs again that failed in an earlier run.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check the study and say how many jobs it has.")
+        bool,
+        typer.Option("--dry-run", help="Only check the study, and print how many jobs it has."),
     ] = False,
     folder: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")
     ] = Path("sweep"),
 ) -> None:
-    """Score every layout on every scene in every setting, or search for better places from each.
+    """Score every layout on every scene in every setting, or run a search from each.
 
-    A study says what to combine; every setting is one value or a list of them:
+    A study says what to combine. Every setting is one value or a list of values:
 
         scenes:
           - built_in: four_way
@@ -54,10 +56,11 @@ def sweep(
           density: [low, medium, high]
           light: [midday, night]
           weather: [clear, "rain:10"]
+          weights: [{coverage: 0.3, occlusion: 0.7}, {information_gain: 1}]
 
-    Into --out goes results.csv, a row a job with all its settings, appended as they come. A run
-    that was stopped or killed goes on when the same command is given again; jobs that fail have
-    their error in their row, and the exit status is then 1.
+    The folder of --out gets results.csv, with one row for each job and all its settings. To resume
+    a run that was stopped or killed, give the same command again. If a job fails, its row has the
+    error, and the exit status is 1.
 
     Examples:
 
@@ -93,16 +96,16 @@ def sweep(
                 progress=report,
             )
     except KeyboardInterrupt:
-        err.print("stopped; the same command goes on from here", soft_wrap=True)
+        err.print("stopped; give the same command again to resume", soft_wrap=True)
         raise typer.Exit(130) from None
     out.print(sweep_table(rows))
     failures = [row for row in rows if row["status"] != "done"]
     note(f"{row['layout']} on {row['scene']}: {row['error']}" for row in failures[:SHOWN])
     if len(failures) > SHOWN:
-        note([f"{len(failures)} jobs failed in all; results.csv says why"])
+        note([f"{len(failures)} jobs failed in all; results.csv has their errors"])
     out.print(f"wrote {folder / 'results.csv'}", highlight=False, soft_wrap=True)
     if failures:
-        err.print("some jobs failed; --retry tries them again", soft_wrap=True)
+        err.print("some jobs failed; --retry runs them again", soft_wrap=True)
         raise typer.Exit(1)
 
 

@@ -20,7 +20,7 @@ from inspe_jax.sensing.layout import layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recorder, Server
 from inspe_jax.study.sources import SceneSource
-from inspe_jax.study.work import make_room, message_of, placed, scene_of
+from inspe_jax.study.work import message_of, place_layout, release_compiled, scene_of
 
 SIZE = 10
 """Number of frames in a chunk."""
@@ -99,11 +99,11 @@ class WorkerState:
         if self.key == chunk.plan.key:
             return
         self.close()
-        make_room(chunk.scene)
+        release_compiled(chunk.scene)
         self.key, plan = chunk.plan.key, chunk.plan
         try:
             source = plan.layout
-            text = source.text or layout_text(placed(source, scene))
+            text = source.text or layout_text(place_layout(source, scene))
             content = {"name": source.name, **parse_yaml(text, source.name)}
             layout = parse_layout(content, source.name, source.name, scene)
             given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)

@@ -14,7 +14,7 @@ from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
 from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
-from inspe_jax.study.engine import dask, done
+from inspe_jax.study.engine import load_cluster, run_jobs
 from inspe_jax.study.work import message_of
 
 MB = 1e6
@@ -133,9 +133,9 @@ def _record(
         return failures, notes
     if server is not None:
         server.reach()  # else every scenario would fail on its own
-    with dask().client(None, workers) as client:
+    with load_cluster().client(None, workers) as client:
         try:
-            for chunk, found in done(client, todo, build, work, ahead=1):
+            for chunk, found in run_jobs(client, todo, build, work, ahead=1):
                 plan = chunk.plan
                 outcome = Outcome(message_of(found)) if isinstance(found, Exception) else found
                 if outcome.fault:

@@ -1,4 +1,5 @@
-"""What a search gives: a layout, its scores before and after, how it came there; in files too."""
+"""The result of a search: the layout, its scores before and after, and its history; also as
+files."""
 
 import csv
 import io
@@ -20,28 +21,33 @@ from inspe_jax.sensing.layout import Layout, load_layout, save_layout
 
 FORMAT, BEFORE = "inspe_jax result 3", "inspe_jax result 2"
 FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv", "path.csv")
-"""The files of a result: the layout found, the one begun with, the record, the exact scores, and
-where the sensors were in every layout that was the best so far."""
+"""The files of a result: the layout that was found, the start, the record, all exact scores, and
+the poses of every layout that was the best so far."""
 STATUSES = {
-    "converged": "the method found nothing more to do",
-    "budget spent": "the seconds or evaluations were used up",
+    "converged": "the method could not improve the layout any more",
+    "budget spent": "the budget in seconds or evaluations was used up",
     "interrupted": "it was stopped by hand",
 }
-"""How a search ends."""
+"""How a search can end, and what that means."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Result:
     """The outcome of a search.
 
-    ``layout`` is feasible, and its ``objective`` is at least that of ``start``, the feasible
-    layout begun with, ``objective_before``. ``scores_before`` and ``scores`` are the exact scores
-    of both on the first scene: their ``surrogate`` is the objective where that is P_sm on one
-    scene. ``history`` has every exact score of the search, and ``path`` (K, S, 6) the world poses
-    of every layout that was the best so far, from the start's to those of ``layout``.
-    ``evaluations`` count all the search's work in exact scores, ``seconds`` in wall time, without
-    the scores before and after. ``status`` is one of :data:`STATUSES`. ``settings``, ``seed`` and
-    ``versions`` make it again; ``notes`` say what a person should know.
+    ``layout``: the best layout found; it is feasible, and never worse than the start.
+    ``start``: the feasible layout that the search began with.
+    ``scores_before``, ``scores``: exact scores of both on the first scene. Their ``surrogate`` is
+    the objective if that is P_sm on one scene.
+    ``objective_before``, ``objective``: the exact objective of both.
+    ``history``: every exact score of the search.
+    ``path`` (K, S, 6): world poses of every layout that was the best so far, from those of the
+    start to those of ``layout``.
+    ``evaluations``, ``seconds``: the work of the search in exact scores, and its wall time; both
+    without the scores before and after.
+    ``status``: one of :data:`STATUSES`.
+    ``settings``, ``seed``, ``versions``: what is needed to repeat the search.
+    ``notes``: what a person should know about it.
     """
 
     layout: Layout
@@ -63,10 +69,10 @@ class Result:
 
 
 def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
-    """Write a result's files, :data:`FILES`, each whole or not at all.
+    """Write a result's files, :data:`FILES`. A file is never left incomplete.
 
-    :func:`load_result` reads them back, all but the scores by column. Raises InspeError where the
-    folder cannot be written, or as :func:`~inspe_jax.sensing.layout.save_layout` does.
+    :func:`load_result` reads everything back except ``seen_share``. Raises InspeError if the folder
+    cannot be written, or as :func:`~inspe_jax.sensing.layout.save_layout` does.
     """
     place = prepare_folder(folder)
     save_layout(result.layout, place / "layout.yaml")
@@ -79,18 +85,22 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
 def load_result(folder: str | os.PathLike[str]) -> Result:
     """Read what :func:`save_result` wrote.
 
-    ``seen_share`` of the scores is not kept, and empty: score the layout on its scene once more.
-    Raises InspeError where a file is missing or is something else.
+    ``seen_share`` of the scores is not saved, and is empty; to have it, score the layout on its
+    scene again. Raises InspeError if a file is missing, or is not a file of a result.
     """
     place = Path(folder)
     if not place.is_dir():
         raise InspeError(f"{place}: no such folder")
     check_input(place / "result.json")
-    record = _read_record(place)  # first of all: of another version, other files may be missing
+    record = _read_record(place)  # first: a result of another version may lack other files
     for name in FILES:
         check_input(place / name)
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
+        if record.pop("format") == BEFORE:
+            _name_weights(record["settings"]["objective"])
+            _name_weights(record["scores_before"]["settings"])
+            _name_weights(record["scores"]["settings"])
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
@@ -107,10 +117,10 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
 
 
 def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -> None:
-    """Write what several searches came to, their courses, and the best layout.
+    """Write the results of several searches, their histories, and the best layout.
 
-    ``compare.csv`` has a row a search, ``history.csv`` one an exact score, ``layout.yaml`` the
-    layout of the best. Raises InspeError as :func:`save_result` does.
+    ``compare.csv`` has one row for each search, ``history.csv`` one for each exact score;
+    ``layout.yaml`` is the best layout. Raises InspeError as :func:`save_result` does.
     """
     place = prepare_folder(folder)
     best = max(results, key=lambda result: result.objective)
@@ -123,16 +133,16 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
 
 
 def _read_record(place: Path) -> dict[str, Any]:
-    """What ``result.json`` holds. Raises InspeError where it is something else."""
+    """The content of ``result.json``. Raises InspeError if it is not a record of a result."""
     try:
         record = json.loads((place / "result.json").read_text(encoding="utf-8"))
-        written = str(record.pop("format"))
+        written = str(record["format"])
     except (AttributeError, KeyError, TypeError, ValueError) as e:
         raise InspeError(f"{place}: not a result saved by this package") from e
     if written not in (FORMAT, BEFORE):
         known = written.startswith(FORMAT.rstrip("0123456789"))
         what = (
-            "a result of another version of inspe_jax; search again"
+            "a result of another version of inspe_jax; run the search again"
             if known
             else ("not a result saved by this package")
         )
@@ -140,15 +150,16 @@ def _read_record(place: Path) -> dict[str, Any]:
     return record
 
 
+_PAPER = ("coverage", "occlusion", "information_gain")
 _POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
 def _path_rows(result: Result) -> list[dict[str, Any]]:
-    """A row a sensor of every layout that was the best so far."""
+    """One row for each sensor of every layout that was the best so far."""
     best = np.array([row.best for row in result.history])
     better = np.flatnonzero(np.diff(best, prepend=-np.inf) > 0)
     rows = []
-    # Ctrl-C may have come between a score and its row.
+    # Ctrl-C can come between a score and its row.
     for k, poses in zip(better, result.path, strict=False):
         at = {"seconds": result.history[k].seconds, "score": result.history[k].score}
         for sensor, pose in zip(result.layout.sensors, poses, strict=True):
@@ -166,7 +177,7 @@ def _of(result: Result) -> dict[str, Any]:
 
 
 def _record(result: Result) -> dict[str, Any]:
-    """All but the layouts and the history, for JSON."""
+    """The record for JSON: all but the layouts, the history and the path."""
     return {
         "format": FORMAT,
         "method": result.method,
@@ -195,16 +206,20 @@ def _scores(record: dict[str, Any]) -> Scores:
 
 
 def _by_metric(record: dict[str, Any]) -> dict[str, Any]:
-    """A record of scores with its metrics by name; before, each of the paper's had a key."""
+    """A record of scores with its metrics by name. In format 2 each metric was a key."""
     if "metrics" in record:
         return dict(record)
-    paper = ("coverage", "occlusion", "information_gain")
-    rest = {key: value for key, value in record.items() if key not in paper}
-    return rest | {"metrics": {name: record[name] for name in paper}}
+    rest = {key: value for key, value in record.items() if key not in _PAPER}
+    return rest | {"metrics": {name: record[name] for name in _PAPER}}
+
+
+def _name_weights(settings: dict[str, Any]) -> None:
+    """Replace three weights, as format 2 has them, by weights with names."""
+    settings["weights"] = dict(zip(_PAPER, settings["weights"], strict=True))
 
 
 def csv_text(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows as CSV; every result has at least one exact score."""
+    """Rows as CSV text, under the keys of the first; there must be at least one."""
     text = io.StringIO()
     table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     table.writeheader()
@@ -213,7 +228,7 @@ def csv_text(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Lists for tuples and arrays, Python's own numbers."""
+    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,4 +1,4 @@
-"""What sensors cost against what they score: the figure of a Pareto front."""
+"""The figure of a Pareto front: score of mixes of devices against their cost."""
 
 from collections.abc import Sequence
 
@@ -7,18 +7,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.studies.pareto import DeviceMix, Point
+from inspe_jax.placement.studies.pareto import DeviceMix, ParetoPoint
 from inspe_jax.report.sheet import WIDTH, fit, house_style
 
 FRONT, BEATEN = "#0072b2", "#808080"
 NAMED = 12
-"""Mixes on the front that are named at most: those that add most."""
+"""Most mixes on the front that are named; those that add most to the score are chosen."""
 
 
-def pareto_view(mixes: Sequence[DeviceMix | Point]) -> Figure:
-    """Score against cost of every mix of devices; the front as a staircase with its mixes named.
+def pareto_view(mixes: Sequence[DeviceMix | ParetoPoint]) -> Figure:
+    """Score against cost of every mix of devices. The front is a staircase with named mixes.
 
-    Raises InspeError where there is no mix.
+    Raises InspeError if there is no mix.
     """
     if not mixes:
         raise InspeError("no mix to draw")
@@ -65,8 +65,9 @@ def pareto_view(mixes: Sequence[DeviceMix | Point]) -> Figure:
     return fig
 
 
-def _named(front: Sequence[Point]) -> list[Point]:
-    """The mixes of a front to name, in its order: the first, and those that add most to it."""
+def _named(front: Sequence[ParetoPoint]) -> list[ParetoPoint]:
+    """The mixes of a front to name, in its order: the first, and those that add most to the
+    score."""
     score = np.array([mix.objective for mix in front])
     adds = np.diff(score, prepend=-np.inf)
     chosen = np.sort(np.argsort(-adds, kind="stable")[:NAMED])

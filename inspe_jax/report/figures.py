@@ -1,7 +1,7 @@
 """Plan views of a scene and of a scored layout.
 
-Colours are of Okabe and
-Ito's palette and of cividis, which readers with any colour vision can tell apart.
+Colours are those of Okabe and Ito's palette and of cividis, which readers with any colour vision
+can tell apart.
 """
 
 from collections import defaultdict
@@ -12,18 +12,19 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, PathPatch
+from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.layers import Layer, seen_layer
+from inspe_jax.report.layers import MapLayer, seen_layer
+from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
 from inspe_jax.report.sheet import (
     CIRCLE,
     HALO,
@@ -38,6 +39,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import Metric, listed
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 from inspe_jax.visibility.queries import check_frame
@@ -45,7 +47,7 @@ from inspe_jax.visibility.queries import check_frame
 REGION_COLORS: dict[Region, str] = dict(
     zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)
 )
-"""Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue."""
+"""Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue, by region."""
 
 CLASS_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#000000")
 """Blue, vermilion, reddish purple and black, in the order of the road-user classes."""
@@ -53,26 +55,26 @@ CLASS_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#000000")
 SENSOR_COLORS: defaultdict[str, str] = defaultdict(
     lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
 )
-"""Vermilion, reddish purple and, for other kinds of sensor, dark green: dark enough to carry white
-figures."""
+"""Vermilion, reddish purple and, for other kinds of sensor, dark green: dark enough for white
+digits on them."""
 
 _LINE: dict[str, Any] = dict(ec="#707070", lw=0.3)
 OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
 _HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
 _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
-_LANE: dict[str, Any] = dict(color="#303030", lw=0.4)
-_WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
 KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 _MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s"})
+LINE = 126
+"""Characters that fit on a line of a figure's heading."""
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
 
 def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
-    """Plan view of a scene: its regions, lanes, mounts, and the road users of one frame.
+    """Plan view of a scene: its regions, lanes, mounting areas, poles, and one frame's road users.
 
-    World metres, north up. Raises InspeError where there is no such ``frame``.
+    World metres, north up. Raises InspeError if there is no such ``frame``.
     """
     place, grid = scene.intersection, scene.voxels
     notes = [f"• {note}" for note in (f"source: {place.source}", *place.notes)]
@@ -86,7 +88,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
         frame_map(ax, scene, grid.radius)
         draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
         ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
-        _draw_routes(ax, scene)
+        draw_routes(ax, scene)
         draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
         near = _near_poles(scene)
         ax.plot(*near.T[:2], **_POLE, zorder=6)
@@ -95,23 +97,21 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
 
 
 def plan_view(
-    scene: Scene, layout: Layout, scores: Scores, layer: Layer | None = None, *, frame: int = 0
+    scene: Scene, layout: Layout, scores: Scores, layer: MapLayer | None = None, *, frame: int = 0
 ) -> Figure:
-    """Plan view of a scored layout: what each column's chance of being seen is, and by whom.
+    """Plan view of a scored layout: how often each column is seen, and what each sensor looks at.
 
-    The raster is ``scores.seen_share``, the share of frames and levels in which a
-    column is seen; or another ``layer``. Cameras show their horizontal field of view to their
-    depth, LiDARs their reach. Raises InspeError where there is no such ``frame`` or the
-    scores are not of this scene.
+    The raster shows ``scores.seen_share``, the share of frames and levels in which a column is
+    seen, or another ``layer``. For a camera the horizontal field of view is drawn up to its depth,
+    for a LiDAR its reach. Raises InspeError if there is no such ``frame``, or if the scores are of
+    another scene.
     """
     layer = layer or seen_layer(scores.seen_share)
     raster, extent = column_raster(scene.voxels, layer.values)
     layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     facts = (
-        f"coverage C {scores.coverage:.3f},  occlusion O {scores.occlusion:.3f},  "
-        f"information gain IG {scores.information_gain:.3f},  "
-        f"surrogate $P_{{sm}}$ {scores.surrogate:.3f}\n"
+        f"{_score_line(scores)}\n"
         f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}"
     )
     keys = plan_keys(scene, layout)
@@ -119,7 +119,7 @@ def plan_view(
     with house_style():
         title = f"{layout.name} at {scene.name}{scores.conditions.words}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
-        frame_map(ax, scene, max(scene.voxels.radius, _away(scene, poses).max()))
+        frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
         image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
         draw_badges(ax, layout, poses)
         top = 5.5 * _ROW
@@ -132,13 +132,27 @@ def plan_view(
     return fig
 
 
+def _score_line(scores: Scores) -> str:
+    """Every score by name and symbol on one line; by its symbol alone where there are many."""
+    values = [(metric, f"{in_math(metric)} {scores.value(metric.name):.3f}") for metric in listed()]
+    line = ",  ".join(f"{metric.words} {value}" for metric, value in values)
+    return line if len(line) <= LINE else ",  ".join(value for _, value in values)
+
+
+def in_math(metric: Metric) -> str:
+    """A metric's symbol for matplotlib: its index is set below the line, as in P_sm."""
+    letter, _, index = metric.symbol.partition("_")
+    return f"${letter}_{{{index}}}$" if index else letter
+
+
 def column_raster(
     voxels: VoxelGrid, values: Float[np.ndarray, " L"]
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
-    """A value per column as an image, NaN where there is none, and its (x0, x1, y0, y1) [m].
+    """A value for each column as an image, NaN where there is no column; and (x0, x1, y0, y1) [m].
 
-    Row i runs northward and column j eastward from the south-west corner, so the
-    pixel is the column's true square. Raises InspeError where L differs.
+    Rows run northward and columns of the image eastward from the south-west corner, so that each
+    pixel is the true square of its voxel column. Raises InspeError if L is not the number of
+    columns.
     """
     values = np.asarray(values, float)
     if values.shape != (len(voxels.columns),):
@@ -155,11 +169,10 @@ def column_raster(
 
 
 def view_outline(spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "N 2"]:
-    """Closed outline [m] of what a sensor looks at in plan, its pitch left aside.
+    """Closed outline [m] of what a sensor looks at in plan; its pitch is ignored.
 
-    A camera's horizontal field of view to its depth, a LiDAR's azimuths to its
-    reach: a sector about yaw that begins and ends at the sensor, or a circle
-    where the sensor looks all round.
+    The outline is a sector of the horizontal field of view, up to the sensor's reach, that begins
+    and ends at the sensor; or a circle for a sensor that looks all round.
     """
     (right, left), whole = spec.azimuth_limits, spec.grid.wraps
     count = max(2, int(np.ceil((left - right) / np.radians(2)))) + 1
@@ -171,32 +184,32 @@ def view_outline(spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, 
 def spread_badges(
     anchors: Float[np.ndarray, "S 2"], toward: Float[np.ndarray, "S 2"], gap: float
 ) -> Float[np.ndarray, "S 2"]:
-    """Places for labels, each ``gap`` from its anchor in its wished direction where it can be.
+    """Places for labels, each ``gap`` from its anchor in the wished direction if possible.
 
-    No two labels come nearer than ``gap`` to each other, nor one nearer than
-    0.75·``gap`` to an anchor. ``toward`` holds unit vectors; the rest is in metres.
+    No two labels are nearer to each other than ``gap``, and no label is nearer to an anchor than
+    0.75·``gap``. ``toward`` has unit vectors; the rest is in metres.
     """
-    turn = np.arange(len(anchors)) * 2.4  # the golden angle: coincident wishes part for good
+    turn = np.arange(len(anchors)) * 2.4  # the golden angle separates labels with the same wish
     place = anchors + gap * toward + 1e-3 * gap * np.column_stack([np.cos(turn), np.sin(turn)])
     for _ in range(1000):
         push, count = np.zeros_like(place), np.zeros(len(place))
-        for others, least, share in ((place, gap, 0.5), (anchors, 0.75 * gap, 1.0)):
+        for others, least, part in ((place, gap, 0.5), (anchors, 0.75 * gap, 1.0)):
             away = place[:, None] - others  # (S, S, 2)
             distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-9 * gap)
             if others is place:
                 np.fill_diagonal(distance, np.inf)
             lack = np.maximum(least - distance, 0.0)
-            push += share * (away * (lack / distance)[..., None]).sum(1)
+            push += part * (away * (lack / distance)[..., None]).sum(1)
             count += (lack > 0).sum(1)
         if not count.any():
             break
-        # The mean of the pushes: their sum would throw out a label in the midst of a crowd.
+        # The mean of the pushes: their sum would throw a label out of a crowd.
         place = place + 1.02 * push / np.maximum(count, 1)[:, None]
     return place
 
 
 def _scene_keys(scene: Scene) -> list[Any]:
-    """Keys of a scene view, for those things only that are there."""
+    """Legend entries of a scene view, for things that the scene has."""
     place = scene.intersection
     here, users = set(scene.voxels.region.tolist()), {route.user for route in place.routes}
     kinds = set(scene.traffic.kind[scene.traffic.valid].tolist())
@@ -205,8 +218,8 @@ def _scene_keys(scene: Scene) -> list[Any]:
         *((r in here, Patch(**_LINE, fc=c, label=r.key)) for r, c in REGION_COLORS.items()),
         (not place.mounting.is_empty, Patch(**{**_HATCH, "fc": "white"}, label="mounting area")),
         (len(_near_poles(scene)) > 0, Line2D([], [], **_POLE, label="standing pole")),
-        ("vehicle" in users, Line2D([], [], **_LANE, marker=">", ms=2.5, label="lane")),
-        ("pedestrian" in users, Line2D([], [], **_WALK, label="walking route")),
+        ("vehicle" in users, Line2D([], [], **LANE, marker=">", ms=2.5, label="lane")),
+        ("pedestrian" in users, Line2D([], [], **WALK, label="walking route")),
         *(
             (k in kinds, Patch(fc=c, ec="black", lw=0.3, label=name))
             for k, (name, c) in enumerate(classes)
@@ -217,7 +230,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
 
 
 def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
-    """Keys of a plan view; they say how far each kind of sensor looks, also beyond the map."""
+    """Legend entries of a plan view, with the reach of each kind of sensor."""
     keys: list[Any] = []
     kinds = {sensor.spec.kind for sensor in layout.sensors}
     for kind in sorted(kinds):
@@ -232,22 +245,18 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
 
 
 def _users(scene: Scene, frame: int) -> str:
-    """How many road users a frame has, in words. Raises InspeError where there is no such frame."""
+    """The number of road users in a frame, in words. Raises InspeError if there is no such
+    frame."""
     traffic = scene.traffic
     check_frame(scene, frame)
     count, mean = int(traffic.valid[frame].sum()), traffic.mean_count
     return f"frame {frame} of {traffic.frame_count}: {count} road users (mean {mean:.1f})"
 
 
-def _away(scene: Scene, points: np.ndarray) -> np.ndarray:
-    """Plan distance of points (N, 2+) from the centre [m]."""
-    return np.hypot(*(points[:, :2] - scene.voxels.center[:2]).T)
-
-
 def _near_poles(scene: Scene) -> np.ndarray:
     """Poles within the region of interest."""
     poles = scene.intersection.poles
-    return poles[_away(scene, poles) <= scene.voxels.radius]
+    return poles[center_distance(scene, poles) <= scene.voxels.radius]
 
 
 def _disc(scene: Scene) -> BaseGeometry:
@@ -256,7 +265,7 @@ def _disc(scene: Scene) -> BaseGeometry:
 
 
 def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
-    """The polygons of a shape, holes and all; points and lines left by a clip are dropped."""
+    """The polygons of a shape with their holes; points and lines that a clip left are dropped."""
     rings = [
         Outline(ring.coords, closed=True)
         for part in shapely.get_parts(shape)
@@ -273,14 +282,14 @@ def draw_layer(
     scene: Scene,
     layout: Layout,
     poses: np.ndarray,
-    layer: Layer,
+    layer: MapLayer,
     raster: np.ndarray,
     extent: tuple[float, float, float, float],
     frame: int,
 ) -> AxesImage:
-    """A layer, such as how often each spot is seen, under one frame's road users and the views.
+    """Draw a layer, and over it one frame's road users and what each sensor looks at.
 
-    ``raster`` and ``extent`` as :func:`column_raster` gives them; ``poses`` in the world.
+    ``raster`` and ``extent`` are those of :func:`column_raster`; ``poses`` (S, 6) are in the world.
     """
     colors: Any = layer.colors
     if layer.kinds:
@@ -300,7 +309,8 @@ def draw_layer(
 
 
 def draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]]) -> None:
-    """Regions within the circle, the one that names the column on top."""
+    """Draw regions within the circle; where they overlap, the one that a column belongs to on
+    top."""
     disc = _disc(scene)
     for region in reversed(PRECEDENCE):
         shape = scene.intersection.regions.get(region)
@@ -308,43 +318,8 @@ def draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]
             ax.add_patch(_patch(shape.intersection(disc), **look(region), zorder=1))
 
 
-def _draw_routes(ax: Axes, scene: Scene) -> None:
-    """Centre lines of lanes with arrow heads, and walking routes, within the circle."""
-    radius = scene.voxels.radius
-    inside = Circle(tuple(scene.voxels.center[:2]), radius, transform=ax.transData)
-    for user, look in (("vehicle", _LANE), ("pedestrian", _WALK)):
-        lines = [r.waypoints[:, :2] for r in scene.intersection.routes if r.user == user]
-        drawn = LineCollection(lines, **look, zorder=3)
-        ax.add_collection(drawn, autolim=False)
-        drawn.set_clip_path(inside)
-    shape = radius * np.array([[0.012, 0.0], [-0.012, 0.008], [-0.012, -0.008]])
-    heads = [at + shape @ np.array([d, [-d[1], d[0]]]) for at, d in _arrow_heads(scene)]
-    ax.add_collection(PolyCollection(heads, fc="#303030", ec="none", zorder=3), autolim=False)
-
-
-def _arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where lanes carry an arrow head (x, y) [m], and its direction.
-
-    Routes share lanes: one head serves those that run on one line.
-    """
-    radius, heads = scene.voxels.radius, list[tuple[np.ndarray, np.ndarray]]()
-    for route in scene.intersection.routes:
-        if route.user != "vehicle":
-            continue
-        steps = np.diff(route.waypoints[:, :2], axis=0)
-        for s in np.arange(radius / 8, route.length, radius / 4):
-            k = int(np.searchsorted(route.arc, s)) - 1
-            at, ahead = route.waypoints[k, :2], steps[k] / np.hypot(*steps[k])
-            apart = (at - np.array([head for head, _ in heads]).reshape(-1, 2)) / radius  # (H, 2)
-            along, aside = np.abs(apart @ ahead), np.abs(apart @ [-ahead[1], ahead[0]])
-            crowded = (along < 0.12) & (aside < 0.02) | (np.hypot(along, aside) < 0.035)
-            if not crowded.any() and _away(scene, at[None])[0] < 0.97 * radius:
-                heads.append((at, ahead))
-    return heads
-
-
 def draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]]) -> None:
-    """One frame's road users as oriented rectangles, a look for each class."""
+    """Draw one frame's road users as oriented rectangles, with a look for each class."""
     traffic = scene.traffic
     for kind, look in enumerate(looks):
         who = traffic.valid[frame] & (traffic.kind[frame] == kind)
@@ -357,7 +332,7 @@ def draw_users(ax: Axes, scene: Scene, frame: int, looks: list[dict[str, Any]]) 
 
 
 def wedge_look(spec: Spec, halo: bool = True) -> dict[str, Any]:
-    """How the outline of what a sensor looks at is drawn."""
+    """Line style of the outline of what a sensor looks at."""
     line = "-" if isinstance(spec, CameraSpec) else (0, (4, 2))
     look: dict[str, Any] = dict(color=SENSOR_COLORS[spec.kind], lw=0.8, ls=line)
     return dict(look, path_effects=HALO) if halo else look
@@ -373,9 +348,9 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
 
 
 def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) -> None:
-    """A dot where each sensor is, and its number joined to it: a camera's in front of it.
+    """Draw a dot at each sensor and its number beside it; a camera's number is in front of it.
 
-    ``side`` of the map [inch].
+    ``side`` is that of the map [inch].
     """
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
@@ -391,7 +366,7 @@ def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) 
         _badge(ax, place, k + 1, kind)
 
 
-def _color_bar(fig: Figure, panel: Axes, image: Any, layer: Layer) -> None:
+def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> None:
     depth = -panel.get_ylim()[0]
     axes = panel.inset_axes((0.02, 1 - 30 / depth, 0.94, 7 / depth))
     ticks = ticks_of(layer)
@@ -401,16 +376,16 @@ def _color_bar(fig: Figure, panel: Axes, image: Any, layer: Layer) -> None:
     panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)
 
 
-def ticks_of(layer: Layer) -> list[float]:
-    """Round values to mark on a layer's colour bar, from 0."""
+def ticks_of(layer: MapLayer) -> list[float]:
+    """Round values from 0 to mark on a layer's colour bar."""
     if layer.most == 1.0:
         return [0, 0.25, 0.5, 0.75, 1]
     ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, layer.most)
     return [float(f"{tick:g}") for tick in ticks if 0 <= tick <= layer.most]
 
 
-def _list_kinds(panel: Axes, layer: Layer) -> float:
-    """The kinds of columns there are, by colour; how far down they go [pt]."""
+def _list_kinds(panel: Axes, layer: MapLayer) -> float:
+    """Draw the legend of the kinds of columns; returns its height [pt]."""
     handles = [Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds]
     panel.add_artist(panel.legend(handles=handles, loc="upper left", **KEYS))
     lines = sum(name.count("\n") for name, _ in layer.kinds)
@@ -418,9 +393,9 @@ def _list_kinds(panel: Axes, layer: Layer) -> float:
 
 
 def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray, top: float) -> None:
-    """Every unit by name and under it its sensors: number, device, height above the base.
+    """List every unit, and under it its sensors: number, device, and height above the base.
 
-    From ``top`` [pt] downward.
+    The list begins ``top`` [pt] below the panel's upper edge.
     """
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
     y = -top

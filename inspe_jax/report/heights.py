@@ -1,4 +1,4 @@
-"""Coverage against height: a figure."""
+"""The figure of coverage against height."""
 
 from collections.abc import Sequence
 
@@ -12,9 +12,9 @@ from inspe_jax.scoring.evaluate import Scores
 
 
 def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
-    """Share of the voxels of each level that layouts have in view, against height above ground.
+    """Share of each level's voxels that is in view, against height above the ground.
 
-    ``scored`` has each layout's name and scores.
+    ``scored`` has the name and the scores of each layout.
     """
     grid = scene.voxels
     middle = grid.levels

@@ -1,4 +1,4 @@
-"""What pictures show of the columns of a scored layout: seen, blind, redundant, resolved."""
+"""Map layers of a scored layout, with a value for each column: how often it is seen, and others."""
 
 from dataclasses import dataclass
 
@@ -9,30 +9,30 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.viewshed import Viewshed, Visibility
 
 HIDDEN = 0.5
-"""A column that traffic hides for more than this share of the time that it is free is a blind
-spot."""
+"""A column is a blind spot if traffic hides it for more than this share of the time that no road
+user is in it."""
 BLIND = (
     ("seen", "#f2f2f2"),
     ("hidden by traffic\nmost of the time", "#e69f00"),
     ("in part out of view", "#8a8a8a"),
     ("never in view", "#202020"),
 )
-"""Kinds of columns: what is out of view in greys, what traffic hides in Okabe and Ito's orange."""
+"""Kinds of columns with their colours: greys out of view, orange (Okabe and Ito) behind traffic."""
 SIGHT_COLORS: dict[Visibility, str] = {
     Visibility.OUT_OF_VIEW: "#202020",
     Visibility.HIDDEN: "#e69f00",
     Visibility.SEEN: "#56b4e9",
 }
-"""Of voxels in one frame, in the same colours; those that are seen in sky blue."""
+"""Colours of voxels in one frame: the same, and sky blue for voxels that are seen."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Layer:
+class MapLayer:
     """A value for each column, and how it is shown.
 
-    ``values`` (L,), NaN where there is none; ``label`` says what they are, with their unit; they
-    are shown from 0 to ``most`` in a colour map, or, where there are ``kinds``, (name, colour), as
-    the kind of that number.
+    ``values`` (L,) may be NaN, for no value; ``label`` says what they are, with their unit. They
+    are shown in the colour map ``colors``, from 0 to ``most``. If there are ``kinds``, pairs of a
+    name and a colour, each value is the number of a kind instead.
     """
 
     name: str
@@ -45,8 +45,8 @@ class Layer:
     """Whether the road users of one frame are drawn over it."""
 
 
-def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
-    """Every layer, by its name."""
+def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
+    """Every layer by its name, from the viewshed of a layout."""
     levels = scene.voxels.level_count
 
     def of_columns(values: np.ndarray) -> np.ndarray:
@@ -59,15 +59,15 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
     most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
     found = (
         seen_layer(seen.mean(1) / frames),
-        Layer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
-        Layer(
+        MapLayer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
+        MapLayer(
             "redundancy",
             "sensors that have a column in view,\nmean over its levels",
             sensors.mean(1),
             most=max(float(sensors.max(initial=0)), 1.0),
             colors="viridis",
         ),
-        Layer(
+        MapLayer(
             "entropy",
             "entropy of a column's occupancy,\nsum over its levels [bit]",
             entropy.sum(1),
@@ -75,7 +75,7 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
             colors="magma",
             users=False,
         ),
-        Layer(
+        MapLayer(
             "unresolved",
             "entropy that sensors leave,\nsum over a column's levels [bit]",
             left.sum(1),
@@ -87,13 +87,13 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, Layer]:
     return {layer.name: layer for layer in found}
 
 
-def seen_layer(share: Float[np.ndarray, " L"]) -> Layer:
+def seen_layer(seen_share: Float[np.ndarray, " L"]) -> MapLayer:
     """How often each column is seen: :attr:`~inspe_jax.scoring.evaluate.Scores.seen_share`."""
-    return Layer("seen", "share of frames and levels\nin which a column is seen", share)
+    return MapLayer("seen", "share of frames and levels\nin which a column is seen", seen_share)
 
 
 def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:
-    """The kind of each column: its place in :data:`BLIND`."""
+    """The kind of each column, as its place in :data:`BLIND`."""
     levels = scene.voxels.level_count
     in_view = (shed.sensors > 0).reshape(-1, levels)
     free = (shed.frame_count - shed.occupied).reshape(-1, levels) * in_view

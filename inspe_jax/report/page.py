@@ -1,7 +1,7 @@
-"""One page to hand on: scores side by side, figures, the scene in three dimensions, the settings.
+"""The report page: scores side by side, figures, the scene in three dimensions, the settings.
 
-A single HTML file that needs no network. Numbers are shown rounded; as they were scored they are
-in the page's own record, the same as `inspe score --json` writes.
+It is a single HTML file that needs no network. Numbers are shown rounded. The page contains the
+exact ones too, in the same record as `inspe score --json` writes.
 """
 
 import base64
@@ -20,14 +20,14 @@ from matplotlib.figure import Figure
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
-from inspe_jax.placement.studies.pareto import Point
+from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
-from inspe_jax.report.layers import BLIND, SIGHT_COLORS, Layer, layers
+from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
 from inspe_jax.report.progress import before_after, history_view
-from inspe_jax.report.scene3d import USER_COLOR, stage_page
+from inspe_jax.report.scene3d import USER_COLOR, scene3d_page
 from inspe_jax.report.sheet import house_style
 from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -39,7 +39,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
 DPI = 170
-"""Of the figures in a page."""
+"""Resolution of the figures in a page [dots per inch]."""
 CAPTIONS: dict[str, str] = {
     "seen": "How often each spot is seen: the share of frames and levels, behind traffic.",
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
@@ -50,11 +50,11 @@ CAPTIONS: dict[str, str] = {
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Entry:
-    """A layout with all that a page says of it.
+class ReportEntry:
+    """A layout with all that a page shows of it.
 
-    Of one that a search found, ``result``, and ``before``, the scores of where it began. Those and
-    the tolerance may be left out.
+    ``result`` and ``before``: if a search found the layout, its result, and the scores of its
+    start. ``tolerance``: if given, how carefully the layout must be installed.
     """
 
     layout: Layout
@@ -65,15 +65,16 @@ class Entry:
     before: Scores | None = None
 
 
-def entry_of(
+def report_entry(
     case: Case,
     layout: Layout,
     weights: Weights,
     result: Result | None = None,
-) -> Entry:
-    """All that a page says of a layout, but for the tolerance; ``result`` is that it comes from.
+) -> ReportEntry:
+    """Score a layout for a page, without its tolerance.
 
-    Raises InspeError as :func:`inspe_jax.evaluate` does.
+    ``result`` is that of the search that found the layout, if any. Raises InspeError as
+    :func:`inspe_jax.evaluate` does.
     """
     scene, conditions = case.scene, case.conditions
 
@@ -82,22 +83,24 @@ def entry_of(
 
     shed = viewshed(scene, layout, conditions=conditions)
     before = None if result is None else scores(result.start)
-    return Entry(layout, scores(layout), shed, result=result, before=before)
+    return ReportEntry(layout, scores(layout), shed, result=result, before=before)
 
 
 def report_page(
     scene: Scene,
-    entries: Sequence[Entry],
+    entries: Sequence[ReportEntry],
     *,
-    front: Sequence[Point] = (),
+    front: Sequence[ParetoPoint] = (),
     frame: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
     """The page of one or several layouts on a scene, as HTML.
 
-    ``front``: mixes of devices, whose cost is drawn against their score. ``frame`` of the traffic
-    is the one that is drawn. ``progress(done, total)`` is called on the way. Raises InspeError
-    where there is no layout, two have the same name, or there is no such frame.
+    ``front``: mixes of devices, whose score is drawn against their cost.
+    ``frame``: number of the frame of traffic that is drawn.
+    ``progress``: called with (steps done, steps).
+
+    Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
     searched = sum(entry.result is not None for entry in entries)
@@ -123,7 +126,7 @@ def report_page(
                     (words, drawn(_plan(scene, entry, of_columns[name], frame)))
                     for name, words in CAPTIONS.items()
                 ],
-                stage=_text(stage_page(scene, entry.layout, entry.scores.conditions, frame)),
+                scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
                 search=_search(scene, entry, frame, drawn),
                 tolerance=None
                 if entry.tolerance is None
@@ -143,7 +146,8 @@ def report_page(
             "LiDAR": SENSOR_COLORS["lidar"],
         },
         parts=parts,
-        metrics={metric.name: metric.symbol for metric in listed()},
+        metrics=listed(),
+        symbols={metric.name: metric.symbol for metric in listed()},
         best={m.name: max(record[m.name] for record in records) for m in listed()},
         weights=entries[0].scores.settings["weights"],
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
@@ -156,7 +160,7 @@ def report_page(
 
 
 def template(room: str, name: str) -> Template:
-    """A template of HTML in a folder of the package; what is put in is text, not markup."""
+    """An HTML template ``name`` in a folder of the package. Inserted text is escaped."""
     return Environment(
         loader=PackageLoader("inspe_jax", room),
         autoescape=True,
@@ -167,9 +171,13 @@ def template(room: str, name: str) -> Template:
 
 
 def report_sheets(
-    scene: Scene, entries: Sequence[Entry], *, front: Sequence[Point] = (), frame: int = 0
+    scene: Scene,
+    entries: Sequence[ReportEntry],
+    *,
+    front: Sequence[ParetoPoint] = (),
+    frame: int = 0,
 ) -> bytes:
-    """The page's figures as a PDF, one a sheet."""
+    """The figures of the page as a PDF, one on each sheet."""
     check_names([entry.layout.name for entry in entries])
     figures = [scene_view(scene, frame=frame)]
     figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
@@ -188,19 +196,21 @@ def report_sheets(
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raise InspeError where there is no layout, or two have the same name."""
+    """Raise InspeError if there is no layout, or two have the same name."""
     if not names:
         raise InspeError("no layout to report on")
     for name in names:
         if names.count(name) > 1:
-            raise InspeError(f"two layouts are named '{name}': give each file a `name:` of its own")
+            raise InspeError(
+                f"two layouts are named '{name}': give each layout file another `name:`"
+            )
 
 
-def _plan(scene: Scene, entry: Entry, layer: Layer, frame: int) -> Figure:
+def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:
     return plan_view(scene, entry.layout, entry.scores, layer, frame=frame)
 
 
-def _moves(scene: Scene, entry: Entry, frame: int) -> Figure:
+def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
     result = entry.result
     assert result is not None
     assert entry.before is not None
@@ -210,9 +220,9 @@ def _moves(scene: Scene, entry: Entry, frame: int) -> Figure:
 
 
 def _search(
-    scene: Scene, entry: Entry, frame: int, drawn: Callable[[Figure], str]
+    scene: Scene, entry: ReportEntry, frame: int, drawn: Callable[[Figure], str]
 ) -> dict[str, Any] | None:
-    """What a page says of the search that a layout comes from."""
+    """What the page shows of the search that found a layout; None if there was no search."""
     result = entry.result
     if result is None:
         return None
@@ -235,7 +245,7 @@ def _search(
     )
 
 
-def _shares(blind: Layer) -> list[tuple[str, str, float]]:
+def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     """(kind, colour, share of the columns) of blind spots."""
     share = np.bincount(blind.values.astype(int), minlength=len(BLIND)) / len(blind.values)
     rows = zip(BLIND, share.tolist(), strict=True)

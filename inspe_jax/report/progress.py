@@ -1,4 +1,4 @@
-"""What a search changed, and how searches went: figures."""
+"""Figures of searches: the layout before and after, and the best score against time and work."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,26 +18,29 @@ from inspe_jax.report.figures import (
     column_raster,
     draw_badges,
     draw_layer,
+    in_math,
     plan_keys,
 )
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.layout import Layout
 
 MOVED = 0.5
-"""Units that moved further than this have an arrow [m]."""
+"""Units that moved further than this get an arrow [m]."""
 WENT = "where a unit went, step by step"
 COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#808080",
 )  # fmt: skip
-"""Okabe and Ito's colours that can be told from white, and grey; one a method."""
+"""One colour for each method: those of Okabe and Ito that stand out from white, and grey."""
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
-"""Methods of neighbouring colours differ in this too."""
+"""Line styles, so that methods differ not only in colour."""
 
 _SIDE, _LEFT, _GAP = 3.10, 0.48, 0.30  # of the two maps, before the first, between them [inch]
 _HEAD, _BELOW = 0.66, 1.14  # above and below the maps [inch]
+_CAPTION = 60  # characters that fit on a line above a map
 _ARROW: dict[str, Any] = dict(color="#202020", lw=0.9)
 
 
@@ -51,13 +54,12 @@ def before_after(
     path: Float[np.ndarray, "K S 6"] | None = None,
     frame: int = 0,
 ) -> Figure:
-    """Two plan views side by side: a layout, and what a search made of it.
+    """Two plan views side by side, on one scale: a layout before and after a search.
 
-    Each in the colours of :func:`~inspe_jax.report.figures.plan_view`, on one scale. Arrows in the
-    right one lead from where a unit's sensors were to where they are, by way of where the search
-    had them meanwhile if ``path`` is given, as :class:`~inspe_jax.placement.result.Result` has it.
-    Raises InspeError where the layouts are not of the same sensors, or the scores are not of this
-    scene.
+    Colours are those of :func:`~inspe_jax.report.figures.plan_view`. Arrows in the right view lead
+    from the old to the new place of each unit. ``path`` is that of
+    :class:`~inspe_jax.placement.result.Result`; if given, arrows follow the places in between.
+    Raises InspeError if the layouts have different sensors, or if the scores are of another scene.
     """
     if [(s.name, s.unit) for s in before.sensors] != [(s.name, s.unit) for s in after.sensors]:
         raise InspeError(f"{before.name} and {after.name} are not of the same sensors")
@@ -109,13 +111,15 @@ def before_after(
 
 
 def _caption(when: str, scores: Scores) -> str:
-    parts = dict(C=scores.coverage, O=scores.occlusion, IG=scores.information_gain)
-    each = ", ".join(f"{name} {value:.3f}" for name, value in parts.items())
-    return f"{when}: $P_{{sm}}$ {scores.surrogate:.3f}  ({each})"
+    """The scores of a map, P_sm first; on two lines where there are many."""
+    *metrics, surrogate = listed()
+    each = ", ".join(f"{in_math(m)} {scores.value(m.name):.3f}" for m in metrics)
+    first = f"{when}: {in_math(surrogate)} {scores.surrogate:.3f}"
+    return f"{first}  ({each})" if len(first) + len(each) <= _CAPTION else f"{first}\n({each})"
 
 
 def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> bool:
-    """Every unit's way from the first poses to the last; whether any moved."""
+    """Draw every unit's way from the first poses to the last; returns whether any has moved."""
     moved = False
     for members in layout.members():
         track = _thinned(path[:, list(members), :2].mean(1))
@@ -136,8 +140,10 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
 
 
 def _thinned(track: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "J 2"]:
-    """The points of a way that are further from the last one kept than :data:`MOVED`, and its end
-    in place of the last; the first alone where it never goes so far."""
+    """The points of a track that are further than :data:`MOVED` from the one kept before.
+
+    The end of the track replaces the last of them. If no point is so far, only the first is kept.
+    """
     kept = [track[0]]
     for at in track[1:]:
         if np.hypot(*(at - kept[-1])) > MOVED:
@@ -148,10 +154,10 @@ def _thinned(track: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "J 2"]:
 
 
 def history_view(results: Sequence[Result]) -> Figure:
-    """Best exact score against wall time and against work: medians over seeds, and their spread.
+    """Best exact score against wall time and against work.
 
-    One line a method, of the median, in a band from the worst to the best seed. A search that
-    ended early keeps its score. Raises InspeError where there is no result.
+    Each method has a line, the median over its seeds, and a band from the worst to the best seed.
+    A search that ended early keeps its score. Raises InspeError if there is no result.
     """
     if not results:
         raise InspeError("no result to draw")
@@ -206,9 +212,9 @@ Curve = Float[np.ndarray, " P"]
 def _course(
     histories: Sequence[Sequence[Progress]], along: Callable[[Progress], float], end: float
 ) -> tuple[Curve, Curve, Curve, Curve]:
-    """Where something changes, and there the lowest, median and highest best score so far.
+    """(x, lowest, median, highest best score so far) at every x where one of them changes.
 
-    From where all searches have a score, to ``end``.
+    From the first x at which all searches have a score, to ``end``.
     """
     steps = [np.array([[along(row), row.best] for row in history]) for history in histories]
     first = max(row[0, 0] for row in steps)

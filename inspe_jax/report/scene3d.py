@@ -1,7 +1,7 @@
-"""A scene in three dimensions: ground, lanes, road users, sensors, voxels and what hides them.
+"""A scene in three dimensions: ground, lanes, road users, sensors and voxels.
 
-Drawn with viser, for a browser. World metres about the scene's centre, since graphics cards work in
-single precision.
+It is drawn with viser, for a browser. Positions are in metres about the scene's centre, since
+graphics cards work in single precision.
 """
 
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS, view_outline
 from inspe_jax.report.layers import SIGHT_COLORS
-from inspe_jax.report.server import Door, quiet, serve
+from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -29,23 +29,25 @@ from inspe_jax.sensing.sensors import CameraSpec, Spec
 GROUND_COLORS: dict[Region, str] = dict(
     zip(Region, ("#8c8f94", "#7c7f85", "#e6e6e6", "#c3c0b8", "#a3a59f"), strict=True)
 )
-"""Greys, as of asphalt and paving: colours are for what is seen and by whom."""
+"""Greys, such as those of asphalt and paving; colours are kept for voxels and sensors."""
 USER_COLOR = "#fafafa"
 BROKEN_COLOR = "#ff1744"
-"""Of sensors that break a rule of mounting, which have a ! beside their number, too."""
+"""Colour of sensors that break a rule of mounting; their number has a ! beside it, too."""
 OPACITY = {Visibility.OUT_OF_VIEW: 0.45, Visibility.HIDDEN: 0.6, Visibility.SEEN: 0.12}
-"""Of the voxels that are drawn."""
+"""Opacity of voxels, by kind."""
 FAINT = 0.3
-"""Share of that for voxels that are out of date."""
+"""Factor on the opacity of voxels that are out of date."""
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""A camera's frame in the body's: right, down and forward are −y, −z and x."""
+"""Rotation from a camera's optical frame to the sensor body frame: its right, down and forward
+axes are −y, −z and x."""
 MOUNTING_COLOR = "#303030"
-"""Of outlines of mounting areas, and of standing poles, which are drawn as high as this:"""
+"""Colour of the outlines of mounting areas, and of standing poles."""
 POLE = 4.0
+"""Height at which standing poles are drawn [m]."""
 ABOVE = 0.8
-"""Numbers stand so far above a unit's highest sensor [m]."""
+"""Height of numbers above a unit's highest sensor [m]."""
 LIFT = 0.05
-"""Lines on the ground are drawn so much above it [m]."""
+"""Height of lines above the ground [m]."""
 
 _BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = np.array(
@@ -54,17 +56,17 @@ _FACES = np.array(
 )
 
 
-class Stage:
-    """A scene on a viser server: what stands still is drawn at once, the rest when it is told."""
+class Scene3D:
+    """A scene on a viser server. The static parts are drawn at once, the rest by its methods."""
 
     def __init__(self, api: viser.SceneApi, scene: Scene) -> None:
         """Draw the ground and the lanes."""
         self.api, self.scene = api, scene
         self.shift = scene.voxels.center
         self.drawn: dict[str, Any] = {}
-        self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn,
-        self._at: dict[int, Float[np.ndarray, 6]] = {}  # and where they are
-        self._units = 0  # whose numbers are
+        self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
+        self._at: dict[int, Float[np.ndarray, 6]] = {}  # their poses
+        self._units = 0  # number of units that have a label
         api.set_up_direction("+z")
         api.configure_environment_map(None)
         api.configure_fog(1e6, 1e7, enabled=False)
@@ -75,7 +77,7 @@ class Stage:
         self._draw_lanes()
 
     def draw_mounting(self) -> None:
-        """Outlines of where units can stand, and the poles that there are."""
+        """Draw outlines of where units can stand, and the standing poles."""
         place, center = self.scene.intersection, self.shift[:2]
         radius = self.scene.voxels.radius
         within = place.mounting.intersection(shapely.Point(center).buffer(radius))
@@ -94,7 +96,7 @@ class Stage:
             self._lines("ground/mounting", np.concatenate(lines), MOUNTING_COLOR, 0.1)
 
     def draw_users(self, frame: int) -> None:
-        """The road users of one frame as boxes, white as on the maps."""
+        """Draw the road users of one frame as boxes, white as on the maps."""
         traffic = self.scene.traffic
         for kind, name in enumerate(CLASSES):
             who = traffic.valid[frame] & (traffic.kind[frame] == kind)
@@ -106,9 +108,10 @@ class Stage:
     def draw_voxels(
         self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility], *, faint: bool = False
     ) -> None:
-        """Voxels of these kinds, in the colour of what each is in a frame: see :class:`Visibility`.
+        """Draw the voxels of the kinds ``shown``, in the colour of their kind.
 
-        ``faint`` where that was so before a change.
+        ``sight`` is the :class:`Visibility` of each voxel in a frame. With ``faint`` they are
+        nearly transparent, for voxels of a layout that has changed since.
         """
         grid = self.scene.voxels
         by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
@@ -127,10 +130,11 @@ class Stage:
             self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
 
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
-        """Every sensor on its pole, what it looks at on the ground, and their numbers by unit.
+        """Draw every sensor on its pole, the outline of what it looks at, and its number.
 
-        Those that break a rule of mounting are red. What was drawn before is moved where only poses
-        differ. Gives the bodies of sensors that are drawn anew, by their place in the layout.
+        The ``broken`` sensors, which break a rule of mounting, are red. If only poses differ from
+        the layout before, what is drawn is moved. Returns the bodies of sensors that are new, by
+        their place in the layout.
         """
         wrong, new = set(broken), {}
         looks = [
@@ -186,7 +190,8 @@ class Stage:
         self.drawn[f"{name}/view"].points = self._view(spec, pose).astype(np.float32)
 
     def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
-        """The numbers of each unit's sensors above it, together: apart they would overlap."""
+        """Draw the numbers of a unit's sensors as one label above it; several labels would
+        overlap."""
         units = layout.members()
         for u, members in enumerate(units):
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
@@ -213,7 +218,7 @@ class Stage:
             self.drawn.pop(name).remove()
 
     def _draw_ground(self) -> None:
-        """A mesh for each region, its corners on the ground."""
+        """Draw a mesh for each region, with its corners on the ground."""
         grid = self.scene.voxels
         index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)
         for region, color in GROUND_COLORS.items():
@@ -260,7 +265,8 @@ class Stage:
         turn: np.ndarray | None = None,
         opacity: float | None = None,
     ) -> None:
-        """Boxes (N, 3) of sizes (N, 3) [m]."""
+        """Draw boxes at ``center`` (N, 3) with ``size`` (N, 3) [m] and quaternions ``turn`` (N,
+        4)."""
         if turn is None:
             turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(center), 1))
         self.drawn[name] = self.api.add_batched_meshes_simple(
@@ -279,19 +285,19 @@ class Stage:
 
 
 def runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Levels of a column that follow each other, of flags (L, Z): (column, first, one past)."""
+    """Runs of true flags (L, Z) in a column: (column, first level, one past the last level)."""
     edges = np.diff(np.pad(flags.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     column, low = np.nonzero(edges == 1)
     return column, low, np.nonzero(edges == -1)[1]
 
 
 def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
-    """A line's pieces, each by its two ends."""
+    """The segments of a line, each by its two ends."""
     return np.stack([line[:-1], line[1:]], 1)
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """A colour's parts, 0 to 255."""
+    """Red, green and blue of a colour, from 0 to 255."""
     red, green, blue = (round(255 * part) for part in to_rgb(color))
     return red, green, blue
 
@@ -306,15 +312,17 @@ def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
 
 
-def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
-    """A page of its own: one frame of a scene, and what a layout sees of it, to turn and zoom."""
-    server = serve(Door("127.0.0.1", browsers=0), 0)  # nobody looks: the page is a file
+def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
+    """An HTML page with one frame of a scene and what a layout sees of it, to turn and zoom."""
+    server = serve(
+        AccessRules("127.0.0.1", browsers=0), 0
+    )  # no browser may connect: the page is a file
     try:
-        stage = Stage(server.scene, scene)
-        stage.draw_users(frame)
+        scene3d = Scene3D(server.scene, scene)
+        scene3d.draw_users(frame)
         sight = sight_in(scene, layout, frame, conditions=conditions)
-        stage.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
-        stage.draw_layout(conditions.layout(layout))
+        scene3d.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
+        scene3d.draw_layout(conditions.layout(layout))
         look_from(server.initial_camera, scene)
         return server.scene.as_html()
     finally:
@@ -323,7 +331,8 @@ def stage_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int)
 
 
 def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
-    """Let a camera see the whole of a scene from the south, from above, so many times as far."""
+    """Point a camera at the whole scene from the south and from above; ``back`` scales its
+    distance."""
     radius = scene.voxels.radius
     camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
     camera.look_at = (0.0, -0.08 * radius, 0.0)

@@ -1,16 +1,17 @@
-"""A web server that checks who speaks to it, for viser's pages.
+"""A web server for viser's pages that checks every request and every message.
 
-viser serves whoever connects and acts on whatever they send. Here each request is checked before
-its handshake, and each message before it is handed on:
+viser serves everyone who connects, and acts on everything they send. Here each request is checked
+before its handshake, and each message before it is passed on:
 
-- The address holds a random token, which no other page can know. A page that does not have it can
-  load nothing, and open no connection.
-- The ``Host`` of a request must be a name of this machine, so that no foreign domain can be made to
-  point here (DNS rebinding). Its ``Origin`` must be the page itself.
-- Messages are of the few kinds that the page sends, have the fields and types of their kind, no
-  number that is not finite, and at most :data:`MESSAGE` bytes. There are at most :data:`BROWSERS`.
+- The address contains a random token, which no other page can know. Without it nothing can be
+  loaded, and no connection opened.
+- The ``Host`` of a request must be a name of this machine, so that no foreign domain can point here
+  (DNS rebinding). Its ``Origin`` must be the page itself.
+- A message must be of one of the few kinds that the page sends, with the fields and types of its
+  kind, with finite numbers, and with at most :data:`MESSAGE` bytes.
+- At most :data:`BROWSERS` pages may be open.
 
-What is refused is logged, a line each, and no more than :data:`LINES` of them in a while.
+Each refusal is logged on one line; at most :data:`LINES` lines in :data:`WHILE` seconds.
 """
 
 import asyncio
@@ -44,21 +45,21 @@ from websockets.http11 import Request, Response
 from inspe_jax.core.errors import InspeError
 
 PORTS = 100
-"""How many ports are tried."""
+"""Number of ports that are tried."""
 BROWSERS = 16
 """Pages that may be open at the same time."""
 SOCKETS = 128
-"""Connections that may be open at the same time, also before they have said what they are."""
+"""Connections that may be open at the same time, including those without a request yet."""
 SILENCE = 10.0
-"""How long a connection may take to say what it is, and to take in the page [s]."""
+"""Time that a connection gets to send its request, and to receive the page [s]."""
 LINES, WHILE = 20, 10.0
-"""At most so many refusals are logged one by one in so long [s]; the others are counted."""
+"""Refusals that are logged one by one, and in which time [s]; further ones are only counted."""
 MESSAGE = 2**16
-"""Length of a message that is read [byte]; those of a page have some hundred."""
+"""Largest message that is read [byte]; those of the page have some hundred bytes."""
 LARGEST = 1e9
-"""The largest number in a message: with larger ones, geometry in single precision overflows."""
+"""Largest number in a message; geometry in single precision overflows with larger ones."""
 LEAST = 1e-6
-"""The least length of a rotation's quaternion, which is of length 1."""
+"""Least length of a rotation's quaternion, which should be 1."""
 TOKEN = 16
 """Length of the token [byte]."""
 HEADERS = {
@@ -68,7 +69,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-"""Of every answer: no other page shows this one in a frame, and none learns its address."""
+"""Headers of every response: no other page can show this one in a frame, or learn its address."""
 
 SENT: tuple[type[Message], ...] = (
     kinds.GuiUpdateMessage,
@@ -78,7 +79,7 @@ SENT: tuple[type[Message], ...] = (
     kinds.TransformControlsUpdateMessage,
     kinds.ViewerCameraMessage,
 )
-"""What the page sends. Other messages of viser's are dropped: its share tunnel, uploads, forms."""
+"""Messages that the page sends. viser's others are dropped: public tunnels, uploads, forms."""
 
 _KINDS = {kind.__name__: kind for kind in SENT}
 _KNOWN = {kind.__name__ for kind in kinds.Message.get_subclasses()}
@@ -87,10 +88,10 @@ _serving = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Door:
-    """Who is let in at a server that listens on ``host``: those who know the ``token``.
+class AccessRules:
+    """Who may open the pages of a server that listens on ``host``: those who know the ``token``.
 
-    Without a token, every page of this server's own; ``browsers`` at the same time at most.
+    With an empty token no secret is needed. At most ``browsers`` pages may be open.
     """
 
     host: str
@@ -103,7 +104,7 @@ class Door:
         return _is_loopback(self.host)
 
     def urls(self, port: int) -> list[str]:
-        """Addresses to open, the one for this machine first."""
+        """Addresses of the page; the one for this machine first."""
         hosts = [self.host]
         if _is_everywhere(self.host):
             version = ipaddress.ip_address(self.host).version
@@ -116,7 +117,7 @@ class Door:
         return [f"http://{f'[{host}]' if ':' in host else host}:{port}{path}" for host in hosts]
 
     def refusal(self, request: Request) -> str:
-        """Why a request is refused; empty where it is let in."""
+        """Why a request is refused; an empty text if it is accepted."""
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         upgrades = request.headers.get_all("Upgrade")
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
@@ -132,8 +133,7 @@ class Door:
             first.encode(errors="surrogateescape"), self.token.encode()
         ):
             return "it does not have the token of the address that was printed"
-        # viser's page names the server that it is connected to in its address, and would connect to
-        # any other that is named there.
+        # The address of viser's page can name the server to connect to; no other may stand there.
         servers = [f"ws{url.removeprefix('http')}{path.rstrip('/')}" for url in own]
         if query and parse_qsl(query, keep_blank_values=True) not in [
             [("websocket", server)] for server in servers
@@ -146,8 +146,11 @@ class Door:
         return path.removeprefix(f"/{self.token}") if self.token else path
 
     def _is_ours(self, header: str) -> bool:
-        """Whether a ``Host`` names this machine. An address by number is of no domain: where others
-        may connect, it may be that of a router or a container in between."""
+        """Whether a ``Host`` names this machine.
+
+        If other machines may connect, any IP address is accepted: it belongs to no domain, and
+        may be that of a router or a container in between.
+        """
         if not _HOST.fullmatch(header):
             return False
         name = (urlsplit(f"//{header}").hostname or "").lower()
@@ -158,10 +161,11 @@ class Door:
 
 
 def fault_of(raw: Any) -> tuple[str, bool]:
-    """(What is wrong with a message of a browser's, whether it can be none of the page's).
+    """(what is wrong with a browser's message, whether the page itself would never send it).
 
-    Empty where nothing is. The page itself may send a number that is not finite, as of a window
-    without a size, and messages that nothing here asks for: those are dropped.
+    The text is empty if nothing is wrong. The page itself can send numbers that are not finite,
+    such as those of a window without a size, and messages that are not used here; those are only
+    dropped.
     """
     if not isinstance(raw, bytes):
         return "a message is text", True
@@ -173,7 +177,7 @@ def fault_of(raw: Any) -> tuple[str, bool]:
         message = msgspec.convert(content, _KINDS[name])
         if not set(content) <= set(message.__dict__):
             return f"a {name} has other fields than it should", True
-    except Exception as e:  # nested too deep, too, and none that is a mapping
+    except Exception as e:  # also if it is nested too deep, or is not a mapping
         return f"a message cannot be read ({type(e).__name__})", True
     if not _is_finite(content):
         return f"a {name} has a number that is not finite, or too large", False
@@ -193,22 +197,22 @@ def fault_of(raw: Any) -> tuple[str, bool]:
 
 @cache
 def _own_names() -> set[str]:
-    """Names of this machine. It may take a while to ask for them."""
+    """Names of this machine. Asking the system for them may take a while."""
     names = {socket.gethostname().lower(), socket.getfqdn().lower()}
     return names | {f"{name}.local" for name in names}
 
 
-def serve(door: Door, port: int) -> viser.ViserServer:
-    """A server for browsers, at the port or the next that can be had; any at port 0.
+def serve(access: AccessRules, port: int) -> viser.ViserServer:
+    """Start a server for browsers, at ``port`` or the next free one; at any free one for port 0.
 
-    Raises InspeError where the host is none of this machine's, or no port can be had.
+    Raises InspeError if the host is not an address of this machine, or no port is free.
     """
-    host = door.host
+    host = access.host
     _own_names()
     try:
         kind, _, _, _, at = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as e:
-        raise InspeError(f"host {host}: nothing can be served there ({e.strerror})") from None
+        raise InspeError(f"host {host}: no server can be started there ({e.strerror})") from None
     wrong = OSError()
     for free in range(port, min(port + PORTS, 65536)):
         try:
@@ -220,50 +224,54 @@ def serve(door: Door, port: int) -> viser.ViserServer:
             if e.errno not in (errno.EADDRINUSE, errno.EACCES):
                 break
         else:
-            return _guarded(door, free)
-    raise InspeError(f"host {host}, port {port}: nothing can be served there ({wrong.strerror})")
+            return _guarded(access, free)
+    raise InspeError(f"host {host}, port {port}: no server can be started there ({wrong.strerror})")
 
 
 def quiet() -> AbstractContextManager[Any]:
-    """Without what viser prints of its own: addresses, and that it has stopped."""
+    """Suppress what viser prints: its addresses, and that it has stopped."""
     return redirect_stdout(io.StringIO())
 
 
-def _guarded(door: Door, port: int) -> viser.ViserServer:
-    """viser's server behind a door.
+def _guarded(access: AccessRules, port: int) -> viser.ViserServer:
+    """viser's server with access rules.
 
-    viser has no option for any of it, and opens its port by ``websockets.asyncio.server.serve``:
-    that gets more options here, for as long as it takes to open.
+    viser has no options for this. It opens its port with ``websockets.asyncio.server.serve``, which
+    is replaced here by one with more options while the port is opened.
     """
     module, real, opened = websockets.asyncio.server, websockets.asyncio.server.serve, []
 
     def serve_behind(handler: Any, *args: Any, **options: Any) -> Any:
-        if handler.__module__ != viser.infra._infra.__name__:  # somebody else's, at the same time
+        if (
+            handler.__module__ != viser.infra._infra.__name__
+        ):  # a server of somebody else, at the same time
             return real(handler, *args, **options)
         opened.append(port)
-        guard = _Guard(door, handler, options["process_request"])
+        guard = _Guard(access, handler, options["process_request"])
         return real(guard.handle, *args, **options | guard.options)
 
     with _serving, quiet():
         try:
             module.serve = serve_behind  # type: ignore[assignment, misc]
-            server = viser.ViserServer(host=door.host, port=port, verbose=False)
+            server = viser.ViserServer(host=access.host, port=port, verbose=False)
         finally:
             module.serve = real  # type: ignore[misc]
         if not opened:
             server.stop()
-            raise RuntimeError("this version of viser opens its port otherwise: nothing guards it")
-    # Nobody who connects may ask for a tunnel to the outside.
+            raise RuntimeError(
+                "this version of viser opens its port in another way, and would be unprotected"
+            )
+    # No browser may open a public tunnel to this server.
     for message in (kinds.ShareUrlRequest, kinds.ShareUrlDisconnect):
         server._websock_server.unregister_handler(message)
     return server
 
 
 class _Guard:
-    """What stands between the connections of one server and viser's ``handler`` and ``files``."""
+    """Checks the connections of one server before viser's ``handler`` and ``files`` get them."""
 
-    def __init__(self, door: Door, handler: Any, files: Callable[..., Any]) -> None:
-        self.door, self.pages = door, 0
+    def __init__(self, access: AccessRules, handler: Any, files: Callable[..., Any]) -> None:
+        self.access, self.pages = access, 0
         self._silent: dict[ServerConnection, None] = {}  # in the order in which they came
         self._sockets = 0
         self._logged: list[float] = []
@@ -299,7 +307,7 @@ class _Guard:
         )
 
     def connected(self, connection: ServerConnection) -> None:
-        """One more connection; where there are too many, the one goes that is silent longest."""
+        """Count a connection. If there are too many, close the one that is silent for longest."""
         self._sockets += 1
         self._silent[connection] = None
         if self._sockets > SOCKETS:
@@ -308,22 +316,22 @@ class _Guard:
             oldest.transport.abort()
 
     def disconnected(self, connection: ServerConnection) -> None:
-        """One less."""
+        """Count a connection that is closed."""
         self._sockets -= 1
         self._silent.pop(connection, None)
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Of a request: a refusal, a file, or None to go on to the handshake."""
+        """The response to a request: a refusal, a file, or None to continue with the handshake."""
         self._silent.pop(connection, None)
-        why, status = self.door.refusal(request), 403
-        if not why and request.headers.get_all("Upgrade") and self.pages >= self.door.browsers:
-            why, status = f"{self.pages} pages are open already, as many as may be", 503
+        why, status = self.access.refusal(request), 403
+        if not why and request.headers.get_all("Upgrade") and self.pages >= self.access.browsers:
+            why, status = f"{self.pages} pages are open already, which is the most allowed", 503
         if why:
             self._refused(connection, why)
             words = f"This is refused: {why}.\nOpen the address that was printed.\n"
             response: Response | None = connection.respond(status, words)
         else:
-            path = self.door.rest(request.path)
+            path = self.access.rest(request.path)
             response = self._files(connection, replace(request, path=path))
         if response is not None:
             for name, value in HEADERS.items():
@@ -331,8 +339,8 @@ class _Guard:
         return response
 
     async def handle(self, connection: ServerConnection) -> None:
-        """Hand a connection on to viser, unless there are too many."""
-        if self.pages >= self.door.browsers:
+        """Pass a connection on to viser, unless too many pages are open."""
+        if self.pages >= self.access.browsers:
             self._refused(connection, "too many pages are open")
             await connection.close(1013, "too many pages are open")
             return
@@ -343,15 +351,16 @@ class _Guard:
             self.pages -= 1
 
     async def checked(self, connection: ServerConnection, receive: Callable[[], Any]) -> Any:
-        """The next message that may be handed on. What can be none of a page's ends it."""
-        told: set[str] = connection.__dict__.setdefault("told", set())
+        """The next message that is valid. One that the page would never send ends the
+        connection."""
+        reported: set[str] = connection.__dict__.setdefault("reported", set())
         while True:
             raw = await receive()
             why, hostile = fault_of(raw)
             if not why:
                 return raw
-            if why not in told:
-                told.add(why)
+            if why not in reported:
+                reported.add(why)
                 self._refused(connection, why)
             if hostile:
                 await connection.close(1008, "refused")
@@ -362,7 +371,7 @@ class _Guard:
         self.log.warning("refused %s: %s", address[0], why)
 
     def _logs(self, record: logging.LogRecord) -> bool:
-        """Whether a record is logged, or only counted; without its traceback."""
+        """Whether a record is logged, or only counted. Its traceback is left out."""
         now = time.monotonic()
         self._logged = [at for at in self._logged if at > now - WHILE]
         if len(self._logged) >= LINES:
@@ -372,14 +381,14 @@ class _Guard:
         if record.exc_info:
             words += f": {_short(str(record.exc_info[1]))}"
         if self._not_logged:
-            words += f" (and {self._not_logged} lines more before)"
+            words += f" (and {self._not_logged} more lines before)"
         record.msg, record.args, record.exc_info, record.exc_text = words, (), None, None
         self._logged.append(now)
         self._not_logged = 0
         return True
 
     def _failed(self, _: Any, context: dict[str, Any]) -> None:
-        """What else a browser may bring about: a line of it."""
+        """Log other errors that a browser causes, on one line each."""
         wrong = context.get("exception")
         self.log.warning("%s: %r", context.get("message"), wrong)
 
@@ -389,7 +398,7 @@ def _is_finite(value: Any) -> bool:
         value = list(value.values())
     if isinstance(value, list):
         return all(map(_is_finite, value))
-    if isinstance(value, str):  # viser makes a number of it where a control has one
+    if isinstance(value, str):  # viser turns it into a number for controls that have one
         try:
             value = float(value)
         except ValueError:
@@ -400,7 +409,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def _short(value: Any) -> str:
-    """A value of somebody else's for a line of a log, without ends of lines."""
+    """A foreign value for a line of the log, without line ends."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:80]}…"
 

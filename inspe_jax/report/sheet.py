@@ -1,7 +1,7 @@
-"""The sheet that every figure is drawn on, and how it is saved.
+"""The sheet that maps are drawn on, and how figures are saved.
 
-180 mm wide and laid out in inches by hand, so that nothing moves with the content: the map on the
-left, a panel of keys on its right, a heading above and notes below.
+A sheet is 180 mm wide. Its parts have fixed places in inches, so that nothing moves with the
+content: the map on the left, a panel for the legend on the right, a heading above, notes below.
 """
 
 import os
@@ -23,7 +23,8 @@ FORMATS: dict[str, dict[str, None]] = {
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
-"""Suffixes that :func:`save_figure` knows, each with what would make two files differ: the date."""
+"""Suffixes that :func:`save_figure` knows. Each has the metadata to leave out: the date, which
+would make two files differ."""
 
 STYLE: dict[str, Any] = {
     "font.size": 7.0, "legend.fontsize": 7.0, "axes.labelsize": 7.0, "axes.linewidth": 0.5,
@@ -38,9 +39,10 @@ HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
 
 def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as ``.png``, ``.svg`` or ``.pdf``; whole or not at all, the same each time.
+    """Write a figure as ``.png``, ``.svg`` or ``.pdf``. The same figure gives the same bytes.
 
-    Raises InspeError for any other suffix or where the folder is missing.
+    The file is never left incomplete. Raises InspeError for another suffix, or if the folder is
+    missing.
     """
     check_output(path, FORMATS)
     suffix = Path(path).suffix.lower()
@@ -49,14 +51,17 @@ def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def house_style() -> Any:
-    """Matplotlib's own defaults and ours, whatever the reader's settings are."""
+    """Matplotlib's defaults with :data:`STYLE`, whatever the user's own settings are."""
     return style.context(["default", STYLE])
 
 
 def sheet(
     title: str, facts: str, notes: Sequence[str], panel_height: float, math: bool = False
 ) -> tuple[Figure, Axes, Axes]:
-    """An empty sheet: figure, map and panel; as high as the notes and the panel need."""
+    """An empty sheet (figure, map, panel), as high as the notes and the panel need.
+
+    ``panel_height`` is in inches; with ``math``, dollar signs in ``facts`` begin formulas.
+    """
     lines = [line for note in notes for line in textwrap.wrap(note, 126, subsequent_indent="  ")]
     below = FOOT + (len(lines) * NOTE_LINE + 0.12 if lines else 0.0)
     body = max(MAP, panel_height)
@@ -78,7 +83,8 @@ def sheet(
 
 
 def frame_map(ax: Axes, scene: Scene, reach: float) -> None:
-    """Limits in world metres, the circle of the region of interest, scale bar, north arrow."""
+    """Set a map's limits, ``reach`` [m] about the centre; draw circle, scale bar and north
+    arrow."""
     x, y = scene.voxels.center[:2].tolist()
     limit = 1.06 * reach
     ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
@@ -95,5 +101,5 @@ def frame_map(ax: Axes, scene: Scene, reach: float) -> None:
 
 
 def fit(name: str, length: int) -> str:
-    """A name cut to ``length`` characters, the last an ellipsis."""
+    """A name, cut to ``length`` characters with an ellipsis at the end."""
     return name if len(name) <= length else name[: length - 1] + "…"

@@ -1,7 +1,7 @@
-"""Scores, scenes, layouts and catalogues as tables for people, and scores as a record for JSON."""
+"""Tables of scores, scenes, layouts and catalogues for people; records of scores for JSON."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,22 +16,14 @@ from inspe_jax.core.version import __version__
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.studies.pareto import DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
-from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
-from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.scoring.metrics import listed
-from inspe_jax.sensing.catalogue import Device
+from inspe_jax.scoring.metrics import METRICS, listed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import Spec
 
-if TYPE_CHECKING:
-    from inspe_jax.scene.maps.opendrive.reader import JunctionInfo
-
-
-_SAME = 1e-5  # objectives and scores sum in different orders, in single precision
+_SAME = 1e-5  # objectives and scores are summed in different orders, in single precision
 _CHANGE = ("before", "after", "change")
 _MOVES = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
 _TURNS = ("yaw", "pitch")
@@ -39,10 +31,10 @@ _ENDS = ("seeds", "median", "worst", "best", "work", "time\n[s]")
 
 
 def scores_table(scores: Scores, layout: Layout) -> RenderableType:
-    """Scores for people: the four, coverage by region and level, and what each sensor adds.
+    """Scores: every metric and P_sm, coverage by region and level, and what each sensor adds.
 
-    What a sensor adds is what the layout loses without it. Raises InspeError
-    where the scores are not of this layout.
+    What a sensor adds is what the layout loses without it. Raises InspeError if the scores are of
+    another layout.
     """
     members = _members(scores, layout)
     weights = scores.settings.get("weights", {})
@@ -73,27 +65,41 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     return Group(beside, "", each)
 
 
+def metrics_table() -> RenderableType:
+    """The registered metrics and P_sm: name, symbol, usual weight and meaning."""
+    table = table_of("Metrics, each from 0 to 1, higher is better", "name", "symbol", "weight", "")
+    for metric in listed():
+        weight = f"{metric.weight:g}" if metric.name in METRICS else ""
+        table.add_row(metric.name, metric.symbol, weight, metric.summary)
+    return table
+
+
 def before_after_table(result: Result) -> RenderableType:
-    """The four scores before and after a search, and its objective where that is something else."""
+    """The scores before and after a search, and its objective if that differs from P_sm.
+
+    Metrics that one of the two records does not have are left out.
+    """
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
     table = table_of(title, "metric", "symbol", *_CHANGE)
+    before, after = result.scores_before, result.scores
     rows = [
-        (m.words, m.symbol, result.scores_before.value(m.name), result.scores.value(m.name))
+        (m.words, m.symbol, before.value(m.name), after.value(m.name))
         for m in listed()
+        if m.name in {*before.metrics, "surrogate"} & {*after.metrics, "surrogate"}
     ]
     if abs(result.objective - result.scores.surrogate) > _SAME:
         rows.append(("objective", "", result.objective_before, result.objective))
-    for name, symbol, before, after in rows:
+    for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""
-        numbers = (f"{before:.3f}", f"{after:.3f}", f"{after - before:+z.3f}")
+        numbers = (f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}")
         table.add_row(name, symbol, *numbers, style=look)
     return table
 
 
 def moves_table(before: Layout, after: Layout) -> RenderableType:
-    """Each sensor of a layout before and after: how far it went [m], how it turned [degrees].
+    """How far each sensor was moved [m] and turned [degrees] from one layout to another.
 
-    Distance is in plan; turns are counter-clockwise and nose-up.
+    Distance is in plan. Turns are positive counter-clockwise and nose-up.
     """
     table = table_of("What moved", "#", "sensor", *_MOVES)
     poses, new = (np.asarray(of.poses, float) for of in (before, after))
@@ -113,7 +119,7 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 
 
 def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
-    """The rows of a study by layout: mean ± standard deviation over scenes and settings."""
+    """The results of a study by layout: mean ± standard deviation over scenes and settings."""
     table = table_of(
         "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in listed())
     )
@@ -129,7 +135,7 @@ def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
 
 
 def comparison_table(results: Sequence[Result]) -> RenderableType:
-    """What several searches came to, a row a method, the best median first."""
+    """The results of several searches: one row for each method, the best median first."""
     by: dict[str, list[Result]] = {}
     for result in results:
         by.setdefault(result.method, []).append(result)
@@ -144,7 +150,7 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
 
 
 def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
-    """What mixes of devices cost and score, cheapest first; those that no other beats in bold."""
+    """Cost and scores of mixes of devices, cheapest first; those on the Pareto front in bold."""
     table = table_of(
         "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in listed()), "objective", ""
     )
@@ -157,7 +163,7 @@ def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
 
 
 def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
-    """Slopes of each sensor, and the score before and after random installation errors."""
+    """The slopes of each sensor, and P_sm before and after random installation errors."""
     step = f"per {100 * POSITION_STEP:g} cm"
     heads = [f"{name}\n{step}" for name in "xyz"] + [f"{name}\nper 1°" for name in _TURNS]
     around = Conditions.of(found.settings["light"], found.settings["weather"])
@@ -178,7 +184,7 @@ def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
 
 
 def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str, Any]:
-    """A tolerance as a JSON-serialisable record."""
+    """A tolerance as a record for JSON."""
     return {
         "score": found.score,
         "mean": found.mean,
@@ -198,10 +204,10 @@ def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str
 
 
 def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any]:
-    """Scores as a JSON-serialisable record, every number exactly as scored.
+    """Scores as a record for JSON, with every number exactly as scored.
 
-    Beside the scores it says of what they are and how to make them again. Raises
-    InspeError where the scores are not of this layout.
+    It also has the scene, the layout, the settings and the versions, so that the scores can be
+    repeated. Raises InspeError if the scores are of another layout.
     """
     return {
         **{m.name: float(scores.value(m.name)) for m in listed()},
@@ -223,7 +229,7 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
 
 
 def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
-    """What a record is of, and which versions made it."""
+    """The scene and the layout of a record, and the versions that made it."""
     return {
         "scene": {
             "name": scene.name,
@@ -237,121 +243,6 @@ def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
             "numpy": np.__version__,
         },
     }
-
-
-def scene_table(scene: Scene) -> RenderableType:
-    """A scene for people: where it is from, its voxels, its traffic, its regions, its notes."""
-    place, grid, traffic = scene.intersection, scene.voxels, scene.traffic
-    facts = table_of(scene.name, "scene", "")
-    rows = {
-        "source": place.source,
-        "centre": _position(place.center),
-        "region of interest": f"radius {grid.radius:g} m",
-        "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels = {grid.count:,}; "
-        f"{grid.words}",
-        "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
-        "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
-        "settings": ", ".join(f"{key} {value}" for key, value in scene.settings),
-        "notes": "\n".join(place.notes),
-    }
-    for name, value in rows.items():
-        if value:
-            facts.add_row(name, Text(value))
-    share = table_of("Regions", "region", "weight", "columns", "share")
-    for region in Region:
-        count = int((grid.region == region).sum())
-        if count:
-            part = f"{count / len(grid.columns):.1%}"
-            share.add_row(region.key, f"{WEIGHTS[region]:g}", f"{count:,}", part)
-    return Group(facts, "", share)
-
-
-def layout_table(layout: Layout) -> RenderableType:
-    """A layout for people: each sensor with its device and pose [m, degrees].
-
-    Height is above the unit's base; roll has a column only where some sensor rolls.
-    """
-    poses = np.asarray(layout.poses, float)
-    height = poses[:, 2] - [layout.units[sensor.unit].base[2] for sensor in layout.sensors]
-    roll, pitch, yaw = np.degrees(poses[:, 3:]).T
-    numbers = {
-        "x\n[m]": poses[:, 0],
-        "y\n[m]": poses[:, 1],
-        "height\n[m]": height,
-        "yaw\n[°]": 180 - (180 - yaw) % 360,
-        "pitch\n[°]": pitch,
-        **({"roll\n[°]": roll} if np.any(np.abs(roll) >= 0.05) else {}),
-    }
-    table = table_of(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
-    for k, (sensor, row) in enumerate(
-        zip(layout.sensors, zip(*numbers.values(), strict=True), strict=True)
-    ):
-        names = [Text(name) for name in (sensor.name, sensor.spec.name)]
-        table.add_row(str(k + 1), *names, *(f"{value:z.1f}" for value in row))
-    return table
-
-
-def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> RenderableType:
-    """The catalogue for people: what each device resolves, how far, at what price, says who."""
-    headers = (
-        "device",
-        "kind",
-        "pixels,\nchannels",
-        "field\nof view",
-        "reach\n[m]",
-        "rays",
-        "price\n[US$]",
-    )
-    table = table_of("Devices", *headers)
-    sources = [Text("Where their figures are from", style="bold")]
-    for device in devices.values() if isinstance(devices, Mapping) else devices:
-        resolution, view = _resolution(device.spec)
-        grid = device.spec.grid
-        price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
-        rays = f"{len(grid.rows) * grid.column_count:,}"
-        numbers = (resolution, view, f"{grid.reach:g}", rays, price)
-        table.add_row(device.name, device.kind, *numbers)
-        words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
-        sources.append(Text(words, style="dim"))
-    return Group(table, "", *sources)
-
-
-def profile_table(profile: Profile) -> RenderableType:
-    """A profile for people: every value, and why."""
-    table = table_of(f"{profile.name}: {profile.title}", "setting", "value", "reason")
-    for key, reason in profile.reasons.items():
-        table.add_row(key, f"{getattr(profile, key)}", reason)
-    return table
-
-
-def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:
-    """The junctions of a map for people: id, centre (x, y, z) [m], arms, size, what is there."""
-    table = table_of(
-        f"Junctions of {map_name}", "id", "centre [m]", "arms", "size [m]", "crosswalks", "signals"
-    )
-    for info in infos:
-        counts = (str(info.crosswalks), str(info.signals))
-        table.add_row(
-            str(info.id), _position(info.center), str(info.arms), f"{info.size:.1f}", *counts
-        )
-    return table
-
-
-def built_ins_table() -> RenderableType:
-    """The built-in intersections for people."""
-    table = table_of(
-        "Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes"
-    )
-    for name in BUILT_INS:
-        place = built_in(name)
-        regions = ", ".join(
-            region.key
-            for region in Region
-            if region in place.regions and not place.regions[region].is_empty
-        )
-        counts = (str(len(each)) for each in (place.arms, place.poles, place.routes))
-        table.add_row(name, *counts, regions, Text("\n".join(place.notes)))
-    return table
 
 
 _PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view"}
@@ -372,7 +263,7 @@ _NAMES |= {"pixels,\nchannels", "split", "class", "column"}
 
 
 def table_of(title: str, *columns: str) -> Table:
-    """A table that may break prose between words, but numbers and names at no price."""
+    """An empty table. Columns of prose may break between words; numbers and names never break."""
     table = Table(title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.pad_edge, table.collapse_padding = False, True
     for name in columns:
@@ -388,7 +279,7 @@ def table_of(title: str, *columns: str) -> Table:
 
 
 def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
-    """(contribution, unit, device) of each sensor. Raises InspeError where they do not match."""
+    """(contribution, unit, device) of each sensor. Raises InspeError if names do not match."""
     scored = [part.sensor for part in scores.contributions]
     placed = [sensor.name for sensor in layout.sensors]
     if scored != placed:
@@ -402,22 +293,8 @@ def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
     ]
 
 
-def _resolution(spec: Spec) -> tuple[str, str]:
-    """Pixels or channels, and the field of view from edge to edge [°]."""
-    across, high = np.degrees(spec.field_of_view)
-    return spec.resolution, f"{across:.0f}° × {high:.0f}°"
-
-
-def _position(center: Iterable[float]) -> str:
-    return ", ".join(f"{value:z.1f}" for value in center)
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _plain(value: Any) -> Any:
-    """Settings as JSON has them: lists for tuples and arrays, Python's own numbers."""
+    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,1 +1,1 @@
-"""Studies: thousands of scores and searches, as a list of jobs that any number of workers do."""
+"""Studies: thousands of scores and searches, as a list of jobs for any number of workers."""

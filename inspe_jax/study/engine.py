@@ -1,6 +1,10 @@
-"""Jobs shared out among Dask workers: each is sent where its scene is, and given up for last.
+"""Schedules jobs on Dask workers. A job goes to a worker that already holds its scene.
 
-What a scene and a job are, and what is done with them, is for those who share them out to say.
+Knows nothing of what a job or a scene is: callers pass both, and the function that runs one.
+
+Each job is a future of its own, rather than one for a whole scene. So every result is on disk as
+soon as it is there, a run that is killed loses only the jobs that were running, the jobs of one
+large scene occupy all workers, and a job that kills its worker takes no other with it.
 """
 
 from collections import Counter, deque
@@ -12,78 +16,77 @@ from uuid import uuid4
 
 from inspe_jax.core.errors import InspeError
 
-AHEAD = 3
-"""Jobs that are sent ahead for each worker's thread, so that none waits for the next."""
+JOBS_AHEAD = 3
+"""Jobs that wait at each worker's thread, so that no worker waits for the next."""
 
 
 class Schedulable(Protocol):
-    """What can be sent: a ``key`` of its own, that of its ``scene``, and where that comes from.
-
-    Jobs of one scene follow each other.
-    """
+    """A job that can be scheduled. Jobs of one scene must follow each other in their list."""
 
     @property
     def key(self) -> str:
-        """A short text that is this job's own."""
+        """A short text that identifies the job."""
 
     @property
     def scene(self) -> str:
-        """The same for the scene that it is on."""
+        """A short text that identifies its scene."""
 
     @property
     def source(self) -> Hashable:
-        """The place: its scenes need the same code compiled."""
+        """The place of the scene; scenes of one place need the same compiled programs."""
 
 
 J = TypeVar("J", bound=Schedulable)
 
 
-def dask() -> Any:
-    """The module of clusters. Raises InspeError where Dask is missing."""
+def load_cluster() -> Any:
+    """Import and return :mod:`inspe_jax.study.cluster`. Raises InspeError if Dask is missing."""
     try:
         from inspe_jax.study import cluster
     except ModuleNotFoundError as e:
         if e.name not in ("dask", "distributed"):
             raise
         raise InspeError(
-            "work is shared out by Dask, which is not installed: pip install 'inspe_jax[sweep]'"
+            "this needs Dask, which is not installed: pip install 'inspe_jax[sweep]'"
         ) from e
     return cluster
 
 
-def done(
+def run_jobs(
     client: Any,
     jobs: Sequence[J],
     build: Callable[[J], Any],
     work: Callable[..., Any],
     *given: Any,
-    ahead: int = AHEAD,
+    ahead: int = JOBS_AHEAD,
 ) -> Iterator[tuple[J, Any]]:
-    """Jobs and what ``work(scene, job, *given)`` gives, or the exception that came of it.
+    """Run all jobs; yields each with its result or with its exception, as they finish.
 
-    As they are done; ``scene`` is what ``build`` gives of the first job of a scene. With one job
-    ``ahead`` workers wait a moment for each, but have them in order and of one scene. When a worker
-    dies, Dask suspects all jobs that it had before it, not only the one that it was at. So the
-    jobs that are given up for that are done once more at the end, one at a time. Raises InspeError
-    where the scheduler is lost.
+    A result is that of ``work(scene, job, *given)``, where ``scene`` is the result of ``build`` for
+    the first job of a scene. ``ahead`` is the number of jobs that wait at each thread of a worker;
+    with 1, workers wait a moment for each job, but get jobs in order and of one scene.
+
+    When a worker dies, Dask suspects every job that the worker held, not only the running one.
+    All of them are run once more at the end, one at a time. Raises InspeError if the scheduler is
+    lost.
     """
     from distributed import KilledWorker
 
     doubtful: list[J] = []
     at_once = ahead * sum(client.nthreads().values())
-    for job, found in _sent(client, jobs, at_once, build, work, given):
+    for job, found in _run_jobs(client, jobs, at_once, build, work, given):
         if isinstance(found, KilledWorker):
             doubtful.append(job)
         else:
             yield job, found
-    yield from _sent(client, doubtful, 1, build, work, given)
+    yield from _run_jobs(client, doubtful, 1, build, work, given)
 
 
 def _by_scene(jobs: Sequence[J]) -> list[list[J]]:
-    """The jobs of each scene: a scene of every place first, then a second one of each, and so on.
+    """The jobs of each scene: one scene of every place first, then a second one of each, and so on.
 
-    Scenes of one place need the same code compiled. Worked on side by side, every worker would
-    compile it; one after the other, the first keeps it for the rest.
+    Scenes of one place need the same compiled programs. Side by side, every worker would compile
+    them; one after the other, the first compiles them and the rest read them from the cache.
     """
     groups = [list(group) for _, group in groupby(jobs, key=lambda job: job.scene)]
     met: Counter[Hashable] = Counter()
@@ -95,15 +98,15 @@ def _by_scene(jobs: Sequence[J]) -> list[list[J]]:
 
 
 @dataclass(eq=False)
-class _Open:
-    """A scene whose jobs are being done: those left, and how many of it are on their way."""
+class _OpenScene:
+    """A scene whose jobs are being run: those left, and the number that is at workers now."""
 
     scene: Any
     jobs: deque[Any]
-    away: int = 0
+    running: int = 0
 
 
-def _sent(
+def _run_jobs(
     client: Any,
     jobs: Sequence[J],
     ahead: int,
@@ -111,35 +114,35 @@ def _sent(
     work: Callable[..., Any],
     given: Sequence[Any] = (),
 ) -> Iterator[tuple[J, Any]]:
-    """Jobs and what came of them, a result or an exception, with so many on their way at a time.
+    """Run jobs, ``ahead`` of them at workers at a time; yields as :func:`run_jobs` does.
 
-    As many scenes are open as there are workers: Dask builds each at the one that has least to
-    do, and sends jobs where their scene is. A job that is done is followed by one of the same
-    scene, so that its worker, which has compiled for it, goes on with it and lends no hand
-    elsewhere while there is any.
+    As many scenes are open as there are workers. Dask builds each scene at the worker that has
+    least to do, and sends jobs to the worker that holds their scene. When a job is done, one of
+    the same scene follows, so that a worker stays with the scene it has compiled for as long as
+    there are jobs of it.
     """
     from distributed import CancelledError, as_completed
 
-    run = uuid4().hex[:8]  # a scheduler that others use as well has their keys
+    run = uuid4().hex[:8]  # others may use the same scheduler, so keys must differ
     groups = deque(map(deque, _by_scene(jobs)))
-    opened: list[_Open] = []
-    # A job's scene is held on to until its result is here: were that lost with its worker before,
-    # it could not be found again without.
-    sent: dict[str, tuple[J, _Open]] = {}
-    running = as_completed(loop=client.loop)
+    opened: list[_OpenScene] = []
+    # Each job's scene is kept until its result is here: if a worker dies with the result, Dask
+    # needs the scene to compute it again.
+    sent: dict[str, tuple[J, _OpenScene]] = {}
+    futures = as_completed(loop=client.loop)
 
-    def next_scene(last: _Open | None) -> _Open | None:
-        """The same as long as it has jobs; then a new one; then what has most left to do."""
+    def next_scene(last: _OpenScene | None) -> _OpenScene | None:
+        """The same scene while it has jobs; then a new one; then the one with most jobs left."""
         if last is not None and last.jobs:
             return last
         if groups and (last is not None or len(opened) < max(len(client.nthreads()), 1)):
             group = groups.popleft()
             key = f"inspe-scene-{run}-{group[0].scene}"
-            opened.append(_Open(client.submit(build, group[0], key=key, pure=False), group))
+            opened.append(_OpenScene(client.submit(build, group[0], key=key, pure=False), group))
             return opened[-1]
-        return max(opened, key=lambda one: len(one.jobs) - one.away, default=None)
+        return max(opened, key=lambda one: len(one.jobs) - one.running, default=None)
 
-    def send(last: _Open | None = None) -> None:
+    def send(last: _OpenScene | None = None) -> None:
         place = next_scene(last)
         if place is None:
             return
@@ -147,20 +150,22 @@ def _sent(
         key = f"inspe-job-{run}-{job.key}"
         future = client.submit(work, place.scene, job, *given, key=key, pure=False)
         sent[future.key] = job, place
-        place.away += 1
+        place.running += 1
         if not place.jobs:
             opened.remove(place)
-        running.add(future)
+        futures.add(future)
 
     for _ in range(ahead):
         send()
-    for future in running:
+    for future in futures:
         job, place = sent.pop(future.key)
-        place.away -= 1
+        place.running -= 1
         try:
-            found = future.result()  # waits, where its worker died after it was done
+            found = future.result()  # waits if its worker has died since
         except CancelledError:
-            raise InspeError("the scheduler was lost; the same command goes on from here") from None
+            raise InspeError(
+                "the scheduler was lost; give the same command again to resume"
+            ) from None
         except Exception as e:
             found = e
         send(place)

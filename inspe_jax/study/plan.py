@@ -1,27 +1,30 @@
 """A study: every layout on every scene in every setting, as a list of jobs. Read from YAML.
 
-The file; paths are relative to it, and every setting is one value or a list of them::
+The form of the file. Paths are relative to it; every setting is one value or a list of values::
 
     scenes:
       - built_in: four_way
       - map: Town05.xodr             # OpenDRIVE; or SUMO's .net.xml, or .osm
         junction: 53                 # or center: [x, y]
-        radius: 60                   # settings of a scene's own stand before the study's
-        tags: {kind: four-way}       # go into columns of the results; a note does not
+        radius: 60                   # a scene's own settings replace those of the study
+        tags: {kind: four-way}       # become columns of the results; a note does not
       - file: saved.npz              # keeps the settings that it was built with
     layouts:
       - Cam-d1                       # a strategy
       - layout.yaml
       - {strategy: L-d2, lidar: paper-lidar-32, name: L-d2 with 32 beams}
       - {strategy: Cam-d1, camera: far, name: Cam-d1 that sees far}
-    devices:                         # of your own, in the keys of the catalogue
+    devices:                         # your own devices, with the keys of the catalogue
       far: {like: paper-camera, depth_m: 60}
     settings:
-      density: [low, medium, high]   # of scenes: profile, radius, voxel, spacing, density, frames,
+      density: [low, medium, high]   # for scenes: profile, radius, voxel, spacing, density, frames,
                                      #   step, mix, traffic (waypoints or sumo), seed
-      light: [midday, night]         # of the sensors: light, weather
-      weather: [clear, "rain:10"]    # of the scores: weights, occlusion_reference, visibility
-      method: [none, greedy-adam]    # score as it is, or search first: method, seconds,
+      light: [midday, night]         # for sensors: light, weather
+      weather: [clear, "rain:10"]
+      weights:                       # for scores: weights, occlusion_reference, visibility
+        - {coverage: 0.3, occlusion: 0.5, information_gain: 0.2}
+        - {coverage: 0.3, occlusion: 0.7}  # or three numbers, for C, O and IG
+      method: [none, greedy-adam]    # score the layout, or search first: method, seconds,
       seconds: 30                    #   evaluations, search_seed
 """
 
@@ -36,7 +39,7 @@ from pydantic import BeforeValidator, Field
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_model, read_yaml
+from inspe_jax.core.files import check_model
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
@@ -62,23 +65,26 @@ from inspe_jax.study.sources import (
     Sources,
     each_scene,
     layout_sources,
+    read_study,
     with_named_layouts,
 )
 
-AS_IT_IS = "none"
-"""The method that only scores."""
-BUILD = (
+PAPER_METRICS = 3
+"""Number of the paper's metrics, with which the registry begins."""
+SCORE_ONLY = "none"
+"""The method that scores a layout as it is, without a search."""
+BUILD_SETTINGS = (
     *("profile", "radius", "voxel", "spacing", "density", "frames", "step", "mix", "traffic"),
     "seed",
 )
 """Settings that a scene is built with."""
-SCORE = ("weights", "occlusion_reference", "visibility")
-SEARCH = ("method", "seconds", "evaluations", "search_seed")
-SETTINGS = (*BUILD, *CONDITIONS, *SCORE, *SEARCH)
+SCORE_SETTINGS = ("weights", "occlusion_reference", "visibility")
+SEARCH_SETTINGS = ("method", "seconds", "evaluations", "search_seed")
+SETTINGS = (*BUILD_SETTINGS, *CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS)
 
 
 @dataclass(frozen=True)
-class Job:
+class StudyJob:
     """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`."""
 
     source: SceneSource
@@ -88,41 +94,63 @@ class Job:
 
     @cached_property
     def key(self) -> str:
-        """A short text that is this job's own: of what its result depends on."""
+        """A short text that identifies the job: a digest of all that its result depends on."""
         return digest([self.source.anywhere, self.layout, self.settings])[:16]
 
     @cached_property
     def scene(self) -> str:
-        """The same for its scene."""
-        return digest([self.source.anywhere, {k: self.settings[k] for k in BUILD}])[:16]
+        """A short text that identifies its scene."""
+        return digest([self.source.anywhere, {k: self.settings[k] for k in BUILD_SETTINGS}])[:16]
 
 
 @dataclass(frozen=True)
 class Study:
-    """Jobs in the order of their results, and the tags that their scenes have."""
+    """The jobs of a study, in the order of the results, and the study's name."""
 
     name: str
-    jobs: tuple[Job, ...]
+    jobs: tuple[StudyJob, ...]
 
     @cached_property
     def tags(self) -> tuple[str, ...]:
-        """Every tag of any scene."""
+        """Every tag that a scene has."""
         return tuple(dict.fromkeys(tag for job in self.jobs for tag in job.tags))
 
 
 # ── The file ────────────────────────────────────────────────────────────────
 
 
-def _rows(value: Any) -> Any:
-    """Weights are a list already: of three, or of several such."""
-    nested = isinstance(value, list) and value and isinstance(value[0], list)
-    return value if nested else [value]
+def _several_weights(value: Any) -> Any:
+    """A list of weights, also where the file has only one; three numbers are one, and a list."""
+    several = isinstance(value, list) and value and isinstance(value[0], list | dict)
+    return value if several else [value]
+
+
+def _canonical_weights(given: Any) -> list[float] | dict[str, float]:
+    """Weights in one form, so that a job's key does not depend on how a study spells them.
+
+    Three numbers if only the paper's metrics have weight: earlier versions had no other form, and
+    their keys stay. Else the weights above 0, by name.
+    """
+    by_name = metrics.weights_of(given)
+    if any(list(by_name.values())[PAPER_METRICS:]):
+        return {name: weight for name, weight in by_name.items() if weight}
+    return list(by_name.values())[:PAPER_METRICS]
+
+
+def _check_weights(value: Any) -> None:
+    """Raise InspeError where a study's weights are not numbers by name, or three numbers."""
+    numbers = list(value.values()) if isinstance(value, dict) else value
+    if not isinstance(numbers, list) or not all(
+        isinstance(number, int | float) and not isinstance(number, bool) for number in numbers
+    ):
+        raise InspeError(
+            f"{value!r}: give a number for each metric, such as {{coverage: 0.3, occlusion: 0.7}}"
+        )
+    metrics.weights_of(value)
 
 
 _Frames = Annotated[int, Field(ge=1)]
 _Budget = Annotated[float, Field(gt=0)]
-_One = Annotated[float, Field(ge=0, le=1)]
-_Weights = Annotated[list[_One], Field(min_length=3, max_length=3)]
 
 
 class _Build(WorldSettings):
@@ -135,9 +163,7 @@ class _Build(WorldSettings):
 class _Settings(_Build):
     light: Several[str] = Field(default=[])
     weather: Several[str] = Field(default=[])
-    weights: Annotated[list[_Weights], BeforeValidator(_rows), Field(min_length=1)] = Field(
-        default=[]
-    )
+    weights: Annotated[list[Any], BeforeValidator(_several_weights)] = Field(default=[])
     occlusion_reference: Several[str] = Field(default=[])
     visibility: Several[str] = Field(default=[])
     method: Several[str] = Field(default=[])
@@ -156,10 +182,10 @@ class _StudyFile(Sources):
 
 
 _CHECKS = CHECKS | {
-    "weights": lambda value: check_options(tuple(value), "roi", "in_view"),
+    "weights": _check_weights,
     "occlusion_reference": lambda value: check_options(None, value, "in_view"),
     "visibility": lambda value: check_options(None, "roi", value),
-    "method": lambda value: one_of((AS_IT_IS, *METHODS))(value),
+    "method": lambda value: one_of((SCORE_ONLY, *METHODS))(value),
     "seconds": lambda value: check_budget(value, None),
     "evaluations": lambda value: check_budget(None, value),
     "search_seed": check_seed,
@@ -167,52 +193,54 @@ _CHECKS = CHECKS | {
 
 
 def load_study(path: str | os.PathLike[str]) -> Study:
-    """Read a study file; its form is at the head of this module.
+    """Read a study file; its form is in this module's docstring.
 
     Raises InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
-    content = read_yaml(path)
-    if not isinstance(content, dict) or not content:
-        raise InspeError(f"{path}: the study is empty: it needs 'scenes' and 'layouts'")
+    content = read_study(path)
     return make_study(content, path.parent, str(path), path.stem)
 
 
 def make_study(
     content: Mapping[str, Any], folder: Path, where: str = "study", name: str = "study"
 ) -> Study:
-    """A study from what a study file holds; paths in it are relative to ``folder``."""
+    """A study from the content of a study file; its paths are relative to ``folder``."""
     entry = check_model(_StudyFile, with_named_layouts(content), where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
     layouts = layout_sources(entry, folder, where)
-    jobs: dict[str, Job] = {}
-    for _, item, source, given in each_scene(entry.scenes, BUILD, whole, folder, where):
+    jobs: dict[str, StudyJob] = {}
+    for _, item, source, given in each_scene(entry.scenes, BUILD_SETTINGS, whole, folder, where):
         for profile in given["profile"] or [DEFAULT_PROFILE]:
             of = given | dict(profile=[profile])
             defaults = _defaults(profile, sized=bool(given["voxel"]))
-            for build in combinations(of, BUILD, defaults):
+            for build in combinations(of, BUILD_SETTINGS, defaults):
                 for layout in layouts:
-                    for rest in combinations(of, (*CONDITIONS, *SCORE, *SEARCH), defaults):
-                        settings = build | _searched(conditioned(rest))
-                        job = Job(source, layout, settings, dict(item.tags))
+                    for rest in combinations(
+                        of, (*CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS), defaults
+                    ):
+                        settings = build | _completed(conditioned(rest))
+                        job = StudyJob(source, layout, settings, dict(item.tags))
                         jobs.setdefault(job.key, job)
     return Study(entry.name or name, tuple(jobs.values()))
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
-    """What is not given, as a profile has it; the spacing for voxels ``sized`` by the study is
-    found where a scene is built."""
+    """The values of settings that are not given, by the profile.
+
+    Where the study gives a voxel size (``sized``), the spacing is found when a scene is built.
+    """
     own = profile_of(profile)
     lattice = dict(spacing=[None]) if sized else {}
     return (
-        defaults_of((*BUILD, *CONDITIONS), profile)
+        defaults_of((*BUILD_SETTINGS, *CONDITIONS), profile)
         | lattice
         | dict(
-            weights=[list(metrics.weights_of().values())[:3]],
+            weights=[None],
             occlusion_reference=[own.occlusion_reference],
             visibility=[own.visibility],
-            method=[AS_IT_IS],
+            method=[SCORE_ONLY],
             seconds=[None],
             evaluations=[None],
             search_seed=[0],
@@ -220,9 +248,10 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
     )
 
 
-def _searched(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings, without those of a search where there is none."""
-    if settings["method"] == AS_IT_IS:
+def _completed(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with weights in one form, and without a budget where nothing is searched."""
+    settings = settings | dict(weights=_canonical_weights(settings["weights"]))
+    if settings["method"] == SCORE_ONLY:
         return settings | dict(seconds=None, evaluations=None, search_seed=None)
     if settings["seconds"] is None and settings["evaluations"] is None:
         return settings | dict(seconds=DEFAULT_SECONDS)

@@ -1,7 +1,8 @@
-"""Results on disk: a row a job in ``results.csv``, appended as it comes, in order at the end.
+"""Results on disk: ``results.csv`` has one row for each job.
 
-Each row is one line, written at once and put on disk, so that a run which is killed leaves whole
-rows and at most one that is cut short, which is dropped when the run is taken up again.
+Rows are appended as jobs finish, and put in the order of the study at the end. Each row is flushed
+to disk at once. A run that is killed leaves whole rows and at most one incomplete row, which is
+dropped when the run is resumed.
 """
 
 import csv
@@ -17,22 +18,25 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import prepare_folder, write_text
 from inspe_jax.placement.result import csv_text
 from inspe_jax.study.plan import Study
-from inspe_jax.study.work import Row, columns, tags, versions
+from inspe_jax.study.work import Row, columns, tag_columns, versions
 
 TABLE, LAYOUTS = "results.csv", "layouts"
 
-_ADVICE = "name another folder, or delete it to begin anew"
+_ADVICE = "name another folder, or delete this one to start again"
 
 
 class Results:
-    """The results of one study in a folder; only one run at a time may hold them.
+    """The results of one study in a folder, which only one run at a time may have open.
 
-    ``rows`` are those that there are, by their jobs' keys.
+    ``rows`` are the rows so far, by the keys of their jobs.
     """
 
     def __init__(self, study: Study, folder: str | os.PathLike[str]) -> None:
-        """Raises InspeError where the folder cannot be written, is in use by another run, or has
-        results of another study or version."""
+        """Open the folder, and read the rows that it has.
+
+        Raises InspeError if it cannot be written, another run uses it, or it has results of
+        another study or version.
+        """
         self.study = study
         self.columns = columns(study)
         self.folder = prepare_folder(folder)
@@ -41,7 +45,7 @@ class Results:
         try:
             self._lock.acquire(timeout=0)
         except Timeout:
-            raise InspeError(f"{self.folder}: another run is at work in it") from None
+            raise InspeError(f"{self.folder}: another run is using this folder") from None
         self._file: IO[str] | None = None
         try:
             self.rows = self._taken_up()
@@ -58,7 +62,7 @@ class Results:
         self._lock.release()
 
     def add(self, row: Row, layout: str | None = None) -> None:
-        """Append a row; and the layout that a search found, first, as ``layouts/KEY.yaml``."""
+        """Append a row, after the layout that a search found, if any, as ``layouts/KEY.yaml``."""
         if layout is not None:
             (self.folder / LAYOUTS).mkdir(exist_ok=True)
             write_text(self.folder / LAYOUTS / f"{row['key']}.yaml", layout)
@@ -73,7 +77,7 @@ class Results:
         self.rows[row["key"]] = {name: row.get(name, "") for name in self.columns}
 
     def finish(self) -> list[Row]:
-        """Put the rows in order on disk as well; gives them."""
+        """Write the rows in the order of the study; returns them."""
         if self._file:
             self._file.close()
             self._file = None
@@ -93,20 +97,20 @@ class Results:
         if not self.path.exists():
             return {}
         content, head = self.path.read_bytes(), _line(self.columns).encode("utf-8")
-        if head.startswith(content):  # cut short in its head, or just behind it
+        if head.startswith(content):  # only a part of the header, or nothing after it
             self.path.unlink()
             return {}
         if not content.startswith(head):
-            raise InspeError(f"{self.path}: has other columns than this study's results; {_ADVICE}")
+            raise InspeError(f"{self.path}: its columns are not those of this study; {_ADVICE}")
         whole = content[: content.rfind(b"\n") + 1]
         rows = list(csv.DictReader(io.StringIO(whole.decode("utf-8"))))
         self._check(rows)
         if len(whole) < len(content):
             write_text(self.path, whole.decode("utf-8"))
         found = {row["key"]: row for row in rows}
-        for job in self.study.jobs:  # they may have been changed since
+        for job in self.study.jobs:  # tags may have been changed since
             if job.key in found:
-                found[job.key] |= tags(job)
+                found[job.key] |= tag_columns(job)
         return found
 
     def _check(self, rows: Sequence[Row]) -> None:
@@ -114,14 +118,14 @@ class Results:
         strange = [row for row in rows if row["key"] not in known]
         if strange:
             raise InspeError(
-                f"{self.path}: {len(strange)} of its {len(rows)} rows are no jobs of this study, "
-                f"as {strange[0]['layout']} on {strange[0]['scene']}; {_ADVICE}"
+                f"{self.path}: {len(strange)} of its {len(rows)} rows are not jobs of this study, "
+                f"such as {strange[0]['layout']} on {strange[0]['scene']}; {_ADVICE}"
             )
         for row in rows:
             for name, version in versions().items():
                 if row[name] != version:
                     raise InspeError(
-                        f"{self.path}: was begun with {name} {row[name]}, and this is {version}; "
+                        f"{self.path}: was begun with {name} {row[name]}, but this is {version}; "
                         f"{_ADVICE}"
                     )
 
@@ -133,9 +137,9 @@ def _line(values: Iterable[str]) -> str:
 
 
 def read_results(folder: str | os.PathLike[str]) -> list[Row]:
-    """The rows in a folder. Raises InspeError where there are none."""
+    """The rows of ``results.csv`` in a folder. Raises InspeError if there is no such file."""
     path = Path(folder) / TABLE
     if not path.is_file():
-        raise InspeError(f"{path}: no such file; run the study first")
+        raise InspeError(f"{path}: no such file; run `inspe sweep` first")
     with path.open(newline="", encoding="utf-8") as f:
         return list(csv.DictReader(f))

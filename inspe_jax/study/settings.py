@@ -1,4 +1,4 @@
-"""What studies of any kind set: one value or a list of each key, and what each can be."""
+"""Settings of studies of any kind: one value or a list for each key, and how they are checked."""
 
 import inspect
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -18,7 +18,7 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 T = TypeVar("T")
 
 WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed")
-"""Settings of a scene beside how many frames it has, and how far apart."""
+"""Settings of a scene, without the number of frames and the time between them."""
 CONDITIONS = ("light", "weather")
 
 
@@ -27,7 +27,7 @@ def _listed(value: Any) -> Any:
 
 
 class Strict(BaseModel):
-    """A part of a study file, without any other keys."""
+    """A part of a study file; unknown keys are errors."""
 
     model_config = STRICT
 
@@ -37,11 +37,11 @@ Length = Annotated[float, Field(gt=0)]
 Text = Annotated[str, Field(min_length=1)]
 Line = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$")]
 Several = Annotated[list[T], BeforeValidator(_listed), Field(min_length=1)]
-"""One value or a list of them."""
+"""One value, or a list of values."""
 
 
 class WorldSettings(Strict):
-    """:data:`WORLD`; an empty list is one that is not given."""
+    """The settings of :data:`WORLD`; an empty list means that one is not given."""
 
     radius: Several[Length] = []
     voxel: Several[Length] = []
@@ -52,7 +52,7 @@ class WorldSettings(Strict):
 
 
 def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str, list[Any]]:
-    """Lists of the one value that settings of scenes and conditions have when not given."""
+    """The default of each setting of scenes and conditions, as a list of one value."""
     own = {key: row.default for key, row in inspect.signature(build_scene).parameters.items()}
     own |= profile_of(profile).of_scene() | dict(profile=profile) | FAIR.record
     return {key: [own[key]] for key in keys}
@@ -61,20 +61,20 @@ def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str
 def combinations(
     given: Mapping[str, Any], keys: Iterable[str], defaults: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Every combination of values, with the defaults for what is not given."""
+    """Every combination of values, one of each key; defaults stand for keys that are not given."""
     keys = tuple(keys)
     values = [given[key] or defaults[key] for key in keys]
     return [dict(zip(keys, row, strict=True)) for row in product(*values)]
 
 
 def conditioned(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings, with light and weather spelt in one way."""
+    """Settings with light and weather in one spelling."""
     around = Conditions.of(settings["light"], settings["weather"])
     return settings | around.record
 
 
 def one_of(known: Collection[str]) -> Callable[[str], None]:
-    """A check that raises InspeError for a word that is not known."""
+    """A check that raises InspeError for a word that is not among ``known``."""
 
     def check(value: str) -> None:
         if value not in known:
@@ -92,13 +92,13 @@ CHECKS: dict[str, Callable[[Any], Any]] = {
     "light": Conditions.of,
     "weather": lambda value: Conditions.of("midday", value),
 }
-"""What raises InspeError for a value that a setting cannot have."""
+"""For each key, a function that raises InspeError for a value that is not allowed."""
 
 
 def check_settings(
     given: Mapping[str, Any], where: str, checks: Mapping[str, Callable[[Any], Any]] = CHECKS
 ) -> None:
-    """Raise InspeError where a setting's value is none that it can have."""
+    """Raise InspeError where a setting has a value that is not allowed."""
     for key, check in checks.items():
         for value in given.get(key, ()):
             try:
@@ -108,7 +108,7 @@ def check_settings(
 
 
 def check_names(names: list[str], where: str) -> None:
-    """Raise InspeError where two have one name."""
+    """Raise InspeError where two entries have the same name."""
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InspeError(f"{where}: two are named '{twice}'; give one another name")

@@ -1,4 +1,4 @@
-"""Where the scenes and the layouts of a study come from, whatever it is for."""
+"""Where the scenes and layouts of a study come from; for sweeps and for data sets."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_input
+from inspe_jax.core.files import check_input, read_yaml
 from inspe_jax.placement.strategies import choose
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.profiles import BEFORE_PROFILES
@@ -24,7 +24,8 @@ from inspe_jax.study.settings import Length, Line, Strict, Text, check_names, ch
 class SceneSource:
     """Where a scene comes from: a built-in, a map's ``junction`` or ``center``, or a saved scene.
 
-    ``content`` is the digest of the file, so that a job is known to be of what was in it.
+    ``content`` is the digest of the file: a job is of the file as it was when the study was read.
+    The name of this class is part of the keys of jobs in saved results.
     """
 
     name: str
@@ -37,7 +38,7 @@ class SceneSource:
 
     @property
     def anywhere(self) -> "SceneSource":
-        """The same, wherever its file lies."""
+        """The same source without the folder of its file."""
         map_, file = (path and Path(path).name for path in (self.map, self.file))
         return replace(self, map=map_, file=file)
 
@@ -46,7 +47,8 @@ class SceneSource:
 class LayoutSource:
     """Where a layout comes from: a strategy with its ``options``, or the ``text`` of a file.
 
-    Among the options, devices of the study's own are specs, and others names.
+    In the options, the study's own devices are specs, and devices of the catalogue are names. The
+    name of this class is part of the keys of jobs in saved results.
     """
 
     name: str
@@ -56,11 +58,19 @@ class LayoutSource:
 
 
 def digest_of(path: Path) -> str:
-    """A text that is the same for the same content of a file."""
+    """The SHA-256 of a file's content, as text."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # ── The file ────────────────────────────────────────────────────────────────
+
+
+def read_study(path: Path) -> dict[str, Any]:
+    """The content of a study file. Raises InspeError if it is missing, empty or not YAML."""
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not content:
+        raise InspeError(f"{path}: the study is empty: it needs 'scenes' and 'layouts'")
+    return content
 
 
 class SceneEntry(Strict):
@@ -90,7 +100,7 @@ class LayoutEntry(Strict):
 
 
 class Sources(Strict):
-    """What every study file has beside its scenes and its settings."""
+    """The parts of every study file except its scenes and settings."""
 
     name: Line | None = None
     devices: dict[Line, Any] = Field(default={})
@@ -104,9 +114,10 @@ def each_scene(
     folder: Path,
     where: str,
 ) -> Iterator[tuple[str, SceneEntry, SceneSource, dict[str, list[Any]]]]:
-    """(where in the file, entry, source, settings) of every scene; its own ``keys`` before all's.
+    """(place in the file, entry, source, settings) of every scene of a study.
 
-    Raises InspeError where a setting or a source is wrong; and at the end where two have one name.
+    A scene's own settings, named by ``keys``, replace those of the ``whole`` study. Raises
+    InspeError if a setting or a source is not valid, and at the end if two scenes have one name.
     """
     keys, names = tuple(keys), []
     for k, entry in enumerate(entries):
@@ -120,12 +131,12 @@ def each_scene(
 
 
 def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
-    """Where an entry's scene comes from. Raises InspeError where it names none, or several."""
+    """The source of an entry's scene. Raises InspeError unless it names exactly one."""
     sources = [key for key in ("built_in", "map", "file") if getattr(entry, key) is not None]
     if len(sources) != 1:
-        raise InspeError(f"{where}: give one of built_in, map and file")
+        raise InspeError(f"{where}: give exactly one of built_in, map and file")
     if entry.map is None and (entry.junction is not None or entry.center is not None):
-        raise InspeError(f"{where}: junction and center are for maps")
+        raise InspeError(f"{where}: junction and center are only for maps")
     if entry.built_in is not None:
         if entry.built_in not in BUILT_INS:
             raise InspeError(
@@ -139,7 +150,7 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
     if entry.file is not None:
         return SceneSource(entry.name or path.stem, file=str(path), content=content)
     if (entry.junction is None) == (entry.center is None):
-        raise InspeError(f"{where}: say which place of the map: junction or center")
+        raise InspeError(f"{where}: choose a place on the map: give either junction or center")
     at = str(entry.junction) if entry.center is None else "{:g}, {:g}".format(*entry.center)
     return SceneSource(
         entry.name or f"{path.stem} {at}",
@@ -153,21 +164,24 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
 def scene_settings(
     source: SceneSource, own: Mapping[str, Any], whole: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """Values of a scene's settings, given as lists: its ``own`` stand before the ``whole`` study's.
+    """The values of a scene's settings, as lists: its ``own``, and else those of the ``whole``
+    study.
 
-    A saved scene keeps those that it was built with. Raises InspeError where it is given others.
+    A saved scene keeps the settings it was built with. Raises InspeError if it is given others.
     """
     if source.file is None:
         return {**whole} | {key: value for key, value in own.items() if value}
     if any(own.values()):
         given = ", ".join(key for key, value in own.items() if value)
-        raise InspeError(f"{where}: a saved scene keeps its settings; leave out {given}")
+        raise InspeError(
+            f"{where}: a saved scene keeps the settings it was built with; leave out {given}"
+        )
     kept = {"profile": BEFORE_PROFILES} | dict(load_scene(source.file).settings)
     return {**whole} | {key: [kept.get(key, "")] for key in own}
 
 
 def with_named_layouts(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What a study file holds, with the layouts that it has by name alone as entries."""
+    """The content of a study file, with layouts that are given by a name alone made entries."""
     layouts = content.get("layouts")
     if not isinstance(layouts, list):
         return dict(content)
@@ -175,14 +189,14 @@ def with_named_layouts(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _named(entry: Any) -> Any:
-    """A layout given by its name alone: a file's, or a strategy's."""
+    """The entry of a layout that is given by a name alone, of a file or of a strategy."""
     if not isinstance(entry, str):
         return entry
     return {"file" if Path(entry).suffix in (".yaml", ".yml") else "strategy": entry}
 
 
 def layout_sources(entry: Sources, folder: Path, where: str) -> list[LayoutSource]:
-    """Where a study's layouts come from. Raises InspeError where one names nothing known."""
+    """The sources of a study's layouts. Raises InspeError for an unknown device or strategy."""
     own = {
         key: spec_of(table, key, f"{where}: devices.{key}") for key, table in entry.devices.items()
     }

@@ -1,5 +1,6 @@
-"""What a worker does: builds a scene, and turns a job into a row of the results."""
+"""What a worker runs: it builds a scene, and turns a job into a row of the results."""
 
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,28 +20,28 @@ from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
-from inspe_jax.study.plan import AS_IT_IS, BUILD, SETTINGS, Job, Study
+from inspe_jax.study.plan import BUILD_SETTINGS, SCORE_ONLY, SETTINGS, Study, StudyJob
 from inspe_jax.study.sources import LayoutSource, SceneSource, digest_of
 
 Row = dict[str, str]
 
 LITERAL = "information_gain_literal"
-"""IG to the letter of the paper, for comparison."""
+"""Column of IG exactly as the paper prints it, for comparison."""
 FACTS = ("sensors", "voxels", "objects")
-"""How many sensors and voxels, and objects in a frame in the mean."""
+"""Columns: number of sensors, of voxels, and mean number of objects in a frame."""
 BEFORE = "surrogate_before"
-"""P_sm of the layout as it was given, where a search moved it."""
-MEMORY = 6
-"""Scenes after which a worker forgets what it compiled for them: it is of their shapes."""
+"""Column of P_sm before a search; empty where nothing was searched."""
+COMPILED_SCENES = 6
+"""Most scenes whose compiled programs a worker keeps; programs depend on a scene's shapes."""
 
 _compiled_for: set[str] = set()
 
 
 def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
-    head = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
+    first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
     return (
-        *head,
+        *first,
         *SETTINGS,
         *FACTS,
         *(m.name for m in listed()),
@@ -54,22 +55,22 @@ def columns(study: Study) -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str]:
-    """What a result depends on beside its job."""
+    """Versions that a result depends on."""
     return version.versions(("jax", "numpy"))
 
 
-def build(job: Job) -> Scene | str:
-    """The scene of a job; or what is wrong with it, for every job that is on it."""
+def scene_of_job(job: StudyJob) -> Scene | str:
+    """The scene of a job; or an error message, which every job on the scene then reports."""
     try:
-        return scene_of(job.source, {key: job.settings[key] for key in BUILD})
+        return scene_of(job.source, {key: job.settings[key] for key in BUILD_SETTINGS})
     except Exception as e:
         return message_of(e)
 
 
 def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
-    """The scene of a source, built with ``settings`` where it was not before.
+    """Build the scene of a source with ``settings``, or load a saved one.
 
-    Raises InspeError where its file is missing or has changed since the study began, or as
+    Raises InspeError if its file is missing or has changed since the study was read, or as
     building does.
     """
     if source.built_in is not None:
@@ -77,7 +78,7 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
     path = Path(str(source.map or source.file))
     check_input(path)
     if digest_of(path) != source.content:
-        raise InspeError(f"{path}: is no longer what it was when the study began")
+        raise InspeError(f"{path}: has changed since the study was read")
     if source.file is not None:
         return load_scene(path)
     from inspe_jax.scene.maps.registry import read_map
@@ -86,32 +87,32 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
     return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
 
 
-def make_room(scene: str) -> None:
-    """Forget what was compiled for earlier scenes, once there are many."""
-    if scene not in _compiled_for and len(_compiled_for) >= MEMORY:
+def release_compiled(scene: str) -> None:
+    """Drop the programs compiled for earlier scenes, once there are many scenes."""
+    if scene not in _compiled_for and len(_compiled_for) >= COMPILED_SCENES:
         jax.clear_caches()
         compiled.clear()
         _compiled_for.clear()
     _compiled_for.add(scene)
 
 
-def work(scene: Scene | str, job: Job, wanted: Row) -> tuple[Row, str | None]:
-    """(a row of the results, the layout that a search found as a file's text).
+def run_job(scene: Scene | str, job: StudyJob, wanted: Row) -> tuple[Row, str | None]:
+    """Run a job: (its row of the results, the layout that a search found as YAML text or None).
 
-    What goes wrong is told in the row: the other jobs go on. So is a worker that has not the
-    ``wanted`` versions.
+    An error goes into the row, so that other jobs go on. A worker without the ``wanted`` versions
+    is such an error.
     """
-    row = head(job) | wanted
+    row = row_head(job) | wanted
     if versions() != wanted:
-        return row | failed(f"the worker has other versions: {versions()}"), None
+        return row | failure_columns(f"this worker has other versions: {versions()}"), None
     if isinstance(scene, str):
-        return row | failed(scene), None
-    make_room(job.scene)
+        return row | failure_columns(scene), None
+    release_compiled(job.scene)
     try:
-        layout = placed(job.layout, scene)
+        layout = place_layout(job.layout, scene)
         scores, before, found = _scored(scene, layout, job)
     except Exception as e:
-        return row | failed(message_of(e)), None
+        return row | failure_columns(message_of(e)), None
     facts = (len(layout), scene.voxels.count, round(scene.traffic.mean_count, 2))
     row |= dict(zip(FACTS, map(str, facts), strict=True))
     row |= {m.name: f"{scores.value(m.name):.7f}" for m in listed()}
@@ -120,39 +121,41 @@ def work(scene: Scene | str, job: Job, wanted: Row) -> tuple[Row, str | None]:
     return row, None if found is None else layout_text(found)
 
 
-def placed(source: LayoutSource, scene: Scene) -> Layout:
-    """A job's layout on its scene."""
+def place_layout(source: LayoutSource, scene: Scene) -> Layout:
+    """The layout of a source on a scene."""
     if source.strategy is not None:
         return strategy(scene, source.strategy, **dict(source.options))
     assert source.text is not None
     return parse_layout(parse_yaml(source.text, source.name), source.name, source.name, scene)
 
 
-def head(job: Job) -> Row:
-    """What a row says before the job is done: all its settings."""
+def row_head(job: StudyJob) -> Row:
+    """The columns of a row that are known before the job runs: its settings."""
     row = {"key": job.key, "scene": job.source.name, "layout": job.layout.name}
-    return row | tags(job) | {key: _word(job.settings[key]) for key in SETTINGS}
+    return row | tag_columns(job) | {key: _word(job.settings[key]) for key in SETTINGS}
 
 
-def tags(job: Job) -> Row:
-    """The columns of its scene's tags."""
+def tag_columns(job: StudyJob) -> Row:
+    """The columns of the tags of a job's scene."""
     return {f"tag_{name}": value for name, value in job.tags.items()}
 
 
-def failed(error: str) -> Row:
-    """The end of a row of a job that could not be done; one line, whatever the error says."""
+def failure_columns(error: str) -> Row:
+    """The last columns of a job that failed; the error is put on one line."""
     return {"status": "failed", "error": " ".join(error.split())}
 
 
-def _scored(scene: Scene, layout: Layout, job: Job) -> tuple[Scores, float | None, Layout | None]:
+def _scored(
+    scene: Scene, layout: Layout, job: StudyJob
+) -> tuple[Scores, float | None, Layout | None]:
     given = job.settings
     around = Conditions.of(given["light"], given["weather"])
     options: dict[str, Any] = dict(
-        weights=tuple(given["weights"]),
+        weights=given["weights"],
         occlusion_reference=given["occlusion_reference"],
         visibility=given["visibility"],
     )
-    if given["method"] == AS_IT_IS:
+    if given["method"] == SCORE_ONLY:
         return evaluate(scene, layout, conditions=around, **options), None, None
     result = optimise.optimise(
         Case(scene, around),
@@ -169,11 +172,13 @@ def _scored(scene: Scene, layout: Layout, job: Job) -> tuple[Scores, float | Non
 def _word(value: Any) -> str:
     if value is None:
         return ""
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={_word(item)}" for key, item in value.items())
     if isinstance(value, list):
         return " ".join(map(_word, value))
     return str(value).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
 def message_of(e: Exception) -> str:
-    """What went wrong, in words."""
+    """An exception in words: the message alone if it is an InspeError."""
     return str(e) if isinstance(e, InspeError) else f"{type(e).__name__}: {e}"

@@ -1,1 +1,1 @@
-"""A page on which sensors are dragged and scores follow."""
+"""A web page on which sensors are dragged and their scores follow."""

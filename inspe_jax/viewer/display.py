@@ -1,7 +1,7 @@
 """What browsers see: a layout in three dimensions, its voxels, and its scores beside them.
 
-Scores and voxels come later than the layout that they are of; until then the last ones fade, and
-the page says what takes so long. All is called on the desk's thread.
+Scores and voxels of a new layout take a while. Until they are there, those of the layout before
+are shown faded, and the page says what is being done. Every method runs on the queue's thread.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,23 +13,23 @@ from jaxtyping import UInt
 from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.scene3d import Stage, look_from
+from inspe_jax.report.scene3d import Scene3D, look_from
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.job_queue import JobQueue, Later
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.score_panel import score_panel
-from inspe_jax.viewer.scorer import Scored
+from inspe_jax.viewer.scorer import ScoredLayout
 
 STALE = 0.5
-"""Scores and voxels of another layout than the one shown fade after so long [s]."""
+"""Scores and voxels of the layout before fade after this time [s]."""
 SCORES, SCORES_COMPILE = "scores", 10.0
-"""What compiling them is called where it is remembered, and how long it takes, roughly [s]."""
+"""Name under which the compile time of scores is remembered, and its rough value [s]."""
 
 
 class Display:
     """A layout as browsers see it.
 
-    ``shown`` is the layout, ``scored`` the last scores there are, of it or of one before.
+    ``shown`` is the layout, ``scored`` the newest scores: its own, or those of a layout before.
     """
 
     def __init__(
@@ -38,68 +38,68 @@ class Display:
         case: Case,
         opened: Layout,
         panel: Panel,
-        desk: JobQueue,
+        queue: JobQueue,
         clicked: Callable[[int], None],
     ) -> None:
-        """Draw the scene. ``clicked`` is called with a sensor that somebody clicks on."""
+        """Draw the scene. ``clicked`` is called with the number of a sensor that is clicked."""
         self.shown = opened
-        self.scored: Scored | None = None
+        self.scored: ScoredLayout | None = None
         self._server, self._case, self._opened = server, case, opened
-        self._panel, self._desk, self._clicked = panel, desk, clicked
+        self._panel, self._queue, self._clicked = panel, queue, clicked
         self._frames = case.scene.traffic.frame_count
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
         self._first: dict[int, float] = {}  # scores of the opened layout, by frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._drawn_frame, self._faded = -1, False
-        self._compiled = compiled().seconds  # when there were scores last
-        self._waiting = Later()
-        self.stage = Stage(server.scene, case.scene)
-        self.stage.draw_mounting()
+        self._compiled = compiled().seconds  # when the newest scores came
+        self._waiting = DelayedAction()
+        self.scene3d = Scene3D(server.scene, case.scene)
+        self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=1.25)
 
     def draw(self, layout: Layout, faults: Sequence[Fault] = (), notes: Sequence[str] = ()) -> None:
-        """Show a layout, what keeps it from being mounted, and what mounting made of it."""
+        """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
         self.shown, self._faults, self._notes = layout, faults, notes
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
-        for s, body in self.stage.draw_layout(seen, broken).items():
+        for s, body in self.scene3d.draw_layout(seen, broken).items():
             self._bind(s, body)
-        self._show_board()
+        self._show_scores()
         self._wait()
 
     def draw_users(self, frame: int) -> None:
         """Show the road users of a frame."""
         if frame != self._drawn_frame:
-            self.stage.draw_users(frame)
+            self.scene3d.draw_users(frame)
             self._drawn_frame = frame
 
     def draw_voxels(self) -> None:
-        """Show the kinds of voxels that are ticked, as they are in the frame that is shown."""
+        """Show the kinds of voxels that are ticked, in the frame that is shown."""
         if self._sight is None:
             return
         frame, sight = self._sight
         with self._server.atomic():
             self.draw_users(frame)
             ticked = [kind for kind, box in self._panel.shown.items() if box.value]
-            self.stage.draw_voxels(sight, ticked, faint=self._faded)
+            self.scene3d.draw_voxels(sight, ticked, faint=self._faded)
 
-    def hear_scores(self, scored: Scored) -> None:
-        """Show scores."""
+    def show_scores(self, scored: ScoredLayout) -> None:
+        """Show new scores."""
         self.scored, before = scored, self._compiled
         self._compiled = compiled().seconds
         remember_seconds(SCORES, self._compiled - before)
         if scored.layout is self._opened and scored.scores is not None:
             self._first[scored.frames] = scored.scores.surrogate
-        self._show_board()
+        self._show_scores()
 
-    def hear_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
-        """Show what each voxel is to a layout in a frame."""
+    def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
+        """Show which voxels a layout sees in a frame; ``sight`` is a Visibility for each."""
         self._sight, self._faded = (frame, sight), self._faded and layout is not self.shown
         self.draw_voxels()
 
     def close(self) -> None:
-        """Wait for nothing more."""
+        """Cancel the action that waits."""
         self._waiting.cancel()
 
     def _bind(self, s: int, body: Any) -> None:
@@ -108,21 +108,21 @@ class Display:
             self._clicked(s)
 
     def _wait(self) -> None:
-        """Fade what is of another layout, and say what takes so long, until it is there."""
+        """Until the shown layout has scores, fade the old ones and say what is being done."""
 
         def job() -> None:
             if self.scored is None or self.scored.layout is not self.shown:
                 if not self._faded:
                     self._faded = True
                     self.draw_voxels()
-                self._show_board()
+                self._show_scores()
                 self._wait()
 
-        self._waiting.do(STALE, lambda: self._desk.ask(job, key="waiting"))
+        self._waiting.start(STALE, lambda: self._queue.submit(job, key="waiting"))
 
-    def _show_board(self) -> None:
+    def _show_scores(self) -> None:
         scored = self.scored
-        self._panel.board.content = score_panel(
+        self._panel.scores.content = score_panel(
             self.shown,
             scored,
             frames=self._frames,
@@ -134,7 +134,7 @@ class Display:
         )
 
     def _waiting_words(self) -> str:
-        """What is done while there are no scores yet."""
+        """What is being done while there are no scores yet."""
         state = compiled()
         if not state.now:
             return "scoring …"

@@ -1,90 +1,90 @@
-"""One thread that does in turn what is asked of it: whatever draws or changes something.
+"""One thread that runs actions in turn: everything that draws on the page or changes the layout.
 
-Browsers, the scorer and the search all ask from threads of their own.
+Browsers, the scorer and the search submit actions from threads of their own.
 """
 
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 
-Job = Callable[[], None]
+Action = Callable[[], None]
 
 
 class JobQueue:
-    """Jobs done one after another, in the order in which they were asked for."""
+    """Runs actions one after another, in the order in which they were submitted."""
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
-        """``failed`` is called, on the desk's thread, with what a job raised."""
+        """``failed`` is called on the queue's thread with the exception that an action raised."""
         self._failed = failed
-        self._newest: dict[Hashable, Job] = {}
+        self._newest: dict[Hashable, Action] = {}
         self._lock = threading.Lock()
         self._closed = False
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="desk")
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="queue")
 
-    def ask(self, job: Job, key: Hashable = None) -> None:
-        """Have a job done; in place of one that waits under the same key, if there is one.
+    def submit(self, action: Action, key: Hashable = None) -> None:
+        """Add an action. It replaces one of the same ``key`` that still waits.
 
-        Nothing once the desk is closed.
+        Does nothing once the queue is closed.
         """
         key = object() if key is None else key
         with self._lock:
             if self._closed:
                 return
             if key not in self._newest:
-                self._thread.submit(self._do, key)
-            self._newest[key] = job
+                self._thread.submit(self._run, key)
+            self._newest[key] = action
 
     def close(self) -> None:
-        """Do what waits, and end."""
+        """Run the actions that wait, and end the thread."""
         with self._lock:
             self._closed = True
         self._thread.shutdown()
 
-    def _do(self, key: Hashable) -> None:
+    def _run(self, key: Hashable) -> None:
         with self._lock:
-            job = self._newest.pop(key)
+            action = self._newest.pop(key)
         try:
-            job()
+            action()
         except Exception as e:
             self._failed(e)
 
 
-class Later:
-    """One thing to do after a while; another one takes its place.
+class DelayedAction:
+    """Runs one action after a delay; a newer action replaces the one that waits.
 
-    It is done with its lock held: who asks for it :meth:`now` goes on when it is done.
+    The lock is held while the action runs: a caller of :meth:`run_now` continues when it is done.
     """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._timer: threading.Timer | None = None
-        self._job: Job | None = None
+        self._action: Action | None = None
 
-    def do(self, seconds: float, job: Job) -> None:
-        """Do this so many seconds from now, and what waited not at all."""
+    def start(self, seconds: float, action: Action) -> None:
+        """Run this action after ``seconds``, in place of one that waits."""
         with self._lock:
             self.cancel()
-            timer = threading.Timer(seconds, lambda: self._do(timer))
+            timer = threading.Timer(seconds, lambda: self._run(timer))
             timer.daemon = True
-            self._job, self._timer = job, timer
+            self._action, self._timer = action, timer
             timer.start()
 
-    def now(self) -> None:
-        """Do what waits now, if anything does."""
+    def run_now(self) -> None:
+        """Run the action that waits now, if there is one."""
         with self._lock:
-            job = self._job
+            action = self._action
             self.cancel()
-            if job is not None:
-                job()
+            if action is not None:
+                action()
 
     def cancel(self) -> None:
-        """Do not do what waits."""
+        """Drop the action that waits."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
-            self._job = self._timer = None
+            self._action = self._timer = None
 
-    def _do(self, timer: threading.Timer) -> None:
+    def _run(self, timer: threading.Timer) -> None:
         with self._lock:
-            if timer is self._timer:  # no other took its place
-                self.now()
+            if timer is self._timer:  # no newer action has replaced it
+                self.run_now()

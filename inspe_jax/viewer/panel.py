@@ -1,4 +1,4 @@
-"""The controls beside the scene: what can be pressed, and what it says."""
+"""The controls beside the scene: buttons, numbers, and the text between them."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -9,11 +9,11 @@ import viser
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
-from inspe_jax.viewer.score_panel import SIGHTS
-from inspe_jax.viewer.store import Earlier
+from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
+from inspe_jax.viewer.store import EarlierFile
 
 SECONDS = 60.0
-"""What a search is given if nobody says otherwise [s]."""
+"""Usual time of a search [s]."""
 POSE = {
     "x": "x [m]",
     "y": "y [m]",
@@ -21,32 +21,32 @@ POSE = {
     "yaw": "yaw [°]",
     "pitch": "pitch [°]",
 }
-"""The numbers of a pose, to a tenth."""
+"""The numbers of a pose, with their labels; shown to one decimal."""
 
 
 class Panel:
-    """Every control by name. What a person does to one is asked of ``asked``'s method of its name.
+    """Every control by name. When a person uses one, a method of ``viewer`` is called.
 
-    A value that the program sets asks for nothing.
+    A value that the program itself sets calls nothing.
     """
 
-    def __init__(self, gui: viser.GuiApi, asked: Any, frames: int) -> None:
-        """``asked`` has a method for each: see what is bound below."""
+    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int) -> None:
+        """``viewer`` has the methods that are bound below; ``frames`` of traffic there are."""
         known = list(devices())
-        self._gui, self._asked = gui, asked
+        self._gui, self._viewer = gui, viewer
         self._question: Any = None
         self.offers: list[Any] = []
         self.earlier = gui.add_folder("Earlier work", visible=False)
-        self.board = gui.add_html("")
+        self.scores = gui.add_html("")
         self.edit = gui.add_button_group("Change", ("Undo", "Redo"))
         with gui.add_folder("Sensor"):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.device = gui.add_dropdown("Device", known)
             self.pose = {key: gui.add_number(label, 0.0, step=0.1) for key, label in POSE.items()}
             self.existing = gui.add_button_group("This one", ("Duplicate", "Remove"))
-            self.new = gui.add_dropdown("New device", known, hint="What Add puts up")
+            self.new = gui.add_dropdown("New device", known, hint="The device that Add mounts")
             self.add = gui.add_button(
-                "Add", hint="A new sensor, mounted nearest to what you look at"
+                "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
@@ -60,53 +60,53 @@ class Panel:
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
             self.shown = {
                 kind: gui.add_checkbox(name, kind is not Visibility.SEEN)
-                for kind, name in SIGHTS.items()
+                for kind, name in VISIBILITY_NAMES.items()
             }
         with gui.add_folder("File"):
             self.file = gui.add_markdown("")
             self.save = gui.add_button("Save layout")
             self.report = gui.add_button("Write report")
 
-        self._bind(self.edit, lambda: asked.undo_or_redo(self.edit.value))
-        self._bind(self.sensor, lambda: asked.select(self.chosen))
-        self._bind(self.device, lambda: asked.swap(self.chosen, self.device.value))
+        self._bind(self.edit, lambda: viewer.undo_or_redo(self.edit.value))
+        self._bind(self.sensor, lambda: viewer.select(self.chosen))
+        self._bind(self.device, lambda: viewer.swap(self.chosen, self.device.value))
         for key, number in self.pose.items():
-            self._bind(number, partial(self._typed, asked, key), settle=False)
-        which = {"Duplicate": asked.duplicate, "Remove": asked.remove}
+            self._bind(number, partial(self._typed, viewer, key), settle=False)
+        which = {"Duplicate": viewer.duplicate, "Remove": viewer.remove}
         self._bind(self.existing, lambda: which[self.existing.value](self.chosen))
         for choice in (self.new, self.method):
             self._bind(choice, lambda: None)
-        self._bind(self.optimise, asked.optimise)
-        self._bind(self.stop, asked.stop)
-        self._bind(self.frame, asked.watch)
-        self._bind(self.play, asked.watch)
+        self._bind(self.optimise, viewer.optimise)
+        self._bind(self.stop, viewer.stop)
+        self._bind(self.frame, viewer.select_frame)
+        self._bind(self.play, viewer.select_frame)
         for box in self.shown.values():
-            self._bind(box, asked.show_voxels)
-        self._bind(self.save, asked.save)
-        self._bind(self.report, asked.write_report)
+            self._bind(box, viewer.show_voxels)
+        self._bind(self.save, viewer.save)
+        self._bind(self.report, viewer.write_report)
 
         @self.add.on_click
         async def _(event: Any) -> None:
-            asked.settle()
-            asked.add(self.new.value, event.client)
+            viewer.settle()
+            viewer.add(self.new.value, event.client)
 
-    def offer_earlier(self, earlier: Sequence[Earlier]) -> None:
-        """Offer layouts that an earlier run has left; until none is wanted any more."""
+    def offer_earlier(self, earlier: Sequence[EarlierFile]) -> None:
+        """Offer to open layouts that an earlier run has left."""
         if not earlier:
             return
         self.earlier.visible = True
         with self.earlier:
             self._gui.add_markdown(
                 f"An earlier run has left {' and '.join(one.words for one in earlier)}. "
-                "Nothing here replaces that unasked."
+                "They are not replaced unless you say so."
             )
             for number, one in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {one.path.name}"))
-                self._bind(self.offers[-1], partial(self._asked.open_earlier, number))
+                self._bind(self.offers[-1], partial(self._viewer.open_earlier, number))
             self._bind(self._gui.add_button("Leave them", color="gray"), self._leave)
 
     def withdraw(self, number: int) -> None:
-        """Offer a layout no more: it is open."""
+        """Stop offering a layout, since it is open."""
         self.offers[number].visible = False
         if not any(offer.visible for offer in self.offers):
             self._leave()
@@ -115,16 +115,16 @@ class Panel:
         self.earlier.visible = False
 
     def ask_replace(self, name: str, other: str) -> None:
-        """Ask whether a file of an earlier run is to be replaced."""
+        """Ask whether to replace the file ``name`` of an earlier run; ``other`` is a free name."""
         self._end_question()
         self._question = self._gui.add_modal(f"Replace {name}?")
         with self._question:
             self._gui.add_markdown(
-                f"`{name}` was not written by this run of the viewer, and may hold other work."
+                f"`{name}` was not written by this run of the viewer. It may hold other work."
             )
             for answer, then in (
-                (self._gui.add_button(f"Save as {other}"), self._asked.save_beside),
-                (self._gui.add_button(f"Replace {name}", color="red"), self._asked.replace),
+                (self._gui.add_button(f"Save as {other}"), self._viewer.save_beside),
+                (self._gui.add_button(f"Replace {name}", color="red"), self._viewer.replace),
                 (self._gui.add_button("Cancel", color="gray"), lambda: None),
             ):
                 self._bind(answer, partial(self._answer, then))
@@ -138,30 +138,30 @@ class Panel:
             self._question.close()
             self._question = None
 
-    def _typed(self, asked: Any, key: str) -> None:
-        asked.type_number(self.chosen, key, float(self.pose[key].value))
+    def _typed(self, viewer: Any, key: str) -> None:
+        viewer.type_number(self.chosen, key, float(self.pose[key].value))
 
     @property
     def chosen(self) -> int:
-        """The place in the layout of the sensor that is chosen; 0 where none of them is."""
+        """The chosen sensor's place in the layout; 0 if none is chosen."""
         value, options = self.sensor.value, self.sensor.options
         return options.index(value) if value in options else 0
 
     def list_sensors(self, names: Sequence[str], chosen: int) -> None:
-        """Offer these sensors, numbered, and choose one."""
+        """List these sensors, numbered from 1, and choose the one at place ``chosen``."""
         options = tuple(f"{k + 1}  {name}" for k, name in enumerate(names))
         if options != tuple(self.sensor.options):
             self.sensor.options = options
-        put(self.sensor, options[chosen])
+        set_value(self.sensor, options[chosen])
 
     def offer_device(self, name: str) -> None:
-        """Show a device, which the catalogue may not have."""
+        """Choose a device in the list; add it if the catalogue does not have it."""
         if name not in self.device.options:
             self.device.options = (*self.device.options, name)
-        put(self.device, name)
+        set_value(self.device, name)
 
     def searching(self, on: bool) -> None:
-        """While a search runs, nothing can be changed, and it can be stopped."""
+        """Disable changes while a search runs, and show the button that stops it."""
         self.stop.visible = self.bar.visible = self.course.visible = on
         self.optimise.visible = self.edit.visible = self.existing.visible = not on
         others = (self.device, self.new, self.add, self.method, self.seconds, self.save)
@@ -169,9 +169,9 @@ class Panel:
             control.disabled = on
 
     def _bind(self, control: Any, ask: Callable[[], None], *, settle: bool = True) -> None:
-        """Ask where a browser did it: on the event loop, so that things stay in order.
+        """Call ``ask`` when a browser uses a control, on the event loop, so that order is kept.
 
-        What is typed counts before (``settle``). A value that is none of the options asks nothing.
+        With ``settle``, typed numbers are applied before. A value that is not an option is refused.
         """
 
         async def called(event: Any) -> None:
@@ -180,17 +180,17 @@ class Panel:
             options = getattr(control, "options", None)
             if options is not None and control.value not in options:
                 if control in (self.new, self.method):
-                    put(control, options[0])
-                self._asked.restore()
+                    set_value(control, options[0])
+                self._viewer.restore()
                 return
             if settle:
-                self._asked.settle()
+                self._viewer.settle()
             ask()
 
         register = getattr(control, "on_click", None) or control.on_update
         register(called)
 
 
-def put(control: Any, value: Any) -> None:
-    """Set a control's value, in every browser. Types of the library have it read-only."""
+def set_value(control: Any, value: Any) -> None:
+    """Set a control's value in every browser. viser's types declare it read-only."""
     control.value = value

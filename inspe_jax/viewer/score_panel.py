@@ -1,4 +1,4 @@
-"""What the page says of a layout: its scores as bars, what it costs, what rules it breaks."""
+"""The panel of a layout's scores: bars, cost, and the rules of mounting that it breaks."""
 
 from collections.abc import Sequence
 
@@ -11,27 +11,27 @@ from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.scorer import Scored
+from inspe_jax.viewer.scorer import ScoredLayout
 
-SIGHTS = {
+VISIBILITY_NAMES = {
     Visibility.HIDDEN: "hidden by traffic",
     Visibility.OUT_OF_VIEW: "never in view",
     Visibility.SEEN: "seen",
 }
-"""Kinds of voxels in words."""
-KEYS = (
-    *((words, SIGHT_COLORS[kind]) for kind, words in SIGHTS.items()),
+"""What voxels are called on the page."""
+LEGEND = (
+    *((words, SIGHT_COLORS[kind]) for kind, words in VISIBILITY_NAMES.items()),
     ("road user", USER_COLOR),
     ("camera", SENSOR_COLORS["camera"]),
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-_BOARD = template("viewer", "score_panel.html.j2")
+_TEMPLATE = template("viewer", "score_panel.html.j2")
 
 
 def score_panel(
     layout: Layout,
-    scored: Scored | None,
+    scored: ScoredLayout | None,
     *,
     frames: int,
     opened: float | None = None,
@@ -42,16 +42,18 @@ def score_panel(
 ) -> str:
     """A layout's scores as HTML.
 
-    ``scored`` is the last that was scored, None while there is none; of another layout it stands
-    there, in grey, until there are new ones. ``frames`` of the whole traffic; ``opened``, the score
-    of the layout that was opened; ``faults``, why it cannot be mounted; ``notes``, what mounting
-    made of the last change; ``waiting``, what is done while there are no scores; ``faded``, whether
-    those of another layout fade.
+    ``scored``: the newest scores, or None. Those of another layout are shown in grey.
+    ``frames``: number of frames of the whole traffic.
+    ``opened``: P_sm of the layout that was opened.
+    ``faults``: the rules of mounting that the layout breaks, in words.
+    ``notes``: how mounting has changed the last change, in words.
+    ``waiting``: what is being done while the layout has no scores.
+    ``faded``: whether scores of another layout are faded.
     """
     scores = None if scored is None else scored.scores
     new = scored if scored is not None and scored.layout is layout else None
     regions = {} if scores is None else scores.region_coverage
-    return _BOARD.render(
+    return _TEMPLATE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change=None if scores is None or opened is None else scores.surrogate - opened,
@@ -71,12 +73,12 @@ def score_panel(
         sensors=len(layout),
         units=len(layout.units),
         cost=cost_of(layout),
-        keys=KEYS,
+        keys=LEGEND,
         mounting=MOUNTING_COLOR,
     )
 
 
-def _state(scored: Scored, frames: int) -> str:
+def _state(scored: ScoredLayout, frames: int) -> str:
     if scored.scores is None:
         return "no scores"
     some = f"{scored.frames} of {frames} frames" if scored.frames < frames else "all frames"
@@ -84,7 +86,7 @@ def _state(scored: Scored, frames: int) -> str:
 
 
 def cost_of(layout: Layout) -> str:
-    """What a layout's sensors cost by the catalogue, in words."""
+    """What a layout's sensors cost by the catalogue's prices, in words."""
     wanted, known, unknown = Objective(), 0.0, set[str]()
     for sensor in layout.sensors:
         try:

@@ -1,6 +1,7 @@
-"""Scores found beside the hand that drags: of the newest layout, of a few frames and then of all.
+"""Scores the newest layout while it is dragged: on a few frames first, and then on all.
 
-A thread of its own, so that the page stays responsive; what is out of date is not begun.
+It works on a thread of its own, so that the page stays responsive. Scores of a layout that is
+already out of date are not begun.
 """
 
 import threading
@@ -20,15 +21,15 @@ from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.layout import Layout
 
 SHOWN = 20
-"""Frames that are scored first, evenly spread over all."""
+"""Number of frames that are scored first, evenly spread over all."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Scored:
-    """The exact scores of a layout, of ``frames`` of the traffic.
+class ScoredLayout:
+    """The exact scores of a layout on a number of ``frames``.
 
-    ``scores`` is None where it cannot be scored, and ``wrong`` says why; ``seconds`` since the
-    layout was given.
+    ``scores`` is None if the layout cannot be scored; ``wrong`` then says why. ``seconds`` passed
+    since the layout was given.
     """
 
     layout: Layout
@@ -39,17 +40,19 @@ class Scored:
 
 
 class Scorer:
-    """Scores the layout that was given last, and finds what it sees of a frame."""
+    """Scores the newest layout, and finds which voxels it sees in the selected frame."""
 
     def __init__(
         self,
         case: Case,
         weights: Weights,
-        scored: Callable[[Scored], None],
+        scored: Callable[[ScoredLayout], None],
         sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
     ) -> None:
-        """``scored``, and ``sighted`` with a layout, a frame and its voxels, are called from the
-        scorer's thread."""
+        """The callbacks run on the scorer's thread.
+
+        ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel.
+        """
         self.case, self.weights = case, weights
         self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
@@ -63,15 +66,15 @@ class Scorer:
         self._thread.start()
 
     def score(self, layout: Layout, *, whole: bool) -> None:
-        """Score a layout on a few frames, and on all if ``whole``; see what it sees."""
+        """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees."""
         with self._changed:
             self._layout, self._since = layout, time.monotonic()
             self._todo -= {"whole"}
             self._todo |= {"few", "sight", *(["whole"] if whole else [])}
             self._changed.notify()
 
-    def watch(self, frame: int) -> None:
-        """See what the layout sees of a frame, from now on."""
+    def select_frame(self, frame: int) -> None:
+        """Select the frame whose voxels are found from now on."""
         with self._changed:
             self._frame = frame
             self._todo |= {"sight"}
@@ -96,7 +99,7 @@ class Scorer:
             if layout is None:
                 continue
             if job == "sight":
-                self._see(layout, frame)
+                self._find_visible(layout, frame)
             else:
                 self._score(layout, job == "whole", since)
 
@@ -107,14 +110,14 @@ class Scorer:
             scores = evaluate(scene, layout, conditions=conditions, weights=self.weights)
         except InspeError as e:
             wrong = str(e)
-        except Exception as e:  # as out of memory: the next layout may be had
+        except Exception as e:  # such as out of memory: the next layout may succeed
             wrong = f"it could not be scored: {e!r}"
         frames = scene.traffic.frame_count
-        self._scored(Scored(layout, scores, frames, time.monotonic() - since, wrong))
+        self._scored(ScoredLayout(layout, scores, frames, time.monotonic() - since, wrong))
 
-    def _see(self, layout: Layout, frame: int) -> None:
+    def _find_visible(self, layout: Layout, frame: int) -> None:
         try:
             sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
-        except Exception:  # of which the scores tell
+        except Exception:  # the scores report it
             return
         self._sighted(layout, frame, sight)

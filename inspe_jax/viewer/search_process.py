@@ -1,17 +1,18 @@
-"""A search in a process of its own, which can be ended at once, whatever it is at.
+"""A search in a process of its own, which can be ended at once, whatever it is doing.
 
-XLA cannot be interrupted while it compiles, and it compiles for many seconds; a process can. Run as
-``python -m inspe_jax.viewer.search_process`` by :class:`~inspe_jax.viewer.searcher.Searcher`: a
-pickled :class:`Task` after the other comes in, and of each a row of messages goes out, each a
-pickled tuple of a word and what belongs to it:
+XLA compiles for many seconds and cannot be interrupted, but a process can be killed.
+:class:`~inspe_jax.viewer.searcher.Searcher` runs it as
+``python -m inspe_jax.viewer.search_process``. It reads pickled :class:`SearchTask` records from
+its input. For each it writes messages to its output, pickled tuples of a kind and its content:
 
 - ``("ready",)`` once
-- ``("progress", share of the budget that is spent, best score)``
+- ``("progress", fraction of the budget that is spent, best score)``
 - ``("found", layout, score)`` with every layout that is the best so far
 - ``("compiling", seconds so far)`` while it compiles
 - ``("ended", result)`` or ``("failed", why)`` at the end
 
-The process ends when its input does.
+The process ends when its input does. It has the metrics that ``import inspe_jax`` registers; an
+objective with weight on another one fails in it.
 """
 
 import os
@@ -40,17 +41,19 @@ SETTINGS = (
     "jax_enable_x64",
     "jax_persistent_cache_min_compile_time_secs",
 )
-"""Settings of JAX that a search takes over from the process that asks for it."""
+"""Settings of JAX that a search takes over from the page's process."""
 EVERY = 0.25
-"""Between two messages that it compiles [s]."""
+"""Time between two messages that it compiles [s]."""
 NICE = 5
-"""How far behind a page a search stands in line for the cores."""
+"""How much the search's priority is lowered, so that the page gets the cores first."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """A search: see :func:`~inspe_jax.placement.optimise.optimise`. Compiling is not part of
-    ``seconds``."""
+class SearchTask:
+    """A search, with the arguments of :func:`~inspe_jax.placement.optimise.optimise`.
+
+    Compiling does not count as part of ``seconds``; ``settings`` are those of JAX.
+    """
 
     case: Case
     layout: Layout
@@ -63,46 +66,46 @@ class Task:
     )
 
 
-class _Out:
-    """Messages to the process that asked, from any thread.
+class _MessageWriter:
+    """Writes messages to the page's process, from any thread.
 
-    ``compiled`` is what was compiled before the present search began [s].
+    ``compiled`` is the compile time before the present search began [s].
     """
 
     def __init__(self, sink: IO[bytes]) -> None:
         self._sink, self._lock = sink, threading.Lock()
         self.compiled = 0.0
 
-    def tell(self, *message: object) -> None:
+    def send(self, *message: object) -> None:
         with self._lock:
             pickle.dump(message, self._sink)
             self._sink.flush()
 
 
 def main() -> None:
-    """Search for whoever writes to the input, until it ends."""
-    out = _Out(os.fdopen(os.dup(1), "wb"))
-    os.dup2(2, 1)  # what others print is no message
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page's process
+    """Run the searches that come in, until the input ends."""
+    out = _MessageWriter(os.fdopen(os.dup(1), "wb"))
+    os.dup2(2, 1)  # what libraries print must not look like a message
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the page's process
     if hasattr(os, "nice"):  # not on Windows
         os.nice(NICE)
-    tasks = _Tasks(sys.stdin.buffer)
-    out.tell("ready")
-    threading.Thread(target=_tell_compiling, args=(out,), daemon=True).start()
+    tasks = _TaskQueue(sys.stdin.buffer)
+    out.send("ready")
+    threading.Thread(target=_report_compiling, args=(out,), daemon=True).start()
     while True:
         _search(tasks.next(), out)
 
 
-class _Tasks:
-    """What comes in, read beside the search: at its end the process ends at once."""
+class _TaskQueue:
+    """Reads the input on a thread of its own: at its end the process ends at once."""
 
     def __init__(self, source: IO[bytes]) -> None:
         self._source = source
-        self._waiting: list[Task] = []
+        self._waiting: list[SearchTask] = []
         self._changed = threading.Condition()
         threading.Thread(target=self._read, daemon=True).start()
 
-    def next(self) -> Task:
+    def next(self) -> SearchTask:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting)
             return self._waiting.pop(0)
@@ -121,7 +124,7 @@ class _Tasks:
                 self._changed.notify()
 
 
-def _search(task: Task, out: _Out) -> None:
+def _search(task: SearchTask, out: _MessageWriter) -> None:
     for name, value in task.settings.items():
         jax.config.update(name, value)
     out.compiled = before = compiled().seconds
@@ -133,26 +136,26 @@ def _search(task: Task, out: _Out) -> None:
             task.seconds,
             objective=task.objective,
             constraints=task.constraints,
-            progress=lambda done, best: out.tell("progress", done, best),
-            found=lambda layout, score: out.tell("found", layout, score),
+            progress=lambda done, best: out.send("progress", done, best),
+            found=lambda layout, score: out.send("found", layout, score),
             clock=lambda: time.monotonic() - (compiled().seconds - before),
         )
     except InspeError as e:
-        out.tell("failed", str(e))
+        out.send("failed", str(e))
     except Exception as e:
         traceback.print_exception(e)
-        out.tell("failed", f"the search failed: {e!r}")
+        out.send("failed", f"the search failed: {e!r}")
     else:
         remember_seconds(f"search by {task.method}", compiled().seconds - before)
-        out.tell("ended", result)
+        out.send("ended", result)
 
 
-def _tell_compiling(out: _Out) -> None:
+def _report_compiling(out: _MessageWriter) -> None:
     while True:
         time.sleep(EVERY)
         state = compiled()
         if state.now:
-            out.tell("compiling", state.seconds - out.compiled)
+            out.send("compiling", state.seconds - out.compiled)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A search beside the page: stopped at once, and what it has found so far is told at once."""
+"""Runs a search in a process beside the page. It stops at once, with its best layout so far."""
 
 import contextlib
 import os
@@ -16,22 +16,22 @@ from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.result import STATUSES
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.search_process import Task
+from inspe_jax.viewer.search_process import SearchTask
 
 PATIENCE = 0.4
-"""How long a process may take to end by itself before it is killed [s]."""
+"""Time that a process gets to end by itself before it is killed [s]."""
 KILLED = -9
-"""Status of a process that the system killed; none on Windows."""
-SHARED = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
-"""For the process: on a graphics card, the page's has most of the memory already."""
+"""Exit status of a process that the system killed; does not occur on Windows."""
+PROCESS_ENVIRONMENT = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+"""Of the search's process: the page's process already has most of a graphics card's memory."""
 
 
 @dataclass(frozen=True)
-class Ending:
-    """How a search ended: its best ``layout`` so far, or None; what it gained by its objective.
+class SearchEnding:
+    """How a search ended.
 
-    ``words`` say how it came to its end, and whether it ``failed``; ``notes`` are those of its
-    result.
+    ``layout`` is the best one found, or None; ``gain`` what the objective gained over the start;
+    ``words`` say why it ended; ``notes`` are those of its result.
     """
 
     layout: Layout | None
@@ -42,25 +42,25 @@ class Ending:
 
 
 @dataclass(frozen=True)
-class Heard:
-    """What a search tells, from a thread of its own.
+class SearchCallbacks:
+    """Functions that a search calls, on a thread of its own.
 
-    ``progress`` with the share of the budget spent and the best score; ``found`` with every
-    layout that is the best so far and its score; ``compiling`` while it compiles, with how long it
-    has so far [s]; ``ended`` once.
+    ``progress`` gets the fraction of the budget that is spent and the best score; ``found`` gets
+    every layout that is the best so far and its score; ``compiling`` gets the time that compiling
+    has taken so far [s]; ``ended`` is called once, at the end.
     """
 
     progress: Callable[[float, float], None]
     found: Callable[[Layout, float], None]
     compiling: Callable[[float], None]
-    ended: Callable[[Ending], None]
+    ended: Callable[[SearchEnding], None]
 
 
 class Searcher:
-    """One search at a time; ``running`` until its end is told.
+    """Runs one search at a time; ``running`` is true until ``ended`` is called.
 
-    Searches run in a process beside this one, which is kept from one to the next: what is compiled
-    for one serves the others.
+    Searches run in a process beside this one. It is kept for the next search, which then finds
+    the programs that are compiled already.
     """
 
     def __init__(
@@ -68,24 +68,24 @@ class Searcher:
         case: Case,
         weights: Weights,
         constraints: Constraints,
-        heard: Heard,
+        callbacks: SearchCallbacks,
     ) -> None:
         self.case, self.weights, self.constraints = case, weights, constraints
-        self._heard, self._lock = heard, threading.RLock()
+        self._callbacks, self._lock = callbacks, threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
         self._closed = self._ready = False
         self._best: tuple[Layout, float] | None = None
-        self._first = 0.0  # the start's score
+        self._first = 0.0  # score of the start
         self.running = False
 
     @property
     def gain(self) -> float:
-        """What the search has gained so far, by its objective."""
+        """What the objective has gained over the start so far."""
         best = self._best
         return 0.0 if best is None else best[1] - self._first
 
     def warm(self) -> None:
-        """Start the process, so that a search need not wait for it."""
+        """Start the process ahead of time, so that a search does not wait for it."""
         with self._lock:
             if self._process is not None or self._closed:
                 return
@@ -95,7 +95,7 @@ class Searcher:
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env=os.environ | SHARED,
+                env=os.environ | PROCESS_ENVIRONMENT,
                 start_new_session=True,  # Ctrl-C is for the page
             )
             self._ready = False
@@ -104,7 +104,7 @@ class Searcher:
             ).start()
 
     def start(self, layout: Layout, method: str, seconds: float) -> None:
-        """Search from a layout; nothing where a search is under way."""
+        """Start a search from a layout. Does nothing while another one runs."""
         with self._lock:
             if self.running or self._closed:
                 return
@@ -112,15 +112,15 @@ class Searcher:
             try:
                 self.warm()
             except OSError as e:
-                self._end(f"no process can be started for it: {e.strerror}", failed=True)
+                self._end(f"no process could be started for the search: {e.strerror}", failed=True)
                 return
             objective = Objective(weights=self.weights)
-            task = Task(self.case, layout, method, seconds, objective, self.constraints)
-            # The process reads once it has started, for which nobody should wait.
+            task = SearchTask(self.case, layout, method, seconds, objective, self.constraints)
+            # The process reads only once it has started; the caller should not wait for that.
             threading.Thread(target=self._send, args=(self._process, task), daemon=True).start()
 
     def stop(self) -> None:
-        """End the search now, with the best so far, whatever it is at."""
+        """End the search now, whatever it is doing, with the best layout so far."""
         with self._lock:
             if not self.running:
                 return
@@ -129,7 +129,7 @@ class Searcher:
         self.warm()  # for the next
 
     def close(self) -> None:
-        """Stop, and end the process."""
+        """Stop the search, and end the process."""
         with self._lock:
             self._closed = True
             self._end_process()
@@ -150,17 +150,17 @@ class Searcher:
         _release(process)
 
     def _end(self, words: str, *, failed: bool = False) -> None:
-        """Tell the end of a search that has no result."""
+        """Report the end of a search that has no result."""
         self.running = False
         if self._best is None:
             words = words if failed else "stopped before there was a score"
-            self._heard.ended(Ending(None, 0.0, words, failed))
+            self._callbacks.ended(SearchEnding(None, 0.0, words, failed))
         else:
-            ending = Ending(named_optimised(self._best[0]), self.gain, words, failed)
-            self._heard.ended(ending)
+            ending = SearchEnding(named_optimised(self._best[0]), self.gain, words, failed)
+            self._callbacks.ended(ending)
 
-    def _send(self, process: "subprocess.Popen[bytes]", task: Task) -> None:
-        """Hand a search to its process. Where that has ended, who listens to it tells."""
+    def _send(self, process: "subprocess.Popen[bytes]", task: SearchTask) -> None:
+        """Send a search to its process. If the process has ended, :meth:`_listen` reports it."""
         assert process.stdin is not None
         try:
             process.stdin.write(pickle.dumps(task))
@@ -170,7 +170,7 @@ class Searcher:
         except Exception as e:
             with self._lock:
                 if process is self._process and self.running:
-                    self._end(f"it cannot be handed to a process: {e}", failed=True)
+                    self._end(f"the search could not be sent to its process: {e}", failed=True)
 
     def _listen(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stdout is not None
@@ -178,14 +178,14 @@ class Searcher:
             while True:
                 try:
                     message = pickle.load(source)
-                except Exception:  # its end, mostly
+                except Exception:  # mostly the end of the stream
                     break
                 with self._lock:
                     if process is not self._process:  # it was ended meanwhile
                         continue
                     self._ready = True
                     if self.running:
-                        self._hear(*message)
+                        self._receive(*message)
         with self._lock:
             if process is not self._process:
                 return
@@ -194,27 +194,27 @@ class Searcher:
             if self.running:
                 self._end(f"the search's process ended by itself ({_reason(status)})", failed=True)
 
-    def _hear(self, word: str, *told: Any) -> None:
-        if word == "progress":
-            self._heard.progress(*told)
-        elif word == "compiling":
-            self._heard.compiling(*told)
-        elif word == "found":
+    def _receive(self, kind: str, *content: Any) -> None:
+        if kind == "progress":
+            self._callbacks.progress(*content)
+        elif kind == "compiling":
+            self._callbacks.compiling(*content)
+        elif kind == "found":
             if self._best is None:
-                self._first = told[1]
-            self._best = told
-            self._heard.found(*told)
-        elif word == "failed":
-            self._end(told[0], failed=True)
-        elif word == "ended":
-            result, self.running = told[0], False
+                self._first = content[1]
+            self._best = content
+            self._callbacks.found(*content)
+        elif kind == "failed":
+            self._end(content[0], failed=True)
+        elif kind == "ended":
+            result, self.running = content[0], False
             gain = result.objective - result.objective_before
             words = STATUSES[result.status]
-            self._heard.ended(Ending(result.layout, gain, words, notes=result.notes))
+            self._callbacks.ended(SearchEnding(result.layout, gain, words, notes=result.notes))
 
 
 def _release(process: "subprocess.Popen[bytes]") -> int:
-    """Wait for a process that is ending, and give its status."""
+    """Wait for a process that is ending; returns its exit status."""
     assert process.stdin is not None
     with contextlib.suppress(OSError):  # what it has not read is lost
         process.stdin.close()
@@ -222,7 +222,7 @@ def _release(process: "subprocess.Popen[bytes]") -> int:
 
 
 def _reason(status: int) -> str:
-    """What a process's status says."""
+    """What an exit status means."""
     if status == KILLED:
-        return "killed, as it is where memory runs out"
+        return "killed, as happens when memory runs out"
     return f"status {status}"

@@ -1,6 +1,6 @@
-"""A layout in somebody's hands: moved, turned, added to, taken back, always as mounting allows.
+"""Changes to a layout: sensors moved, turned, added, exchanged, and all of it undone.
 
-Nothing here knows a browser: every change gives a layout, and the last ones are remembered.
+Every change gives the nearest layout that can be mounted. Nothing here knows of browsers.
 """
 
 from collections.abc import Sequence
@@ -18,27 +18,28 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, Sensor, Unit
 
 REMEMBERED = 200
-"""Changes that can be taken back."""
+"""Number of changes that can be undone."""
 HEIGHT = 6.0
-"""At which a new sensor hangs above the ground [m]."""
+"""Height of a new sensor above the ground [m]."""
 BESIDE = 0.8
-"""A copy is turned by this share of the field of view: the two views then overlap a little."""
+"""A copy is turned by this fraction of the field of view, so that both views overlap a little."""
 
 
-Mounted = tuple[Layout, tuple[str, ...]]
-"""A layout, and what mounting made of it in words."""
+MountedLayout = tuple[Layout, tuple[str, ...]]
+"""A layout, and in words how it differs from the one that was asked for."""
 
 
-class Session:
-    """A layout on a scene, and what was done to it.
+class LayoutSession:
+    """A layout on a scene, with its history.
 
-    ``layout`` is the one in hand; ``notes`` say what mounting made of the last change.
+    ``layout`` is the layout as it is now; ``notes`` say how mounting has altered the last change.
     """
 
     def __init__(
         self, scene: Scene, layout: Layout, constraints: Constraints | None = None
     ) -> None:
-        """The layout is taken as it is, also where it breaks a rule: see :meth:`faults`."""
+        """The layout is taken as it is, even if it breaks a rule of mounting: see
+        :meth:`faults`."""
         self.scene, self.layout = scene, layout
         self.constraints = constraints or Constraints()
         self.notes: tuple[str, ...] = ()
@@ -48,7 +49,7 @@ class Session:
         self._own = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
 
     def faults(self) -> list[Fault]:
-        """What keeps the layout from being mounted; empty where nothing does."""
+        """The rules of mounting that the layout breaks; empty if it can be mounted."""
         try:
             return self._space_for(self.layout).faults(self.layout)
         except InspeError as wrong:
@@ -56,12 +57,12 @@ class Session:
 
     # ── Changes ──
 
-    def moved(self, s: int, pose: Float[np.ndarray, "6"]) -> Mounted:
-        """Where sensor ``s`` would be if it were let go at a world pose; nothing changes.
+    def moved(self, s: int, pose: Float[np.ndarray, "6"]) -> MountedLayout:
+        """The layout with sensor ``s`` let go at a world pose; the session does not change.
 
-        Its unit goes with it in plan, as it stands on one foot, and its sensors keep their heights
-        above the ground there; what the pose adds to its own height, and its direction, are its
-        own. Mounting gives the nearest that it allows.
+        The sensor's unit moves with it in plan, since it stands on one foot. The unit's other
+        sensors keep their heights above the ground. Height and direction change for sensor ``s``
+        alone. The result is the nearest layout that can be mounted.
         """
         old = self.layout
         unit = old.sensors[s].unit
@@ -77,18 +78,18 @@ class Session:
         return self._mounted(replace(old, poses=poses, units=tuple(units)))
 
     def move(self, s: int, pose: Float[np.ndarray, "6"]) -> None:
-        """Let sensor ``s`` go at a world pose: see :meth:`moved`."""
+        """Move sensor ``s`` to a world pose: see :meth:`moved`."""
         self.take(*self.moved(s, pose))
 
     def height(self, s: int) -> float:
-        """Of sensor ``s`` above the ground at its unit's foot [m]."""
+        """Height of sensor ``s`` above the ground at its unit's foot [m]."""
         unit = self.layout.units[self.layout.sensors[s].unit]
         return float(self.layout.poses[s, 2]) - self._ground(np.array(unit.base[:2]))
 
     def add(self, name: str, at: Float[np.ndarray, "2"]) -> int:
-        """A new sensor of a device on a unit of its own at ``at`` [m]; gives its place.
+        """Add a sensor of a device, on a unit of its own at ``at`` [m]; returns its number.
 
-        It looks at the scene's centre. Raises InspeError where the catalogue has no such device.
+        It looks at the scene's centre. Raises InspeError if the catalogue has no such device.
         """
         spec, old, foot = device(name).spec, self.layout, np.asarray(at, float)
         ground = self._ground(foot)
@@ -107,13 +108,14 @@ class Session:
         return len(self.layout) - 1
 
     def duplicate(self, s: int) -> int:
-        """A sensor like ``s`` on its unit, turned to the left of it; gives its place."""
+        """Add a copy of sensor ``s`` to its unit, turned to its left; returns its number."""
         old = self.layout
         sensor, poses = old.sensors[s], np.asarray(old.poses, float)
-        wide = sensor.spec.field_of_view[0] % (2 * np.pi)  # 0 for one that looks all round
+        # A sensor that looks all round is not turned.
+        wide = sensor.spec.field_of_view[0] % (2 * np.pi)
         pose = poses[s] + [0, 0, 0, 0, 0, BESIDE * wide]
         copy = replace(sensor, name=_free(sensor.name, [x.name for x in old.sensors]))
-        after = s + 1  # beside its model, so that sensors stay in the order of their units
+        after = s + 1  # after the original, so that sensors stay in the order of units
         wanted = replace(
             old,
             poses=np.insert(poses, after, pose, axis=0),
@@ -123,13 +125,13 @@ class Session:
         return after
 
     def remove(self, s: int) -> None:
-        """Take a sensor away, and its unit if that carries no other.
+        """Remove a sensor, and its unit if that carries no other.
 
-        Raises InspeError where it is the last.
+        Raises InspeError if it is the last sensor.
         """
         old = self.layout
         if len(old) == 1:
-            raise InspeError("the last sensor stays: a layout has at least one")
+            raise InspeError("the last sensor cannot be removed: a layout has at least one")
         keep = [k for k in range(len(old)) if k != s]
         used = sorted({old.sensors[k].unit for k in keep})
         sensors = tuple(replace(old.sensors[k], unit=used.index(old.sensors[k].unit)) for k in keep)
@@ -138,9 +140,9 @@ class Session:
         self.take(replace(old, poses=poses, sensors=sensors, units=units))
 
     def swap(self, s: int, name: str) -> None:
-        """Another device in place of sensor ``s``: of the opened layout, or of the catalogue.
+        """Exchange the device of sensor ``s`` for one of the opened layout or of the catalogue.
 
-        Raises InspeError where there is no such device.
+        Raises InspeError if there is no such device.
         """
         sensors = list(self.layout.sensors)
         spec = self._own[name] if name in self._own else device(name).spec
@@ -148,19 +150,19 @@ class Session:
         self.take(*self._mounted(replace(self.layout, sensors=tuple(sensors))))
 
     def take(self, layout: Layout, notes: tuple[str, ...] = ()) -> None:
-        """Go on with another layout; the one before can be had again by :meth:`undo`."""
+        """Continue with another layout; :meth:`undo` brings back the one before."""
         self._past = [*self._past[1 - REMEMBERED :], self.layout]
         self._future = []
         self.layout, self.notes = layout, notes
 
-    # ── Back and forth ──
+    # ── Undo and redo ──
 
     def undo(self) -> bool:
-        """Take the last change back; whether there is one."""
+        """Undo the last change; returns False if there is none."""
         return self._go(self._past, self._future)
 
     def redo(self) -> bool:
-        """Do again what was taken back last; whether anything was."""
+        """Redo the change that was undone last; returns False if there is none."""
         return self._go(self._future, self._past)
 
     def _go(self, there: list[Layout], here: list[Layout]) -> bool:
@@ -172,8 +174,8 @@ class Session:
 
     # ── Mounting ──
 
-    def _mounted(self, wanted: Layout) -> Mounted:
-        """The nearest layout that mounting allows; the wanted one where there is none."""
+    def _mounted(self, wanted: Layout) -> MountedLayout:
+        """The nearest layout that can be mounted; the wanted one if there is none."""
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted)
@@ -183,10 +185,10 @@ class Session:
         return found, notes
 
     def _space_for(self, wanted: Layout) -> Space:
-        """Where these sensors may be.
+        """Where the sensors of a layout may be.
 
-        Kept from one change to the next where only poses differ, unless a unit comes to hang over
-        the middle of the junction or leaves it: there it is mounted otherwise.
+        Kept for the next change if only poses differ. A unit that has come to hang over the
+        middle of the junction, or has left it, needs a new space: it is mounted otherwise there.
         """
         kept = self._space
         if (
@@ -202,10 +204,10 @@ class Session:
 
 
 def _names(layout: Layout) -> tuple[object, ...]:
-    """All of a layout but where things are."""
+    """All of a layout except its poses."""
     return layout.name, layout.sensors, tuple(unit.name for unit in layout.units)
 
 
 def _free(name: str, taken: Sequence[str]) -> str:
-    """The name with the first number after it that nobody has."""
+    """The name with the first free number after it."""
     return next(f"{name} {k}" for k in range(1, len(taken) + 2) if f"{name} {k}" not in taken)

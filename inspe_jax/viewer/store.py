@@ -1,6 +1,7 @@
-"""A layout in hand on disk: its file, one beside it while it is not saved, its report.
+"""The files of the viewer's layout: the saved one, one that keeps unsaved changes, the report.
 
-No file is written over or removed that this run has not written: it may hold somebody's work.
+A file that this run has not written may hold somebody's work: it is never removed, and replaced
+only when the user says so.
 """
 
 import re
@@ -15,19 +16,19 @@ from pathlib import Path
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import entry_of, report_page
+from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
 
 UNSAVED = "unsaved"
-"""Goes into the name of the file that keeps what is not saved."""
+"""Part of the name of the file that keeps unsaved changes."""
 OFFERED = 4
-"""Files of earlier runs that are offered, at most."""
+"""Most files of earlier runs that are offered."""
 
 
 @dataclass(frozen=True)
-class Earlier:
+class EarlierFile:
     """A layout file of an earlier run: where it is, and when it was written."""
 
     path: Path
@@ -35,15 +36,16 @@ class Earlier:
 
     @property
     def words(self) -> str:
-        """For people, in Markdown."""
+        """Name and time for the page, in Markdown."""
         return f"`{self.path.name}` of {self.written:%d %B, %H:%M}"
 
 
-class Store:
+class LayoutStore:
     """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it."""
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
-        """``scene`` gives the ground to units whose files do not say how high they stand."""
+        """``opened`` is the layout at the start. ``scene`` gives ground heights that files leave
+        out."""
         self.path, self._scene = Path(path).resolve(), scene
         self._kept = opened
         self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them
@@ -54,17 +56,17 @@ class Store:
             self._know(self.path)
         found = [at for at in self._others() if not self._is(at, opened)]
         self.earlier = tuple(
-            Earlier(at, datetime.fromtimestamp(at.stat().st_mtime)) for at in found[:OFFERED]
+            EarlierFile(at, datetime.fromtimestamp(at.stat().st_mtime)) for at in found[:OFFERED]
         )
 
     @property
     def unsaved(self) -> Path:
-        """Where a changed layout is kept while it is not saved: no earlier run's file."""
+        """The file that keeps unsaved changes; never a file of an earlier run."""
         return self._unsaved or next(self._unsaved_names())
 
     @property
     def page(self) -> Path:
-        """Where a report goes: beside the one that another run wrote."""
+        """The report's file. A report of another run is not replaced: the name gets a number."""
         at = self.path.with_suffix(".html")
         own = [page for page in self._known if page.stem.startswith(at.stem)]
         pages = [page for page in own if page.suffix == at.suffix]
@@ -76,15 +78,15 @@ class Store:
         return _free(self.path)
 
     def holds(self, layout: Layout) -> bool:
-        """Whether a layout is as it was opened, or saved last."""
+        """Whether a layout has no unsaved changes."""
         return layout is self._kept
 
     def would_replace(self, layout: Layout) -> bool:
-        """Whether saving a layout would write over another that this run has not written."""
+        """Whether saving would replace another layout that this run has not written."""
         return not (self._owns(self.path) or self._is(self.path, layout)) and self.path.exists()
 
-    def open(self, earlier: Earlier) -> Layout:
-        """The layout of an earlier run, to go on from. Raises InspeError where it is none."""
+    def open(self, earlier: EarlierFile) -> Layout:
+        """Read a layout of an earlier run. Raises InspeError if the file is not a layout."""
         layout = load_layout(earlier.path, self._scene, unit_rule=False)
         if earlier.path == self.path:
             self._kept = layout
@@ -93,8 +95,10 @@ class Store:
         return layout
 
     def save(self, layout: Layout, path: Path | None = None) -> None:
-        """Write the layout's file; with ``path``, from now on that one. It writes over what is
-        there: see :meth:`would_replace`."""
+        """Save the layout to ``path``, or to the present file. A file there is replaced.
+
+        ``path`` is the layout's file from now on. Ask :meth:`would_replace` before.
+        """
         save_layout(layout, path or self.path)
         self.path = path or self.path
         self._know(self.path)
@@ -105,7 +109,7 @@ class Store:
             self._taken_up = None
 
     def keep(self, layout: Layout) -> None:
-        """Keep a layout that is not saved; the file goes when there is none."""
+        """Keep the unsaved changes of a layout; remove their file if there are none."""
         if not self._owns(self._unsaved):
             self._unsaved = None
         if self.holds(layout):
@@ -119,7 +123,7 @@ class Store:
         self._know(self._unsaved)
 
     def words(self, layout: Layout) -> str:
-        """Where it is, for people, in Markdown."""
+        """Where the layout is saved, for the page, in Markdown."""
         kept = "" if self.holds(layout) else f", not saved yet; kept in `{self.unsaved}`"
         return f"`{self.path}`{kept}"
 
@@ -131,14 +135,17 @@ class Store:
         frame: int,
         ended: Callable[[Path, Exception | None], None],
     ) -> bool:
-        """Write a report on a thread, which tells its file and its end; False where one is being
-        written."""
+        """Write a report on a thread of its own.
+
+        ``ended`` is called with its file and with the exception, or None. Returns False, and does
+        nothing, if one is being written.
+        """
         page = self.page
 
         def work() -> None:
             wrong = None
             try:
-                entry = entry_of(case, layout, weights)
+                entry = report_entry(case, layout, weights)
                 write_text(page, report_page(case.scene, [entry], frame=frame))
                 self._know(page)
             except Exception as e:
@@ -152,7 +159,7 @@ class Store:
         return True
 
     def close(self) -> None:
-        """Wait for a report that is being written."""
+        """Wait until a report that is being written is done."""
         if self._report is not None:
             self._report.join()
 
@@ -160,7 +167,7 @@ class Store:
         self._known[path] = path.read_bytes()
 
     def _owns(self, path: Path | None) -> bool:
-        """Whether a file is as this run has written it."""
+        """Whether this run has written a file, and nobody has changed it since."""
         if path is None or path not in self._known:
             return False
         try:
@@ -169,7 +176,7 @@ class Store:
             return False
 
     def _is(self, path: Path, layout: Layout) -> bool:
-        """Whether a file holds a layout, as when it was opened from there."""
+        """Whether a file holds exactly this layout."""
         try:
             found = load_layout(path, self._scene, unit_rule=False)
             return layout_text(found) == layout_text(layout)
@@ -185,7 +192,7 @@ class Store:
         return sorted(found, key=lambda at: at.stat().st_mtime, reverse=True)
 
     def _unsaved_names(self) -> Iterator[Path]:
-        """Names of files that there are not."""
+        """Free names for the file of unsaved changes."""
         for number in count(1):
             mark = UNSAVED if number == 1 else f"{UNSAVED}-{number}"
             at = self.path.with_name(f"{self.path.stem}.{mark}{self.path.suffix}")
@@ -193,16 +200,16 @@ class Store:
                 yield at
 
     def _new_unsaved(self) -> Path:
-        """A file that nobody else has: another run may look for a name at the same time."""
+        """A new file of that kind; another run may be choosing a name at the same time."""
         for at in self._unsaved_names():
             with suppress(FileExistsError):
                 at.touch(exist_ok=False)
                 self._know(at)
                 return at
-        raise AssertionError("there is no end to the names")
+        raise AssertionError("unreachable: there is always a free name")
 
 
 def _free(path: Path) -> Path:
-    """The first name beside a path, with a number from 2, that is no file's."""
+    """The first free name beside a path, with a number from 2."""
     names = (path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(2))
     return next(at for at in names if not at.exists())

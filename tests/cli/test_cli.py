@@ -33,6 +33,8 @@ units:
       - {device: paper-lidar-32, height: 5.0, yaw_deg: 0}
 """
 
+HALVES = {"coverage": 0.5, "occlusion": 0.5, "information_gain": 0.0}
+
 # On a corner of the four-way, with its back to the traffic: easily bettered.
 AWAY = """
 units:
@@ -134,7 +136,7 @@ def test_view_serves_until_it_is_stopped(files, stop):
     assert url.startswith("http://127.0.0.1:")
     assert not url.startswith(f"http://127.0.0.1:{port}/")
     assert len(urlsplit(url).path) > 20  # a token
-    assert f"port {port} cannot be had" in said
+    assert f"port {port} is not available" in said
     assert "refused 127.0.0.1: it does not have the token" in said
     assert "not saved" not in words  # nothing was changed
     assert "Traceback" not in said
@@ -162,10 +164,14 @@ def test_a_scene_without_traffic_is_built(inspe, files):
     arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
     assert inspe("scene", "four_way", *arguments)[0] == 0
     assert (files / "quiet.npz").is_file()
-    weights = ("--weights", 0.5, 0.5, 0)
-    status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
-    assert status == 0
-    assert json.loads(text)["information_gain"] == 0
+    by_name = ("--weight", "coverage=0.5", "--weight", "occlusion=0.5")
+    for weights in (by_name, ("--weights", 0.5, 0.5, 0)):
+        status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
+        assert status == 0
+        record = json.loads(text)
+        assert record["information_gain"] == 0
+        assert record["settings"]["weights"] == HALVES
+        assert record["surrogate"] == pytest.approx((record["coverage"] + record["occlusion"]) / 2)
 
 
 def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
@@ -173,6 +179,13 @@ def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
     assert "objects on average, not the 60 asked" in " ".join(
         inspe("scene", "triangle", *arguments)[2].split()
     )
+
+
+def test_metrics_are_listed(inspe):
+    text = inspe("metrics")[1]
+    for name, symbol, weight in (("coverage", "C", 0.3), ("information_gain", "IG", 0.2)):
+        assert re.search(rf"{name} +{symbol} +{weight} +\w+", text)
+    assert re.search(r"surrogate +P_sm +the weighted sum", text)
 
 
 def test_devices_and_version(inspe):
@@ -211,12 +224,22 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
 def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
     options = ("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5)
-    options = (*options, "--weights", 0.5, 0.5, 0, "--start", "random", "--checkpoint", "c.npz")
+    options = (
+        *options,
+        "--weight",
+        "coverage=0.5",
+        "--weight",
+        "occlusion=0.5",
+        "--start",
+        "random",
+        "--checkpoint",
+        "c.npz",
+    )
     assert inspe("optimise", *arguments, *options)[0] == 0
     settings = json.loads((files / "p" / "result.json").read_text())["settings"]
     assert (settings["start"], settings["budget"]["evaluations"]) == ("random", 3)
     assert settings["objective"]["over"] == "worst"
-    assert settings["objective"]["weights"] == [0.5, 0.5, 0]
+    assert settings["objective"]["weights"] == HALVES
     assert settings["constraints"]["places"] == "areas"
     assert settings["constraints"]["heights"] == [4, 8]
     assert len(settings["scenes"]) == 2
@@ -363,7 +386,7 @@ def test_help_has_examples(inspe, command):
 BAD = [
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "missing.yaml"), "missing.yaml: no such file"),
-    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': a .yaml file or a strategy: Cam-c"),
+    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': give a .yaml file or a strategy: Cam-c"),
     (("score", "s.npz", "none.yaml"), "the layout is empty"),
     (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
     (("score", "s.npz", "buried.yaml"), "is in the ground"),
@@ -373,6 +396,17 @@ BAD = [
     (("score", "empty.npz", "layout.yaml"), "information gain needs traffic"),
     (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
     (("score", "s.npz", "layout.yaml", "--weights", 1, 1, 1), "sum to 1"),
+    (("score", "s.npz", "layout.yaml", "--weight", "coverage=0.3"), "sum to 1"),
+    (("score", "s.npz", "layout.yaml", "--weight", "coverage"), "coverage=0.3"),
+    (("score", "s.npz", "layout.yaml", "--weight", "coverag=1"), "did you mean coverage"),
+    (
+        ("score", "s.npz", "layout.yaml", "--weight", "coverage=1", "--weight", "coverage=1"),
+        "coverage is given twice",
+    ),
+    (
+        ("score", "s.npz", "layout.yaml", "--weight", "coverage=1", "--weights", 1, 0, 0),
+        "give only --weight",
+    ),
     (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
     (("score", "s.npz", "layout.yaml", "--json", "a.json", "--plot", "b.xyz"), "must end in .png"),
     (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
@@ -380,23 +414,23 @@ BAD = [
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
     (("score", "zero.npz"), "not a scene saved by this package"),
     (("score", "array.npz"), "not a scene saved by this package"),
-    (("scene", "nosuch", "--list"), "no scene 'nosuch': a built-in (four_way"),
+    (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
-    (("scene", "four_way", "--junction", 3), "--junction and --center are for maps"),
+    (("scene", "four_way", "--junction", 3), "--junction and --center are only for maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
     (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
-    (("scene", "s.npz", "--radius", 30), "a saved scene keeps its settings"),
-    (("scene", "page.xodr"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
+    (("scene", "page.xodr"), "choose a place on the map with --junction ID or --center X Y"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
     (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, profile, units"),
     (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
     (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
     (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),
-    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has its own traffic"),
+    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has traffic of its own"),
     (("scene", "four_way", "--step", 0), "traffic step 0.0 is out of range: above 0"),
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
-    (("scene", "none.osm"), "say which place: --junction ID, or --center X Y"),
+    (("scene", "none.osm"), "choose a place on the map with --junction ID or --center X Y"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
     (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
@@ -418,7 +452,7 @@ BAD = [
     (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
     (("optimise", "s.npz", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
     (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 0 of kind camera"),
-    (("optimise", "s.npz", "--worst"), "name more with --also"),
+    (("optimise", "s.npz", "--worst"), "add scenes with --also"),
     (("optimise", "s.npz", "--also", "missing.npz"), "missing.npz: no such file"),
     (("optimise", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("optimise", "nosuch", "--out", "s.npz"), "s.npz: is a file; name a folder"),
@@ -435,10 +469,10 @@ BAD = [
     (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("compare", "nosuch", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("pareto", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
-    (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: DEVICE:COUNTS"),
+    (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: write DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
-    (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is named twice"),
+    (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
     (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
     (("pareto", "s.npz", "--price", "hesai-xt32=-5"), "price of hesai-xt32 -5.0: 0 or more"),
     (("pareto", "s.npz", "--budget", 100), "the cheapest costs 4,000"),
@@ -457,11 +491,11 @@ BAD = [
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
     (
         ("view", "s.npz", "--host", "203.0.113.1"),
-        "host 203.0.113.1, port 8080: nothing can be served",
+        "host 203.0.113.1, port 8080: no server can be started",
     ),
     (
         ("view", "s.npz", "--host", "0.0.0.0", "--no-token"),
-        "--no-token: only on this machine, and --host 0.0.0.0 lets others in",
+        "--no-token is allowed only on this machine, but --host 0.0.0.0 lets others connect",
     ),
     (("view", "s.npz", "layout.yaml", "--light", "noon"), "light"),
     (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),

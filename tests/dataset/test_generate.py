@@ -259,7 +259,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers as well
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "the same command goes on from here" in err
+    assert "give the same command again to resume" in err
     assert "Traceback" not in err
     there = {name: data for name, data in content(out).items() if ".unfinished" not in name}
     assert there.items() <= files.items()

@@ -242,7 +242,9 @@ def test_saved_scenes(read, tmp_path):
         read(scenes=scenes, settings=settings)
     with pytest.raises(InspeError, match=r"saved.npz has frames 0.1 s apart, but rate_hz 5 needs"):
         read(scenes=scenes, settings={}, rate_hz=5)
-    with pytest.raises(InspeError, match=r"scenes\[0\]: a saved scene keeps its settings; leave"):
+    with pytest.raises(
+        InspeError, match=r"scenes\[0\]: a saved scene keeps the settings it was built with; leave"
+    ):
         read(scenes=[{"file": "saved.npz", "radius": 20}])
 
 

@@ -4,6 +4,7 @@ import io
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -11,10 +12,13 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.studies.pareto import DeviceMix
 from inspe_jax.report.cost import NAMED, pareto_view
 from inspe_jax.report.tables import pareto_table
+from inspe_jax.scoring.evaluate import ManyScores
 
 
 def mix_of(count, cost, objective, front):
-    scores = SimpleNamespace(coverage=0.5, occlusion=0.4, information_gain=0.3, surrogate=objective)
+    values = np.array([0.5, 0.4, 0.3])
+    metrics = dict(zip(("coverage", "occlusion", "information_gain"), values, strict=True))
+    scores = ManyScores(metrics, objective)
     result = SimpleNamespace(
         objective=objective, scores=scores, method="random", settings={"scenes": [{"name": "here"}]}
     )

@@ -17,10 +17,10 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import load_result, save_result
-from inspe_jax.placement.studies.pareto import Point
+from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
-from inspe_jax.report.page import CAPTIONS, Entry, entry_of, report_page, report_sheets
+from inspe_jax.report.page import CAPTIONS, ReportEntry, report_entry, report_page, report_sheets
 from inspe_jax.report.scene3d import runs
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
@@ -38,11 +38,11 @@ def entries(scene):
     for k, specs in enumerate(([CAMERA, CAMERA], [CAMERA, LIDAR])):
         layout = random_layout(scene, specs, seed=k, heights=(3.0, 5.0))
         layout = replace(layout, name=f"layout <{k}> & co")
-        found.append(Entry(layout, evaluate(scene, layout), viewshed(scene, layout)))
+        found.append(ReportEntry(layout, evaluate(scene, layout), viewshed(scene, layout)))
     slopes = tuple(Slopes(s.name, 0.01, 0.0, -0.02, 0.1, 0.3) for s in found[1].layout.sensors)
     settings = dict(position=0.1, angle_deg=1.0, samples=3)
     left = Tolerance(0.7654321, slopes, np.array([0.71, 0.72, 0.73]), settings)
-    return [found[0], Entry(found[1].layout, found[1].scores, found[1].shed, left)]
+    return [found[0], ReportEntry(found[1].layout, found[1].scores, found[1].shed, left)]
 
 
 @pytest.fixture(scope="module")
@@ -127,9 +127,9 @@ def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
     case, begun = Case(scene), place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0.8]))
     save_result(optimise(scene, begun, "random", evaluations=8), tmp_path)
     result = load_result(tmp_path)
-    entry = entry_of(case, result.layout, (0.3, 0.5, 0.2), result)
+    entry = report_entry(case, result.layout, (0.3, 0.5, 0.2), result)
     assert entry.before.surrogate == evaluate(scene, begun).surrogate
-    front = [Point({"a": k}, 100.0 * k, 0.1 * k, True, "here", "random") for k in (1, 2)]
+    front = [ParetoPoint({"a": k}, 100.0 * k, 0.1 * k, True, "here", "random") for k in (1, 2)]
     told = []
     page = report_page(
         scene, [entry], front=front, progress=lambda done, total: told.append((done, total))
@@ -142,7 +142,7 @@ def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
     assert {str(result.objective_before), str(result.objective)} <= set(reader.titles)
     sheets = report_sheets(scene, [entry], front=front)
     assert len(re.findall(rb"/Type /Page\b", sheets)) == len(shown)
-    plain = Reader(report_page(scene, [entry_of(case, begun, (0.3, 0.5, 0.2))]))
+    plain = Reader(report_page(scene, [report_entry(case, begun, (0.3, 0.5, 0.2))]))
     assert len(plain.images) == 2 + len(CAPTIONS)
 
 
@@ -193,7 +193,7 @@ def test_a_browser_shows_it_without_a_network(tmp_path, page):
         tab.goto(path.as_uri())
         width = tab.evaluate("[document.body.scrollWidth, window.innerWidth]")
         assert width[0] <= width[1]
-        for frame in tab.query_selector_all("iframe.stage"):
+        for frame in tab.query_selector_all("iframe.scene3d"):
             frame.scroll_into_view_if_needed()
             canvas = frame.content_frame().wait_for_selector("canvas", timeout=60_000)
             for _ in range(60):

@@ -13,15 +13,14 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.tables import (
+from inspe_jax.report.scene_tables import (
     built_ins_table,
     devices_table,
     junctions_table,
     layout_table,
     scene_table,
-    scores_record,
-    scores_table,
 )
+from inspe_jax.report.tables import scores_record, scores_table
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate
 from inspe_jax.sensing.catalogue import Device, devices
@@ -105,7 +104,7 @@ def test_the_record_says_of_what_and_how(scene, layout):
         "contributions", "settings", "scene", "layout", "versions",
     }  # fmt: skip
     assert record["settings"] == {
-        "weights": [0.3, 0.5, 0.2],
+        "weights": named(0.3, 0.5, 0.2),
         "occlusion_reference": "roi",
         "at": 0.5,
     }

@@ -10,8 +10,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import save_layout
-from inspe_jax.study.plan import AS_IT_IS, SETTINGS, load_study
-from inspe_jax.study.work import placed
+from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, load_study
+from inspe_jax.study.work import place_layout
 
 STUDY = """
 scenes:
@@ -26,6 +26,12 @@ settings:
   light: [midday, night]
   weather: [clear, "rain:10"]
 """
+
+
+KEYS_OF_BEFORE = {
+    "usual": ["e70ffa92fa6cfc61", "194f5ed49f4ea489", "0a98fbe58a02320e", "69f79aa52acd777b"],
+    "weights": ["ebf1c908cf187077", "5dc587edc8c8f67f", "cdc2659e4b834b9d", "07f24b4f67a88d3e"],
+}
 
 
 @pytest.fixture
@@ -62,7 +68,7 @@ def test_every_combination_is_a_job(read):
         assert set(job.settings) == set(SETTINGS)
         assert job.settings["radius"] == (30 if job.source.name == "circle" else 50)
         assert (job.settings["voxel"], job.settings["frames"]) == (1, 100)
-        assert (job.settings["method"], job.settings["seconds"]) == (AS_IT_IS, None)
+        assert (job.settings["method"], job.settings["seconds"]) == (SCORE_ONLY, None)
     assert study.jobs[0].layout.strategy == "Cam-d1"
     assert study.jobs[4].layout.options == (("lidar", "paper-lidar-32"),)
 
@@ -103,11 +109,25 @@ def test_a_search_has_a_budget_and_a_score_has_none(read):
     assert default.jobs[0].settings["seconds"] == 60
 
 
-def test_weights_are_three_or_several_such(read):
-    one = read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5]))
-    assert {tuple(job.settings["weights"]) for job in one.jobs} == {(0.2, 0.3, 0.5)}
-    two = read(STUDY, settings=dict(weights=[[0.2, 0.3, 0.5], [1, 0, 0]]))
-    assert len(two.jobs) == 2 * len(one.jobs)
+def test_weights_are_by_name_or_three_numbers(read):
+    """However they are spelt, the same weights are the same job."""
+    numbers = read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5]))
+    assert {tuple(job.settings["weights"]) for job in numbers.jobs} == {(0.2, 0.3, 0.5)}
+    by_name = dict(occlusion=0.3, coverage=0.2, information_gain=0.5)
+    for weights in (by_name, [by_name], [by_name, [0.2, 0.3, 0.5]]):
+        assert read(STUDY, settings=dict(weights=weights)).jobs == numbers.jobs
+    two = read(STUDY, settings=dict(weights=[by_name, {"coverage": 1}]))
+    assert len(two.jobs) == 2 * len(numbers.jobs)
+    assert {tuple(job.settings["weights"]) for job in two.jobs} == {(0.2, 0.3, 0.5), (1, 0, 0)}
+    usual = read(STUDY, settings=dict(weights=[0.3, 0.5, 0.2]))
+    assert read(STUDY, settings={}).jobs == usual.jobs
+
+
+def test_the_key_of_a_job_stays_from_version_to_version(read):
+    """Results of before are taken up again: these keys were written before weights had names."""
+    keys = [job.key for job in read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5])).jobs]
+    assert keys == KEYS_OF_BEFORE["weights"]
+    assert [job.key for job in read(STUDY, settings={}).jobs] == KEYS_OF_BEFORE["usual"]
 
 
 def test_devices_of_ones_own(read, tmp_path):
@@ -117,7 +137,7 @@ def test_devices_of_ones_own(read, tmp_path):
     study = read(STUDY, devices=own, layouts=layouts)
     scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
     specs = {
-        job.layout.name: {sensor.spec for sensor in placed(job.layout, scene).sensors}
+        job.layout.name: {sensor.spec for sensor in place_layout(job.layout, scene).sensors}
         for job in study.jobs
     }
     (far,), (near,) = specs["far"], specs["Cam-d1"]
@@ -157,9 +177,12 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
     ("changes", "message"),
     [
         (dict(scenes=[]), r"study.yaml: scenes: needs at least 1, has 0"),
-        (dict(scenes=[{}]), r"scenes\[0\]: give one of built_in, map and file"),
+        (dict(scenes=[{}]), r"scenes\[0\]: give exactly one of built_in, map and file"),
         (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
-        (dict(scenes=[{"built_in": "four_way", "map": "a.xodr"}]), r"give one of built_in, map"),
+        (
+            dict(scenes=[{"built_in": "four_way", "map": "a.xodr"}]),
+            r"give exactly one of built_in, map",
+        ),
         (dict(scenes=[{"built_in": "four_way", "junction": 3}]), r"junction and center are for"),
         (dict(scenes=[{"built_in": "four_way", "radios": 3}]), r"unknown key; did you mean radius"),
         (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
@@ -187,7 +210,11 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
         (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
         (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
-        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights\[0\]: needs at least 3"),
+        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights: .* 3 numbers, of coverage"),
+        (dict(settings=dict(weights=["0.5", 0.5, 0])), r"settings.weights: .* a number for each"),
+        (dict(settings=dict(weights={"coverag": 1})), r"settings.weights: .* mean coverage\?"),
+        (dict(settings=dict(weights={"coverage": 0.9})), r"settings.weights: .* sum to 1"),
+        (dict(settings=dict(weights=1)), r"settings.weights: 1: give a number for each metric"),
         (dict(settings=dict(frames=0)), r"settings.frames\[0\]: .*greater than or equal to 1"),
         (dict(settings=dict(seconds=[])), r"settings.seconds: needs at least 1"),
         (dict(settings=dict(light=None)), r"settings.light\[0\]: input should be a valid string"),
@@ -216,7 +243,9 @@ def test_a_file_that_is_no_study(tmp_path):
 def test_a_map_needs_to_know_which_place(read, tmp_path):
     (tmp_path / "a.xodr").write_text("<OpenDRIVE/>")
     for entry in ({"map": "a.xodr"}, {"map": "a.xodr", "junction": 1, "center": [0, 0]}):
-        with pytest.raises(InspeError, match="say which place of the map: junction or center"):
+        with pytest.raises(
+            InspeError, match="choose a place on the map: give either junction or center"
+        ):
             read(STUDY, scenes=[entry])
     (first, *_) = read(STUDY, scenes=[{"map": "a.xodr", "center": [0, 1.5]}]).jobs
     assert first.source.name == "a 0, 1.5"

@@ -7,7 +7,7 @@ import pytest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.work import columns, failed, head, versions
+from inspe_jax.study.work import columns, failure_columns, row_head, versions
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def study(tmp_path):
 
 
 def row(job):
-    return head(job) | versions() | dict(surrogate="0.5", status="done", error="")
+    return row_head(job) | versions() | dict(surrogate="0.5", status="done", error="")
 
 
 def test_rows_are_on_disk_as_they_come_and_in_order_at_the_end(study, tmp_path):
@@ -68,7 +68,7 @@ def test_tags_are_those_that_the_study_has_now(tmp_path):
 def test_only_one_run_at_a_time(study, tmp_path):
     with (
         Results(study, tmp_path / "out"),
-        pytest.raises(InspeError, match="another run is at work in it"),
+        pytest.raises(InspeError, match="another run is using this folder"),
     ):
         Results(study, tmp_path / "out")
     with Results(study, tmp_path / "out"):
@@ -79,7 +79,7 @@ def test_failures_are_forgotten_only_when_asked(study, tmp_path):
     folder = tmp_path / "out"
     bad, good, _ = study.jobs
     with Results(study, folder) as results:
-        results.add(head(bad) | versions() | failed("two\nlines, and a comma"))
+        results.add(row_head(bad) | versions() | failure_columns("two\nlines, and a comma"))
         results.add(row(good))
     assert read_results(folder)[0]["error"] == "two lines, and a comma"
     with Results(study, folder) as results:
@@ -96,18 +96,20 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
     other = make_study(
         dict(scenes=[{"built_in": "four_way"}], layouts=["L-c"], settings=dict(seed=9)), tmp_path
     )
-    with pytest.raises(InspeError, match=r"1 of its 1 rows are no jobs of this study, as L-c on"):
+    with pytest.raises(
+        InspeError, match=r"1 of its 1 rows are not jobs of this study, such as L-c on"
+    ):
         Results(other, folder)
     tagged = make_study(
         dict(scenes=[{"built_in": "four_way", "tags": {"a": "b"}}], layouts=["L-c"]), tmp_path
     )
-    with pytest.raises(InspeError, match="has other columns than this study's results"):
+    with pytest.raises(InspeError, match="its columns are not those of this study"):
         Results(tagged, folder)
     path = folder / "results.csv"
     for text in (b"my own notes", b"\xff\xfe\n", b"a,b\n1,2\n"):
         (tmp_path / "other").mkdir(exist_ok=True)
         (tmp_path / "other" / "results.csv").write_bytes(text)
-        with pytest.raises(InspeError, match="has other columns"):
+        with pytest.raises(InspeError, match="its columns are not"):
             Results(study, tmp_path / "other")
         assert (tmp_path / "other" / "results.csv").read_bytes() == text
     rows = read_results(folder)
@@ -116,7 +118,7 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
         table = csv.DictWriter(f, list(rows[0]), lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
-    with pytest.raises(InspeError, match=r"was begun with jax 0.0.1, and this is"):
+    with pytest.raises(InspeError, match=r"was begun with jax 0.0.1, but this is"):
         Results(study, folder)
-    with pytest.raises(InspeError, match="no such file; run the study first"):
+    with pytest.raises(InspeError, match="no such file; run `inspe sweep` first"):
         read_results(tmp_path)

@@ -20,11 +20,11 @@ from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study import cluster
-from inspe_jax.study.engine import _by_scene, _sent
+from inspe_jax.study.engine import _by_scene, _run_jobs
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.sweep import sweep
-from inspe_jax.study.work import build, work
+from inspe_jax.study.work import run_job, scene_of_job
 
 STUDY = dict(
     scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
@@ -105,12 +105,12 @@ def test_workers_keep_the_memory_that_they_free(monkeypatch):
             np.ones(2**18)  # numpy asks for huge pages from 4 MB on
         return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
-    for name in cluster.MEMORY:
+    for name in cluster.MALLOC_SETTINGS:
         monkeypatch.delenv(name, raising=False)
     with cluster.client(None, 1) as client:
         (found,) = client.run(faults).values()
     assert found < 200 * 2**21 / 4096 / 5
-    assert not set(cluster.MEMORY) & set(os.environ)
+    assert not set(cluster.MALLOC_SETTINGS) & set(os.environ)
 
 
 @pytest.mark.process
@@ -195,7 +195,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers as well
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "the same command goes on from here" in err
+    assert "give the same command again to resume" in err
     assert "Traceback" not in err
     assert read_results(tmp_path / "out")
 
@@ -252,7 +252,7 @@ def test_a_job_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypat
         tmp_path, scenes=[{"built_in": "four_way"}], layouts=["L-c", "L-d1", "deadly.yaml", "L-d2"],
         settings=dict(radius=20, voxel=2, frames=2, density=5),
     )  # fmt: skip
-    monkeypatch.setattr("inspe_jax.study.sweep.work", deadly.work)
+    monkeypatch.setattr("inspe_jax.study.sweep.run_job", deadly.work)
     rows = sweep(load_study(path), tmp_path / "out", workers=1)
     assert [row["status"] for row in rows] == ["done", "done", "failed", "done"]
     assert "KilledWorker" in rows[2]["error"]
@@ -272,11 +272,11 @@ def test_what_is_lost_on_the_way(error, tmp_path, monkeypatch):
         submit=lambda *given, key, **more: SimpleNamespace(key=key, result=result),
     )
     monkeypatch.setattr(distributed, "as_completed", Completed)
-    found = _sent(client, study.jobs[:1], 1, build, work)
+    found = _run_jobs(client, study.jobs[:1], 1, scene_of_job, run_job)
     if isinstance(error, ValueError):
         assert [(job.key, str(e)) for job, e in found] == [(study.jobs[0].key, "what")]
     else:
-        with pytest.raises(InspeError, match="the same command goes on from here"):
+        with pytest.raises(InspeError, match="give the same command again to resume"):
             next(found)
 
 
@@ -302,7 +302,7 @@ class Completed(list):
 def test_bad_options(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "TIMEOUT", 0.3)
     study = load_study(write(tmp_path))
-    with pytest.raises(InspeError, match="workers 0: 1 or more"):
+    with pytest.raises(InspeError, match="workers 0: give 1 or more"):
         sweep(study, tmp_path / "out", workers=0)
     with pytest.raises(InspeError, match=r"scheduler '127.0.0.1:1' does not answer"):
         sweep(study, tmp_path / "out", scheduler="127.0.0.1:1")

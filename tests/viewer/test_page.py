@@ -17,7 +17,7 @@ from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import LENGTH
-from inspe_jax.viewer.panel import put
+from inspe_jax.viewer.panel import set_value
 
 pytestmark = pytest.mark.browser
 
@@ -62,7 +62,7 @@ def score_of(tab):
 def settled(tab, other_than=None):
     """Wait for the scores of all frames, and for others than those; gives P_sm."""
     script = """old => {
-        const board = document.querySelector('[data-board^="all frames"]');
+        const board = document.querySelector('[data-state^="all frames"]');
         return board && (old === null || board.dataset.score !== String(old));
     }"""
     tab.wait_for_function(script, arg=other_than, timeout=WAIT)
@@ -81,7 +81,7 @@ def on_screen(viewer, point):
     """Where a world point is in the browser's window [pixel]."""
     (client,) = viewer.server.get_clients().values()
     camera = client.camera
-    x, y, z = turn_of(camera.wxyz).T @ (point - viewer.stage.shift - np.array(camera.position))
+    x, y, z = turn_of(camera.wxyz).T @ (point - viewer.scene3d.shift - np.array(camera.position))
     scale = camera.image_height / 2 / np.tan(camera.fov / 2) / z
     return camera.image_width / 2 + scale * x, camera.image_height / 2 + scale * y
 
@@ -96,7 +96,7 @@ def drag(tab, viewer, begin, end):
         tab.mouse.down()
         for _ in range(10):
             tab.wait_for_timeout(100)
-            if viewer._grip is not None:
+            if viewer._dragging is not None:
                 break
         else:
             tab.mouse.up()
@@ -116,7 +116,7 @@ def grip(viewer, axis, share):
     ahead = turn_of(camera.wxyz)[:, 2] @ (np.array(handle.position) - np.array(camera.position))
     metre = camera.image_height / 2 / np.tan(camera.fov / 2) / ahead  # [pixel]
     out = turn_of(handle.wxyz)[:, axis] * share * LENGTH / metre
-    return np.array(handle.position) + viewer.stage.shift + out
+    return np.array(handle.position) + viewer.scene3d.shift + out
 
 
 def press(tab, name):
@@ -157,7 +157,7 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
     first = score_of(tab)
     place = np.array(viewer.layout.poses[1, :3])
     tab.mouse.click(*on_screen(viewer, place))
-    wait_until(tab, lambda: np.allclose(viewer.handle.gizmo.position, place - viewer.stage.shift))
+    wait_until(tab, lambda: np.allclose(viewer.handle.gizmo.position, place - viewer.scene3d.shift))
     wait_until(tab, lambda: viewer.panel.chosen == 1)  # the list follows the handle
     begin = grip(viewer, 1, 0.95)  # the arrow to its left, which is north
     drag(tab, viewer, on_screen(viewer, begin), on_screen(viewer, begin + [0, 5.0, 0]))
@@ -198,8 +198,8 @@ def test_sensors_are_copied_removed_exchanged_and_added(tab, viewer):
 
 def test_a_search_begins_from_here_is_stopped_and_taken_back(tab, viewer, scene, layout):
     first = score_of(tab)
-    put(viewer.panel.method, "random")
-    put(viewer.panel.seconds, 600.0)
+    set_value(viewer.panel.method, "random")
+    set_value(viewer.panel.seconds, 600.0)
     press(tab, "Optimise from here")
     tab.get_by_text(re.compile(r"best 0\.\d+, \d+ s left")).wait_for(timeout=WAIT)
     assert tab.get_by_role("button", name="Add").is_disabled()
@@ -234,7 +234,7 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
 
 
 def test_voxels_are_shown_by_kind_and_frames_are_played(tab, viewer):
-    drawn = viewer.stage.drawn
+    drawn = viewer.scene3d.drawn
     assert "voxels/hidden" in drawn
     assert "voxels/seen" not in drawn
     tab.get_by_label("seen", exact=True).check()
@@ -252,8 +252,8 @@ def test_two_browsers_follow_and_a_closed_one_loses_nothing(chromium, tab, viewe
     tab.get_by_label("height [m]").fill("9")
     tab.keyboard.press("Enter")
     assert settled(tab, first) == settled(other, first)
-    put(viewer.panel.method, "random")
-    put(viewer.panel.seconds, 600.0)
+    set_value(viewer.panel.method, "random")
+    set_value(viewer.panel.seconds, 600.0)
     before = viewer.layout
     press(tab, "Optimise from here")
     wait_until(tab, lambda: viewer.searcher.running)
@@ -277,13 +277,13 @@ def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(chromium, scene, 
         tab = chromium.new_page(viewport={"width": 1440, "height": 900})
         tab.goto(viewer.url)
         settled(tab)
-        assert tab.get_by_text("It cannot be mounted like this").is_visible()
+        assert tab.get_by_text("This layout cannot be mounted").is_visible()
         assert tab.get_by_text(re.compile("is 20.00 m above the ground, not 3 to 12")).is_visible()
-        assert viewer.stage.drawn["numbers/1"].text == "1 !"
-        assert tuple(viewer.stage.drawn["sensors/1/device"].color) == (255, 23, 68)
+        assert viewer.scene3d.drawn["numbers/1"].text == "1 !"
+        assert tuple(viewer.scene3d.drawn["sensors/1/device"].color) == (255, 23, 68)
         tab.get_by_label("yaw [°]").fill("0")  # what is touched is mended
         tab.keyboard.press("Enter")
-        tab.get_by_text("It cannot be mounted like this").wait_for(state="detached")
+        tab.get_by_text("This layout cannot be mounted").wait_for(state="detached")
         assert viewer.layout.poses[0, 2] == pytest.approx(12.0, abs=1e-2)
         tab.close()
     finally:
@@ -361,13 +361,13 @@ def test_while_a_change_is_not_scored_yet_what_was_is_faint(tab, viewer, monkeyp
     """A score that is long in coming: bars and voxels of the layout before are no longer its."""
     held, real = threading.Event(), viewer.scorer._score
     monkeypatch.setattr(viewer.scorer, "_score", lambda *told: (held.wait(60), real(*told)))
-    strong = viewer.stage.drawn["voxels/hidden"].opacity
+    strong = viewer.scene3d.drawn["voxels/hidden"].opacity
     press(tab, "Duplicate")
     tab.get_by_text("scoring …").wait_for()
-    wait_until(tab, lambda: viewer.stage.drawn["voxels/hidden"].opacity < strong / 2)
-    faint = "wanted => document.querySelector('[data-board] table').style.opacity === wanted"
+    wait_until(tab, lambda: viewer.scene3d.drawn["voxels/hidden"].opacity < strong / 2)
+    faint = "wanted => document.querySelector('[data-state] table').style.opacity === wanted"
     tab.wait_for_function(faint, arg="0.3")
     held.set()
     settled(tab)
     tab.wait_for_function(faint, arg="")
-    wait_until(tab, lambda: viewer.stage.drawn["voxels/hidden"].opacity == strong)
+    wait_until(tab, lambda: viewer.scene3d.drawn["voxels/hidden"].opacity == strong)

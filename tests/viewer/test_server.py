@@ -29,7 +29,7 @@ from inspe_jax.report.server import (
     LINES,
     MESSAGE,
     SOCKETS,
-    Door,
+    AccessRules,
     fault_of,
     quiet,
     serve,
@@ -119,7 +119,9 @@ REFUSED = {
 @pytest.mark.parametrize("attack", REFUSED)
 def test_the_socket_is_open_to_nobody_else(viewer, attack, caplog):
     there = urlsplit(viewer.url)
-    fill = dict(port=there.port, token=viewer.door.token, wrong=one_letter_off(viewer.door.token))
+    fill = dict(
+        port=there.port, token=viewer.access.token, wrong=one_letter_off(viewer.access.token)
+    )
     given = {key: value.format(**fill) for key, value in REFUSED[attack].items()}
     url = f"http://{there.netloc}{given.pop('path', there.path)}"
     with pytest.raises(InvalidStatus) as refused, socket_of(url, **given):
@@ -127,7 +129,7 @@ def test_the_socket_is_open_to_nobody_else(viewer, attack, caplog):
     assert refused.value.response.status_code == 403
     (line,) = caplog.messages
     assert line.startswith("refused 127.0.0.1: ")
-    assert viewer.door.token not in line
+    assert viewer.access.token not in line
     assert not viewer.server.get_clients()
 
 
@@ -149,8 +151,8 @@ def test_the_page_is_open_to_nobody_else(viewer, path, headers):
     fill = dict(
         port=there.port,
         host=there.netloc,
-        token=viewer.door.token,
-        wrong=one_letter_off(viewer.door.token),
+        token=viewer.access.token,
+        wrong=one_letter_off(viewer.access.token),
     )
     asked = Request(
         f"http://{there.netloc}{path.format(**fill)}",
@@ -162,7 +164,7 @@ def test_the_page_is_open_to_nobody_else(viewer, path, headers):
         words = answer.read().decode()
     assert refused.value.code == 403
     assert "Open the address that was printed" in words
-    assert viewer.door.token not in words
+    assert viewer.access.token not in words
 
 
 def test_the_page_comes_with_headers_that_keep_it_to_itself(viewer):
@@ -181,8 +183,8 @@ def test_the_page_comes_with_headers_that_keep_it_to_itself(viewer):
 
 
 def test_without_a_token_other_origins_stay_out(scene, layout, tmp_path):
-    open_door = Door("127.0.0.1", token="")
-    viewer = Viewer(Case(scene), layout, tmp_path / "x.yaml", door=open_door, port=0)
+    open_access = AccessRules("127.0.0.1", token="")
+    viewer = Viewer(Case(scene), layout, tmp_path / "x.yaml", access=open_access, port=0)
     try:
         assert urlsplit(viewer.url).path == "/"
         for given in (dict(origin=EVIL), dict(host="evil.example"), dict(origin="")):
@@ -212,24 +214,26 @@ def test_without_a_token_other_origins_stay_out(scene, layout, tmp_path):
     ],
 )
 def test_hosts_are_names_of_this_machine(host, local, own, foreign):
-    door = Door(host)
-    assert door.local is local
-    assert [name for name in own if not door._is_ours(name)] == []
-    assert [name for name in foreign if door._is_ours(name)] == []
+    access = AccessRules(host)
+    assert access.local is local
+    assert [name for name in own if not access._is_ours(name)] == []
+    assert [name for name in foreign if access._is_ours(name)] == []
 
 
 def test_addresses_are_those_that_others_can_use():
-    door = Door("0.0.0.0")
-    first, *others = door.urls(8080)
-    assert first == f"http://localhost:8080/{door.token}/"
+    access = AccessRules("0.0.0.0")
+    first, *others = access.urls(8080)
+    assert first == f"http://localhost:8080/{access.token}/"
     assert not any("0.0.0.0" in url or "127.0.0.1" in url for url in others)
     own = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
     outward = {ip for ip in own if not ip.startswith("127.")}
     assert outward <= {urlsplit(url).hostname for url in others}
-    assert all(":" in urlsplit(url).hostname for url in Door("::").urls(1))  # as it listens there
-    assert Door("::1").urls(1) != Door("::1").urls(1)  # a token of its own each
-    assert Door("::1", token="").urls(1) == ["http://[::1]:1/"]
-    assert len(door.token) >= 20
+    assert all(
+        ":" in urlsplit(url).hostname for url in AccessRules("::").urls(1)
+    )  # as it listens there
+    assert AccessRules("::1").urls(1) != AccessRules("::1").urls(1)  # a token of its own each
+    assert AccessRules("::1", token="").urls(1) == ["http://[::1]:1/"]
+    assert len(access.token) >= 20
 
 
 def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatch):
@@ -244,14 +248,14 @@ def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatc
 
     stopped = []
     monkeypatch.setattr("inspe_jax.report.server.viser.ViserServer", Other)
-    with pytest.raises(RuntimeError, match="nothing guards it"):
-        serve(Door("127.0.0.1"), 0)
+    with pytest.raises(RuntimeError, match="would be unprotected"):
+        serve(AccessRules("127.0.0.1"), 0)
     assert stopped
 
 
 def test_a_host_that_is_not_here_is_said():
-    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1, port 0: nothing can be served"):
-        serve(Door("203.0.113.1"), 0)
+    with pytest.raises(InspeError, match=r"host 203\.0\.113\.1, port 0: no server can be started"):
+        serve(AccessRules("203.0.113.1"), 0)
 
 
 # ── What is sent ──
@@ -458,7 +462,7 @@ def test_probes_of_the_port_leave_a_line_at_most(viewer, caplog, capfd):
 def test_many_refusals_are_counted_and_not_told_one_by_one(caplog, monkeypatch):
     """A page somewhere may ask without end."""
     monkeypatch.setattr("inspe_jax.report.server.WHILE", 600.0)
-    server = serve(Door("127.0.0.1"), 0)
+    server = serve(AccessRules("127.0.0.1"), 0)
     try:
         for _ in range(3 * LINES):
             with pytest.raises(HTTPError) as refused:
@@ -555,7 +559,7 @@ def test_a_page_of_another_origin_gets_nowhere(viewer):
                 assert told.pop("frame") in ("closed", "")
                 assert set(told.values()) == {"refused"}, told
             # The domain of a page that was loaded elsewhere now points here: same origin, for it.
-            rebound = tab.goto(f"{EVIL}:{port}/{viewer.door.token}/")
+            rebound = tab.goto(f"{EVIL}:{port}/{viewer.access.token}/")
             assert rebound.status == 403
             assert tab.goto(viewer.url).status == 200  # and the browser can open it
             chromium.close()

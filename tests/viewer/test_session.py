@@ -10,7 +10,7 @@ from worlds import CAMERA, LIDAR, world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.space import Space
 from inspe_jax.sensing.layout import Sensor, Unit, layout_text, make_layout, parse_layout
-from inspe_jax.viewer.session import HEIGHT, REMEMBERED, Session
+from inspe_jax.viewer.session import HEIGHT, REMEMBERED, LayoutSession
 
 NORTH, SOUTH = (9.0, 9.0, 0.0), (-9.0, -9.0, 0.0)
 
@@ -40,7 +40,7 @@ def two_units(scene, height=6.0):
 
 @pytest.fixture
 def session(scene):
-    return Session(scene, two_units(scene))
+    return LayoutSession(scene, two_units(scene))
 
 
 def pose_of(session, s):
@@ -96,7 +96,7 @@ def test_heights_and_pitch_stay_within_what_mounting_allows(session):
 
 def test_on_a_slope_a_unit_keeps_its_heights_above_the_ground():
     scene = world(radius=15.0, voxel=1.0, frames=2, count=4, slope=0.2)
-    session = Session(scene, two_units(scene))
+    session = LayoutSession(scene, two_units(scene))
     session.move(0, pose_of(session, 0) + [1.5, 0, 0, 0, 0, 0])
     assert session.height(0) == pytest.approx(6.0, abs=1e-6)
     assert session.height(1) == pytest.approx(7.0, abs=1e-6)
@@ -109,7 +109,7 @@ def test_from_a_span_wire_to_the_roadside(scene):
     ground = float(scene.intersection.ground(np.zeros((1, 2)))[0])
     poses = np.array([[0.0, 0.0, ground + 7.0, 0, 0, 0]])
     hung = make_layout([Sensor("a", LIDAR, 0)], [Unit("wire", (0.0, 0.0, ground))], poses)
-    session = Session(scene, hung)
+    session = LayoutSession(scene, hung)
     assert session.faults() == []
     session.move(0, poses[0] + [1.0, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(session.layout.poses[0, :2], 0, atol=1e-6)
@@ -155,7 +155,7 @@ def test_heights_are_above_the_ground_also_where_a_base_is_not_on_it(scene):
     layout = two_units(scene)
     x, y, z = layout.units[0].base
     raised = replace(layout.units[0], base=(x, y, z + 2.0))
-    session = Session(scene, replace(layout, units=(raised, layout.units[1])))
+    session = LayoutSession(scene, replace(layout, units=(raised, layout.units[1])))
     session.move(0, pose_of(session, 0) + [0.5, 0.5, 1.0, 0, 0, 0])
     assert session.height(0) == pytest.approx(7.0, abs=1e-6)
     assert session.height(1) == pytest.approx(7.0, abs=1e-6)
@@ -177,7 +177,7 @@ def test_a_unit_goes_with_its_last_sensor_and_the_last_sensor_stays(session):
     assert [unit.name for unit in session.layout.units] == ["north"]
     session.remove(0)
     assert [sensor.name for sensor in session.layout.sensors] == ["b"]
-    with pytest.raises(InspeError, match="the last sensor stays"):
+    with pytest.raises(InspeError, match="the last sensor cannot be removed"):
         session.remove(0)
     assert len(session.layout) == 1
 
@@ -235,7 +235,7 @@ def test_a_layout_that_breaks_a_rule_opens_and_says_which(scene):
     with pytest.raises(InspeError, match="apart in plan"):
         make_layout(list(layout.sensors), list(layout.units), poses)
     torn = make_layout(list(layout.sensors), list(layout.units), poses, unit_rule=False)
-    session = Session(scene, torn)
+    session = LayoutSession(scene, torn)
     assert session.layout is torn
     faults = session.faults()
     assert {s for fault in faults for s in fault.sensors} == {0, 1}
@@ -247,7 +247,7 @@ def test_a_layout_that_breaks_a_rule_opens_and_says_which(scene):
 def test_where_nothing_can_stand_it_is_said_and_kept(scene):
     place = scene.intersection
     bare = replace(scene, intersection=replace(place, mounting=place.mounting.buffer(-9)))
-    session = Session(bare, two_units(scene))
+    session = LayoutSession(bare, two_units(scene))
     (fault,) = session.faults()
     assert "nowhere to stand" in fault.words
     assert fault.sensors == (0, 1, 2)

@@ -10,7 +10,7 @@ from worlds import world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.sensing.layout import load_layout, save_layout
-from inspe_jax.viewer.store import Store
+from inspe_jax.viewer.store import LayoutStore
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def heights(path):
 
 
 def test_a_new_file_is_written_without_a_question(path, layout):
-    store = Store(path, layout)
+    store = LayoutStore(path, layout)
     assert store.earlier == ()
     higher = raised(layout, 1.0)
     store.keep(higher)
@@ -43,8 +43,8 @@ def test_a_new_file_is_written_without_a_question(path, layout):
 def test_what_was_saved_earlier_is_offered_and_not_replaced_unasked(path, layout):
     """Start, save, end; start again: the first layout opens, and what was saved is better."""
     better, other = raised(layout, 1.0), raised(layout, 2.0)
-    Store(path, layout).save(better)
-    store = Store(path, layout)
+    LayoutStore(path, layout).save(better)
+    store = LayoutStore(path, layout)
     assert [earlier.path for earlier in store.earlier] == [path]
     assert "moved.yaml" in store.earlier[0].words
     assert store.would_replace(other)
@@ -54,14 +54,14 @@ def test_what_was_saved_earlier_is_offered_and_not_replaced_unasked(path, layout
     np.testing.assert_allclose(heights(store.path), other.poses[:, 2])
     assert not store.would_replace(other)
     assert store.beside.name == "moved-2-2.yaml"
-    again = Store(path, layout)
+    again = LayoutStore(path, layout)
     assert {earlier.path.name for earlier in again.earlier} == {"moved.yaml", "moved-2.yaml"}
 
 
 def test_what_was_saved_earlier_can_be_gone_on_from(path, layout):
     better = raised(layout, 1.0)
-    Store(path, layout).save(better)
-    store = Store(path, layout)
+    LayoutStore(path, layout).save(better)
+    store = LayoutStore(path, layout)
     opened = store.open(store.earlier[0])
     np.testing.assert_allclose(opened.poses, better.poses, atol=1e-8)
     assert store.holds(opened)
@@ -71,13 +71,13 @@ def test_what_was_saved_earlier_can_be_gone_on_from(path, layout):
 
 def test_what_is_opened_from_its_own_file_is_saved_there(path, layout):
     save_layout(layout, path)
-    store = Store(path, load_layout(path))
+    store = LayoutStore(path, load_layout(path))
     assert store.earlier == ()
     assert not store.would_replace(raised(layout, 1.0))
 
 
 def test_a_file_that_somebody_changed_meanwhile_is_not_replaced_unasked(path, layout):
-    store = Store(path, layout)
+    store = LayoutStore(path, layout)
     store.save(raised(layout, 1.0))
     path.write_text(path.read_text() + "# a word of mine\n")
     assert store.would_replace(raised(layout, 2.0))
@@ -85,9 +85,9 @@ def test_a_file_that_somebody_changed_meanwhile_is_not_replaced_unasked(path, la
 
 def test_what_an_earlier_run_did_not_save_is_kept_until_what_became_of_it_is(path, layout):
     first, second = raised(layout, 1.0), raised(layout, 2.0)
-    before = Store(path, layout)
+    before = LayoutStore(path, layout)
     before.keep(first)
-    store = Store(path, layout)
+    store = LayoutStore(path, layout)
     kept = before.unsaved
     assert [earlier.path for earlier in store.earlier] == [kept]
     store.keep(second)
@@ -111,13 +111,13 @@ def test_the_newest_of_what_earlier_runs_left_is_offered(path, layout):
         at = path.with_name(name)
         save_layout(raised(layout, 1.0 + age), at)
         os.utime(at, (1e9 - age, 1e9 - age))
-    offered = [earlier.path.name for earlier in Store(path, layout).earlier]
+    offered = [earlier.path.name for earlier in LayoutStore(path, layout).earlier]
     assert offered == names[:4]
 
 
 def test_runs_at_the_same_time_keep_to_files_of_their_own(path, layout):
     """One goes back and forth, so that its file goes and comes, while another begins."""
-    first, second = Store(path, layout), Store(path, layout)
+    first, second = LayoutStore(path, layout), LayoutStore(path, layout)
     first.keep(raised(layout, 1.0))
     first.keep(layout)
     second.keep(raised(layout, 2.0))
@@ -132,11 +132,11 @@ def test_runs_at_the_same_time_keep_to_files_of_their_own(path, layout):
 def test_a_link_is_followed_and_a_folder_s_name_is_kept(path, layout, tmp_path, monkeypatch):
     target = tmp_path / "elsewhere.yaml"
     path.symlink_to(target)
-    Store(path, layout).save(layout)
+    LayoutStore(path, layout).save(layout)
     assert path.is_symlink()
     assert target.is_file()
     monkeypatch.chdir(tmp_path)
-    store = Store("here.yaml", layout)
+    store = LayoutStore("here.yaml", layout)
     (tmp_path / "other").mkdir()
     monkeypatch.chdir(tmp_path / "other")
     store.save(layout)
@@ -145,7 +145,7 @@ def test_a_link_is_followed_and_a_folder_s_name_is_kept(path, layout, tmp_path, 
 
 def test_a_file_that_is_no_layout_is_neither_replaced_nor_opened(path, layout):
     path.write_text("shopping: [milk]\n")
-    store = Store(path, layout)
+    store = LayoutStore(path, layout)
     assert store.would_replace(layout)
     with pytest.raises(InspeError, match=r"moved.yaml: .*shopping|moved.yaml: .*unknown key"):
         store.open(store.earlier[0])
@@ -158,7 +158,7 @@ def test_a_report_stands_beside_another_run_s(path, layout, monkeypatch):
     )
     scene = world(radius=14.0, voxel=2.0, frames=2, count=2)
     path.with_suffix(".html").write_text("mine")
-    store, told = Store(path, layout), []
+    store, told = LayoutStore(path, layout), []
     for _ in range(2):  # its own it replaces
         assert store.report(Case(scene), layout, (0.3, 0.5, 0.2), 0, lambda *x: told.append(x))
         store.close()

@@ -22,10 +22,10 @@ from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer import search_process
-from inspe_jax.viewer.job_queue import JobQueue, Later
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
-from inspe_jax.viewer.searcher import Heard, Searcher
+from inspe_jax.viewer.searcher import SearchCallbacks, Searcher
 
 WEIGHTS = (0.3, 0.5, 0.2)
 
@@ -43,49 +43,49 @@ def layout():
     )
 
 
-# ── The desk ──
+# ── The queue ──
 
 
 def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     done, go = [], threading.Event()
-    desk = JobQueue(lambda _: None)
-    desk.ask(go.wait)
+    queue = JobQueue(lambda _: None)
+    queue.submit(go.wait)
     for k in range(5):
-        desk.ask(lambda k=k: done.append(("drag", k)), key="drag")
-    desk.ask(lambda: done.append("end"))
+        queue.submit(lambda k=k: done.append(("drag", k)), key="drag")
+    queue.submit(lambda: done.append("end"))
     go.set()
-    desk.close()
+    queue.close()
     assert done == [("drag", 4), "end"]
 
 
 def test_of_what_is_to_be_done_later_only_the_last_is_done():
-    done, later, told = [], Later(), threading.Event()
+    done, later, told = [], DelayedAction(), threading.Event()
     for k in range(3):
-        later.do(0.05, lambda k=k: (done.append(k), told.set()))
+        later.start(0.05, lambda k=k: (done.append(k), told.set()))
     assert told.wait(60)
-    later.do(60, lambda: done.append("never"))
+    later.start(60, lambda: done.append("never"))
     later.cancel()
     assert done == [2]
 
 
 def test_what_is_to_be_done_later_is_done_once_and_can_be_done_now():
-    done, later = [], Later()
-    later.do(60, lambda: done.append("now"))
-    later.now()
-    later.now()
+    done, later = [], DelayedAction()
+    later.start(60, lambda: done.append("now"))
+    later.run_now()
+    later.run_now()
     assert done == ["now"]
-    later.do(0.02, lambda: done.append("later"))
+    later.start(0.02, lambda: done.append("later"))
     time.sleep(0.2)
-    later.now()
+    later.run_now()
     assert done == ["now", "later"]
 
 
 def test_a_job_that_fails_does_not_end_the_others():
     failed, done = [], []
-    desk = JobQueue(failed.append)
-    desk.ask(lambda: 1 / 0)
-    desk.ask(lambda: done.append(1))
-    desk.close()
+    queue = JobQueue(failed.append)
+    queue.submit(lambda: 1 / 0)
+    queue.submit(lambda: done.append(1))
+    queue.close()
     assert isinstance(failed[0], ZeroDivisionError)
     assert done == [1]
 
@@ -121,7 +121,7 @@ def listening(scene):
 
 def test_a_few_frames_first_then_all_as_evaluate_has_them(scene, layout, listening):
     scorer, scores, sights = listening
-    scorer.watch(3)
+    scorer.select_frame(3)
     scorer.score(layout, whole=True)
     few, whole = (told[0] for told in scores.wait(lambda heard: len(heard) == 2))
     night = Conditions.of("night", "clear")
@@ -202,7 +202,7 @@ def test_a_fault_of_ours_does_not_end_the_scorer(layout, listening, monkeypatch)
 
 @pytest.fixture
 def heard():
-    return Heard(Listener(), Listener(), Listener(), Listener())
+    return SearchCallbacks(Listener(), Listener(), Listener(), Listener())
 
 
 @pytest.fixture
@@ -266,8 +266,8 @@ def test_the_time_stands_still_while_a_search_compiles(scene, layout, monkeypatc
 
     monkeypatch.setattr(search_process, "optimise", search)
     objective = Objective(weights=WEIGHTS)
-    task = search_process.Task(Case(scene), layout, "random", 3.0, objective, Constraints())
-    search_process._search(task, SimpleNamespace(tell=lambda *message: told.append(message)))
+    task = search_process.SearchTask(Case(scene), layout, "random", 3.0, objective, Constraints())
+    search_process._search(task, SimpleNamespace(send=lambda *message: told.append(message)))
     wall, compiling = took
     assert compiling > 0
     assert spent[0] == pytest.approx(wall - compiling, abs=0.5 * compiling)
@@ -373,11 +373,11 @@ def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
     assert process.wait(30) == 0
 
 
-# ── The board ──
+# ── The score panel ──
 
 
-def test_the_board_says_scores_faults_and_cost(scene, layout):
-    scored = scorers.Scored(layout, evaluate(scene, layout), 50, 0.25)
+def test_the_panel_says_scores_faults_and_cost(scene, layout):
+    scored = scorers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
     text = score_panel(
         layout, scored, frames=50, opened=0.1, faults=["unit <x> floats"], notes=["so"]
     )

@@ -15,9 +15,9 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.handle import Pull
-from inspe_jax.viewer.panel import put
-from inspe_jax.viewer.searcher import Ending
+from inspe_jax.viewer.handle import HandleDrag
+from inspe_jax.viewer.panel import set_value
+from inspe_jax.viewer.searcher import SearchEnding
 
 AHEAD, LEFT, UP = np.eye(3)
 YAW = np.radians(-100)
@@ -32,17 +32,17 @@ def scene():
 def viewer(scene, layout, tmp_path):
     found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     found.told = []
-    found._tell = lambda *words: found.told.append(words)
+    found._notify = lambda *words: found.told.append(words)
     yield found
     found.close()
 
 
 def done(viewer, true=lambda: True, seconds=120):
-    """Wait until the desk has done what it was asked, and something holds."""
+    """Wait until the queue has done what it was asked, and something holds."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         waits = []
-        viewer.desk.ask(lambda waits=waits: waits.append(1))
+        viewer.queue.submit(lambda waits=waits: waits.append(1))
         while not waits:
             time.sleep(0.005)
         if true():
@@ -58,11 +58,11 @@ def about(axis, degrees):
 
 
 def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
-    at = np.array(viewer.layout.poses[viewer._picked, :3]) - viewer.stage.shift
+    at = np.array(viewer.layout.poses[viewer._selected, :3]) - viewer.scene3d.shift
     turn = about(UP, 0) if turn is None else turn
     for phase in phases:
         to = at if phase == "start" else at + shift
-        viewer.desk.ask(lambda phase=phase, to=to: viewer._pull(Pull(phase, to, turn)))
+        viewer.queue.submit(lambda phase=phase, to=to: viewer._drag(HandleDrag(phase, to, turn)))
     done(viewer)
 
 
@@ -86,10 +86,10 @@ def test_a_click_on_the_handle_changes_nothing(viewer, layout):
 
 def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     """Another browser takes another sensor in hand meanwhile, or changes the layout."""
-    at = np.array(layout.poses[0, :3]) - viewer.stage.shift + [0, 0, 1.0]
+    at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift + [0, 0, 1.0]
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
     viewer.select(1)
-    viewer.desk.ask(lambda: viewer._pull(Pull("end", at, about(UP, 0))))
+    viewer.queue.submit(lambda: viewer._drag(HandleDrag("end", at, about(UP, 0))))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
     np.testing.assert_allclose(viewer.layout.poses[1], layout.poses[1], atol=1e-6)
@@ -98,7 +98,7 @@ def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     done(viewer)
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
     viewer.remove(1)
-    viewer.desk.ask(lambda: viewer._pull(Pull("end", at + [0, 0, 3.0], about(UP, 0))))
+    viewer.queue.submit(lambda: viewer._drag(HandleDrag("end", at + [0, 0, 3.0], about(UP, 0))))
     done(viewer)
     assert len(viewer.layout) == 1
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
@@ -115,7 +115,7 @@ def test_what_is_undone_to_what_was_opened_leaves_no_file(viewer, layout):
     assert not viewer.store.unsaved.exists()
     viewer.undo_or_redo("Undo")
     done(viewer)
-    assert viewer.told[-1][:2] == ("Undo", "there is nothing more")
+    assert viewer.told[-1][:2] == ("Undo", "there is nothing more to undo")
 
 
 def test_where_nothing_can_be_kept_the_page_goes_on(viewer):
@@ -123,7 +123,7 @@ def test_where_nothing_can_be_kept_the_page_goes_on(viewer):
     pull(viewer, (0, 0, 1.0))
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.layout is viewer.layout)
-    assert viewer.told[-1][0] == "That did not work"
+    assert viewer.told[-1][0] == "That failed"
     assert "gone" in viewer.told[-1][1]
 
 
@@ -132,8 +132,8 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
     done(viewer, lambda: viewer._searching)
-    viewer._hear_better(better, 0.9)
-    viewer._hear_end(Ending(better, 0.1, "too large", failed=True))
+    viewer._on_better(better, 0.9)
+    viewer._on_end(SearchEnding(better, 0.1, "too large", failed=True))
     done(viewer, lambda: viewer.told)
     assert not viewer._searching
     assert viewer.layout is better
@@ -143,7 +143,7 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
 
 @pytest.mark.process
 def test_stop_gives_the_best_so_far_at_once(viewer, layout):
-    put(viewer.panel.method, "random")
+    set_value(viewer.panel.method, "random")
     viewer.optimise()
     done(viewer, lambda: viewer._best is not layout)
     best, began = viewer._best, time.monotonic()
@@ -165,7 +165,7 @@ def test_stop_before_there_is_a_score_leaves_the_layout(viewer, layout):
 
 @pytest.mark.process
 def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
-    put(viewer.panel.method, "random")
+    set_value(viewer.panel.method, "random")
     viewer.optimise()
     done(viewer, lambda: viewer._best is not layout)
     for control in (viewer.panel.save, viewer.panel.report, viewer.panel.add):
@@ -188,14 +188,14 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer):
     """Sights that come of drags and of ticks begin no second turn."""
     seen, real = [], viewer._next
     viewer._next = lambda: (seen.append(time.monotonic()), real())
-    put(viewer.panel.play, True)
-    viewer.watch()
+    set_value(viewer.panel.play, True)
+    viewer.select_frame()
     for _ in range(10):
         viewer.show_voxels()
-        viewer.scorer.watch(0)
+        viewer.scorer.select_frame(0)
         time.sleep(0.02)
     done(viewer, lambda: len(seen) >= 5)
-    put(viewer.panel.play, False)
+    set_value(viewer.panel.play, False)
     assert np.diff(seen).min() > 0.2
 
 
@@ -226,7 +226,7 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
     """Nobody waits the moment for which more may be typed: the button's click is what counts."""
     monkeypatch.setattr(viewer.searcher, "start", lambda *told: begun.append(told))
     begun = []
-    put(viewer.panel.pose["yaw"], -90.0)
+    set_value(viewer.panel.pose["yaw"], -90.0)
     viewer.type_number(0, "yaw", -90.0)
     viewer.settle()  # what the panel does before each of them
     getattr(viewer, then)(*[1][: then in ("duplicate", "select")])
@@ -253,18 +253,18 @@ def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, m
 
 
 def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
-    at = np.array(layout.poses[0, :3]) - viewer.stage.shift
+    at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift
     viewer.type_number(0, "yaw", -90.0)
-    viewer._hear_pull(Pull("start", at, about(UP, 0)))
+    viewer._on_drag(HandleDrag("start", at, about(UP, 0)))
     for phase in ("update", "end"):
-        viewer._hear_pull(Pull(phase, at + [0, 0, 1.0], about(UP, 0)))
+        viewer._on_drag(HandleDrag(phase, at + [0, 0, 1.0], about(UP, 0)))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
     viewer.type_number(0, "height", 4.0)
     viewer._click(1)
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(4.0)
-    assert viewer._picked == 1
+    assert viewer._selected == 1
 
 
 def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout, tmp_path):

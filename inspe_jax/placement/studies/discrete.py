@@ -1,4 +1,4 @@
-"""The best k of given candidate poses, by an integer program: what a search can be measured by."""
+"""The best k of given candidate poses, by an integer program: a reference for searches."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ from inspe_jax.scoring import metrics
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Subset:
-    """The ``chosen`` candidates (k,), what they score, and the ``bound`` that none can exceed.
+    """The ``chosen`` candidates (k,), their score ``value``, and an upper ``bound`` of all scores.
 
-    Where ``value`` equals ``bound``, they are the optimum.
+    If ``value`` equals ``bound``, the choice is optimal.
     """
 
     chosen: Int[np.ndarray, " k"]
@@ -35,26 +35,36 @@ def best_subset(
     *,
     seconds: float = 60.0,
 ) -> Subset:
-    """The k of K candidates with the highest P_sm, each used once at most.
+    """The k of K candidates with the highest P_sm, each used at most once.
 
-    ``f`` and ``seen`` as from :meth:`Problem.views`, ``weight``, ``entropy`` and ``free`` as from
-    :meth:`Problem.shares`; one ``reliability`` ρ for all. Maximum coverage: y_j whether candidate
-    j is chosen; z for each set of candidates that some voxels, or voxels of a frame, are seen by:
-    z ≤ 1 and z ≤ Σ y over the set. Voxels of one set count together. With ρ < 1, IG is worth
-    1 − (1 − ρ)ⁿ where n candidates see a voxel, concave in n: it has a z for the first, worth ρ,
-    for the second, worth ρ(1 − ρ), and so on, together ≤ Σ y. HiGHS stops after ``seconds``,
-    with the best it found and a bound.
+    ``f``, ``seen``: which voxels each candidate has in view, and sees in each frame.
+    ``weight``, ``entropy``, ``free``: what each voxel counts for in C, IG and O; each sums to 1.
+    ``reliability``: ρ, the same for all candidates.
+    ``weights``: of coverage, occlusion and information gain in P_sm; there are no others.
+    ``seconds``: time limit of the solver HiGHS, which then returns the best choice and a bound.
 
-    Raises InspeError where k is not 1 … K, the reliability not in 0 … 1, or nothing is found.
+    The program is one of maximum coverage. y_j says whether candidate j is chosen. z says whether
+    voxels are covered that one set of candidates sees: z ≤ 1 and z ≤ Σ y over the set. Voxels
+    with the same set have one z. With ρ < 1, a voxel that n candidates see resolves 1 − (1 − ρ)ⁿ
+    of its entropy, which is concave in n. So there is a z worth ρ for the first candidate, one
+    worth ρ(1 − ρ) for the second, and so on, with sum ≤ Σ y.
+
+    Raises InspeError if k is not in 1 … K, ρ is not in 0 … 1, another metric has weight, or no
+    choice is found in time.
     """
     count = len(f)
     if not 1 <= k <= count:
-        raise InspeError(f"k {k}: choose from 1 to {count}, the number of candidates")
+        raise InspeError(f"k {k}: must be from 1 to {count}, the number of candidates")
     if not 0 <= reliability <= 1:
-        raise InspeError(f"reliability {reliability:g}: from 0 to 1")
+        raise InspeError(f"reliability {reliability:g}: must be from 0 to 1")
     given = metrics.weights_of(weights)
-    c, o, ig = (given[name] for name in ("coverage", "occlusion", "information_gain"))
-    ideal = reliability == 1  # then IG is a union too
+    c, o, ig = (given.pop(name) for name in ("coverage", "occlusion", "information_gain"))
+    if any(given.values()):
+        raise InspeError(
+            f"weights on {', '.join(name for name in given if given[name])}: the integer program "
+            "is of coverage, occlusion and information gain only"
+        )
+    ideal = reliability == 1  # then IG, too, depends on a union alone
     union = np.concatenate([c * weight + (ig * entropy if ideal else 0.0), o * np.ravel(free)])
     groups = [_together(np.concatenate([f, np.reshape(seen, (count, -1))], 1), union)]
     steps: list[np.ndarray] = [np.ones(1)]
@@ -70,16 +80,16 @@ def best_subset(
 
 
 Group = tuple[Bool[np.ndarray, "K P"], Float[np.ndarray, " P"]]
-"""Sets of candidates, one a column, and what is seen by just them."""
+"""Sets of candidates, one for each column, and the worth of what exactly they see."""
 
 
 def _solve(
     groups: list[Group], steps: list[Float[np.ndarray, " n"]], count: int, k: int, seconds: float
 ) -> tuple[Int[np.ndarray, " k"], float]:
-    """Maximise Σ worth · steps · z; the chosen candidates and the bound."""
+    """Maximise Σ worth · steps · z; returns the chosen candidates and the upper bound."""
     gain, blocks, links = [np.zeros(count)], [], []
     for (patterns, worth), step in zip(groups, steps, strict=True):
-        # What only one candidate sees is that candidate's own.
+        # What only one candidate sees is added to that candidate.
         own = patterns.sum(0) == 1
         gain[0] += step[0] * (patterns[:, own] @ worth[own])
         shared, worth = patterns[:, ~own], worth[~own]
@@ -100,8 +110,8 @@ def _solve(
     )
     if found.x is None:
         raise InspeError(
-            f"no choice of {k} from {count} candidates found in {seconds:g} s ({found.message}); "
-            "allow more seconds, or fewer candidates, voxels or frames"
+            f"no choice of {k} from {count} candidates was found in {seconds:g} s "
+            f"({found.message}); allow more seconds, or fewer candidates, voxels or frames"
         )
     chosen = np.sort(np.argsort(-found.x[:count], kind="stable")[:k])
     return chosen, float(-found.mip_dual_bound)
@@ -110,7 +120,7 @@ def _solve(
 def _together(
     elements: Bool[np.ndarray, "K E"], worth: Float[np.ndarray, " E"]
 ) -> tuple[Bool[np.ndarray, "K P"], Float[np.ndarray, " P"]]:
-    """Elements that the same candidates have become one, worth their sum; none that nobody has."""
+    """Join elements that the same candidates see: one column for each set, worth their sum."""
     some = elements.any(0) & (worth > 0)
     packed = np.packbits(elements[:, some], axis=0).T
     _, first, back = np.unique(packed, axis=0, return_index=True, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Cost against score over how many of which devices: which mix is worth its money."""
+"""Cost against score for mixes of devices: how many of which device are worth their price."""
 
 import csv
 import os
@@ -24,15 +24,16 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, save_layout
 
 MOST = 200
-"""Mixes searched at most."""
+"""Largest number of mixes that are searched."""
 _ADVICE = f"at most {MOST} are searched; allow fewer counts, such as 0, 4 and 8"
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class DeviceMix:
-    """So many of each device, what they cost [US dollars], and the search for their places.
+    """A mix of devices: the number of each, the cost [US dollars], and the search that placed them.
 
-    ``front``: no other mix scores as much for less, or more for as much.
+    ``front``: whether the mix is on the Pareto front. Then no other mix has at least its objective
+    for less money, or a higher objective for no more money.
     """
 
     counts: Mapping[str, int]
@@ -43,21 +44,24 @@ class DeviceMix:
     @property
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera"."""
-        return called(self.counts)
+        return mix_name(self.counts)
 
     @property
-    def point(self) -> "Point":
-        """What a front shows of it."""
+    def point(self) -> "ParetoPoint":
+        """What a figure of the front shows of the mix."""
         result = self.result
         scene = " and ".join(dict.fromkeys(row["name"] for row in result.settings["scenes"]))
         known = (self.cost, result.objective, self.front, scene, result.method)
-        return Point(dict(self.counts), *known)
+        return ParetoPoint(dict(self.counts), *known)
 
 
 @dataclass(frozen=True)
-class Point:
-    """A mix on paper: what it costs [US dollars], what the search for its places came to, where
-    and by which method, and whether it is on the front."""
+class ParetoPoint:
+    """A mix as a point of a figure, without the layout that was found.
+
+    ``counts`` of each device, ``cost`` [US dollars], the ``objective`` that the search reached,
+    whether the mix is on the ``front``, and the ``scene`` and ``method`` of the search.
+    """
 
     counts: Mapping[str, int]
     cost: float
@@ -69,46 +73,47 @@ class Point:
     @property
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera"."""
-        return called(self.counts)
+        return mix_name(self.counts)
 
 
-def called(counts: Mapping[str, int]) -> str:
-    """A mix in words."""
+def mix_name(counts: Mapping[str, int]) -> str:
+    """A mix in words, such as "4 hesai-xt32 + 2 paper-camera"."""
     return " + ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
-def around(scene: Scene, counts: Mapping[str, int]) -> Layout:
-    """A start for so many of each device: round the junction's corners, then its roadsides.
+def starting_layout(scene: Scene, counts: Mapping[str, int]) -> Layout:
+    """The layout from which the search of a mix starts.
 
-    Each sensor is a unit of its own, LiDARs first; they go on to the next post in turn, so that
-    neighbours differ, and look at the centre. Raises InspeError where there are more sensors than
-    posts, none at all, or nowhere to put a pole.
+    Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
+    at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
+    already taken. ``counts`` has the number of each device. Raises InspeError if there are more
+    sensors than posts, no sensor, or nowhere to put a pole.
     """
     wanted = [(name, device(name).spec) for name, n in counts.items() for _ in range(n)]
     if not wanted:
-        raise InspeError("a layout needs at least one sensor")
+        raise InspeError("a mix needs at least one sensor")
     wanted.sort(key=lambda row: row[1].aimed)
     site = Site(scene.intersection, scene.voxels.radius, depth=30.0)
     feet = np.concatenate([site.corners, site.roadsides])
     posts = [f"corner {i + 1}" for i in range(len(site.corners))]
     posts += [f"roadside {i + 1}" for i in range(len(site.roadsides))]
     far = np.hypot(*(feet[:, None] - feet[None]).transpose(2, 0, 1))
-    order = [0]  # the next post is the one furthest from those that are taken
+    order = [0]  # the next post is the one furthest from those taken
     while len(order) < len(feet):
         away = far[:, order].min(1)
         away[order] = -1.0
         order.append(int(away.argmax()))
     if len(wanted) > len(order):
         raise InspeError(
-            f"{scene.name}: {len(wanted)} sensors, and {len(order)} posts for them; start from a "
-            "layout of your own"
+            f"{scene.name}: {len(wanted)} sensors, but only {len(order)} posts at corners and "
+            "roadsides; allow fewer sensors"
         )
     views = []
     for (_, spec), at in zip(wanted, order, strict=False):
         post, foot = posts[at], feet[at]
         view = site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
         views.append((view, spec))
-    return replace(join(called(counts), scene.intersection, views), profile=scene.profile.name)
+    return replace(join(mix_name(counts), scene.intersection, views), profile=scene.profile.name)
 
 
 def pareto(
@@ -123,22 +128,23 @@ def pareto(
     constraints: Constraints | None = None,
     progress: Callable[[Mapping[str, int], float, float], None] | None = None,
 ) -> list[DeviceMix]:
-    """The best score found for every mix of devices, cheapest first.
+    """Search for the best layout of every mix of devices; returns the mixes, cheapest first.
 
-    ``counts`` says how many of each device to try, as ``{"hesai-xt32": range(5)}``; each mix gets
-    a search of its own with the given budget, which compiling does not count against.
-    ``objective.budget`` leaves out what costs more; ``objective.prices`` gives prices that the
-    catalogue has not; with ``objective.failures`` a mix has two sensors or more. ``progress`` is
-    called with the mix searched, the share of all work done and the best score of that mix.
-    Ctrl-C ends with the mixes so far, the last one as it stands.
+    ``counts``: the numbers of each device to try, such as ``{"hesai-xt32": range(5)}``.
+    ``method``, ``seconds``, ``evaluations``, ``seed``: of each mix's search, as in
+    :func:`~inspe_jax.placement.optimise.optimise`; compiling does not count as part of the budget.
+    ``objective``: mixes that cost more than its ``budget`` are left out; its ``prices`` replace
+    those of the catalogue; with ``failures`` a mix has at least two sensors.
+    ``progress``: called with (mix, fraction of all work that is done, best score of the mix).
 
-    Raises InspeError on an unknown device, one without a price, a bad count, too many sensors for
-    the place, or where no mix is left; all before the first search.
+    Ctrl-C ends with the mixes so far; the last one has the best layout up to then. Raises
+    InspeError, before the first search, if a device is unknown or has no price, a number is not
+    valid, the place has too few posts, or no mix is left.
     """
     objective = objective or Objective()
-    wanted = mixes(counts, objective)
+    wanted = device_mixes(counts, objective)
     cases = cases_of(scene)
-    starts = [around(cases[0].scene, row) for _, row in wanted]
+    starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
         try:
@@ -151,7 +157,7 @@ def pareto(
                 seeds=(seed,),
                 objective=objective,
                 constraints=constraints,
-                progress=_share(progress, row, k, len(wanted)),
+                progress=_progress_of(progress, row, k, len(wanted)),
             )
         except KeyboardInterrupt:
             if not found:
@@ -164,11 +170,10 @@ def pareto(
 
 
 def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> None:
-    """Write what mixes came to, and the layouts of those on the front.
+    """Write ``pareto.csv``, and a layout file for each mix on the front.
 
-    ``pareto.csv`` has a row a mix, cheapest first, and names the layout's file where there is
-    one; :func:`load_pareto` reads it. Raises InspeError as
-    :func:`~inspe_jax.placement.result.save_result` does.
+    The table has one row for each mix, cheapest first; :func:`load_pareto` reads it. Raises
+    InspeError as :func:`~inspe_jax.placement.result.save_result` does.
     """
     place = prepare_folder(folder)
     rows = []
@@ -185,10 +190,10 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
     write_text(place / "pareto.csv", csv_text(rows))
 
 
-def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
-    """Read what :func:`save_pareto` wrote of every mix.
+def load_pareto(folder: str | os.PathLike[str]) -> list[ParetoPoint]:
+    """Read the table that :func:`save_pareto` wrote.
 
-    Raises InspeError where it is missing or is something else.
+    Raises InspeError if it is missing or is not such a table.
     """
     path = Path(folder) / "pareto.csv"
     check_input(path)
@@ -198,7 +203,7 @@ def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
             names = list(table.fieldnames or ())
             devices = names[: names.index("cost_usd")]
             return [
-                Point(
+                ParetoPoint(
                     {name: int(row[name]) for name in devices},
                     float(row["cost_usd"]),
                     float(row["objective"]),
@@ -209,10 +214,10 @@ def load_pareto(folder: str | os.PathLike[str]) -> list[Point]:
                 for row in table
             ]
     except (KeyError, TypeError, ValueError) as e:
-        raise InspeError(f"{path}: not a table that inspe pareto wrote") from e
+        raise InspeError(f"{path}: not a table written by `inspe pareto`") from e
 
 
-def mixes(
+def device_mixes(
     counts: Mapping[str, Sequence[int]], objective: Objective
 ) -> list[tuple[float, dict[str, int]]]:
     """Cost [US dollars] and counts of every mix within the budget, cheapest first.
@@ -221,20 +226,20 @@ def mixes(
     """
     objective.check()
     if not counts:
-        raise InspeError("no device to choose from: name at least one, and how many of it")
+        raise InspeError("no devices to combine: name at least one, with the numbers of it to try")
     price = {name: objective.price_of(name) for name in counts}
     for name in objective.prices:
         if name not in counts:
             raise InspeError(
-                f"price of '{name}', which no mix has{nearest(name, tuple(counts))}; "
+                f"price of '{name}', which is in no mix{nearest(name, tuple(counts))}; "
                 f"the devices are {', '.join(counts)}"
             )
     for name, several in counts.items():
         if not len(several) or min(several) < 0:
-            raise InspeError(f"{name}: how many of it: numbers from 0, at least one of them")
+            raise InspeError(f"{name}: give at least one number of it to try, each 0 or more")
     if (total := prod(len(set(several)) for several in counts.values())) > 100 * MOST:
         raise InspeError(f"{total:,} mixes, and {_ADVICE}")
-    least = 2 if objective.failures else 1  # each sensor is a unit, and one of two may fail
+    least = 2 if objective.failures else 1  # each sensor is a unit, and one unit may fail
     rows = [
         dict(zip(counts, row, strict=True))
         for row in product(*(sorted(set(several)) for several in counts.values()))
@@ -242,8 +247,8 @@ def mixes(
     ]
     costed = sorted(((total_price(price, row), row) for row in rows), key=lambda pair: pair[0])
     if not costed:
-        few = "at least two sensors, as one may fail" if least == 2 else "at least one sensor"
-        raise InspeError(f"no mix is left: allow {few}")
+        few = "two sensors, since one may fail" if least == 2 else "one sensor"
+        raise InspeError(f"no mix is left: a mix needs at least {few}")
     limit = float("inf") if objective.budget is None else objective.budget
     within = [(cost, row) for cost, row in costed if cost <= limit]
     if not within:
@@ -256,7 +261,7 @@ def mixes(
     return within
 
 
-def _share(
+def _progress_of(
     progress: Callable[[Mapping[str, int], float, float], None] | None,
     row: Mapping[str, int],
     k: int,

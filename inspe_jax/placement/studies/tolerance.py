@@ -1,4 +1,4 @@
-"""What an installation error costs: slopes by sensor, and the scores that random errors leave."""
+"""How installation errors change a score: slopes by sensor, and scores after random errors."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -17,19 +17,20 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
 
 SOFTNESS = 0.2
-"""Softness of the slopes [m]: edges of fields of view and shadows are averaged over about so much.
-Which voxels single rays meet is read exactly and has no slope."""
+"""Softness of the slopes [m]: the width over which edges of fields of view and shadows are blurred.
+Which voxels single rays meet is read exactly, and has no slope."""
 POSITION_STEP = 0.1
-"""Slopes along x, y and z are given for a shift of this much [m]."""
+"""Shift for which slopes along x, y and z are given [m]."""
 LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""))
-"""Allowed installation errors [m, degrees] and number of random ones, with their units."""
+"""Allowed range of each option, with its unit."""
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """What P_sm gains when one sensor is moved: by 10 cm along x, y or z, turned up or left by 1°.
+    """What P_sm gains when one sensor is moved by 10 cm along x, y or z, or turned by 1°.
 
-    Negative where it loses; of first order, so that both are small where a search has ended.
+    ``yaw`` is a turn to the left, ``pitch`` one upwards. Negative values are losses. The slopes are
+    derivatives, so they are small at a layout where a search has ended.
     """
 
     sensor: str
@@ -42,10 +43,10 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Tolerance:
-    """How much of a score survives its installation.
+    """How installation errors change the objective of a layout.
 
-    ``score`` is the exact objective as planned; ``left`` (M,) the exact objectives after M random
-    errors; ``slopes`` has a row a sensor; ``settings`` are the options used.
+    ``score``: the exact objective as planned. ``left`` (M,): the exact objectives after M random
+    errors. ``slopes``: one row for each sensor. ``settings``: the options that were used.
     """
 
     score: float
@@ -60,7 +61,7 @@ class Tolerance:
 
     @property
     def low(self) -> float:
-        """Objective that 95 of 100 installations reach."""
+        """The objective that 95 of 100 installations reach: the 5 % quantile."""
         return float(np.quantile(self.left, 0.05))
 
 
@@ -76,15 +77,17 @@ def tolerance(
     softness: float = SOFTNESS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Tolerance:
-    """Slopes of the score of every sensor, and the scores that random errors leave.
+    """Slopes of the objective for every sensor, and the objectives after random errors.
 
-    Every sensor is shifted along x, y and z and turned in yaw and pitch by independent
-    normal errors with standard deviations ``position`` [m] and ``angle`` [rad], ``samples``
-    times; the scores are exact. Slopes are those of the soft score at ``softness`` [m]: the exact
-    one is a staircase with no slope of its own. A case brings its own light and weather.
-    ``progress(done, total)`` is called on the way.
+    ``scene``: with a :class:`~inspe_jax.placement.problem.Case`, in its light and weather.
+    ``position`` [m], ``angle`` [rad]: standard deviations of independent normal errors. Every
+    sensor is shifted along x, y and z, and turned in yaw and pitch.
+    ``samples``: number of random installations; ``seed``: of their errors. Scores are exact.
+    ``softness`` [m]: of the soft score, whose derivatives are the slopes. The exact score is a
+    step function, and has no slope.
+    ``progress``: called with (installations done, installations).
 
-    Raises InspeError where an option is out of range, or as :func:`inspe_jax.evaluate` does.
+    Raises InspeError if an option is out of range, or as :func:`inspe_jax.evaluate` does.
     """
     check_seed(seed)
     given = dict(position=position, angle=float(np.degrees(angle)), samples=samples)
@@ -95,7 +98,9 @@ def tolerance(
                 f"{name} {value:g}{unit} is out of range: between {low}{unit} and {high}{unit}"
             )
     if not softness > 0:
-        raise InspeError(f"softness {softness:g} m: more than 0; the exact score has no slope")
+        raise InspeError(
+            f"softness {softness:g} m: must be more than 0, since the exact score has no slope"
+        )
     problem = Problem(scene, layout, objective)
     planned = problem.exact_of(layout)
     poses = poses_about_center(problem.cases[0].scene, layout)

@@ -7,6 +7,7 @@ import pytest
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.studies.discrete import best_subset
+from inspe_jax.scoring.metrics import METRICS, Metric
 
 WEIGHTS = (0.3, 0.5, 0.2)
 
@@ -70,3 +71,10 @@ def test_weights_say_what_counts():
 def test_bad_input_is_said(k, reliability, says):
     with pytest.raises(InspeError, match=says):
         best_subset(*instance(0), reliability, k)
+
+
+def test_weight_on_another_metric_is_refused(monkeypatch):
+    monkeypatch.setitem(METRICS, "toy", Metric("toy", "T", 0.0, "a toy"))
+    assert best_subset(*instance(0), 1.0, 2, {"coverage": 1.0}).value > 0
+    with pytest.raises(InspeError, match="weights on toy: the integer program"):
+        best_subset(*instance(0), 1.0, 2, {"coverage": 0.5, "toy": 0.5})

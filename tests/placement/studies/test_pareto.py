@@ -9,7 +9,13 @@ from mounts import assert_mountable, lanes_of
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case, Objective
 from inspe_jax.placement.studies import pareto as module
-from inspe_jax.placement.studies.pareto import around, load_pareto, mixes, pareto, save_pareto
+from inspe_jax.placement.studies.pareto import (
+    device_mixes,
+    load_pareto,
+    pareto,
+    save_pareto,
+    starting_layout,
+)
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import load_layout
@@ -92,13 +98,13 @@ def test_what_is_no_table_of_mixes_is_refused(content, tmp_path):
     with pytest.raises(InspeError, match=r"pareto\.csv: no such file"):
         load_pareto(tmp_path)
     (tmp_path / "pareto.csv").write_text(content)
-    with pytest.raises(InspeError, match="not a table that inspe pareto wrote"):
+    with pytest.raises(InspeError, match="not a table written by `inspe pareto`"):
         load_pareto(tmp_path)
 
 
 def test_a_budget_leaves_out_what_costs_more():
     objective = Objective(prices={CAMERA: 1000.0}, budget=5000.0)
-    costs = [cost for cost, _ in mixes({CAMERA: range(4), LIDAR: (0, 1)}, objective)]
+    costs = [cost for cost, _ in device_mixes({CAMERA: range(4), LIDAR: (0, 1)}, objective)]
     assert costs == [1000, 2000, 3000, 4000, 5000]
 
 
@@ -141,17 +147,17 @@ def test_ctrl_c_before_the_first_score_leaves_nothing_or_what_there_is(scene, mo
 def test_a_mix_that_costs_its_budget_to_the_cent_is_searched(scene):
     """Seven times 1999.85 is 13998.95; in binary, added up or multiplied, it is not."""
     priced = Objective(prices={LIDAR: 1999.85}, budget=13998.95)
-    assert [row for _, row in mixes({LIDAR: [7]}, priced)] == [{LIDAR: 7}]
-    assert priced.price(around(scene, {LIDAR: 7})) == 0.0
+    assert [row for _, row in device_mixes({LIDAR: [7]}, priced)] == [{LIDAR: 7}]
+    assert priced.price(starting_layout(scene, {LIDAR: 7})) == 0.0
 
 
 def test_failures_leave_out_mixes_of_one_sensor():
-    rows = [row for _, row in mixes({LIDAR: range(4)}, Objective(failures=True))]
+    rows = [row for _, row in device_mixes({LIDAR: range(4)}, Objective(failures=True))]
     assert rows == [{LIDAR: 2}, {LIDAR: 3}]
 
 
 def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
-    start = around(scene, {CAMERA: 3, LIDAR: 2})
+    start = starting_layout(scene, {CAMERA: 3, LIDAR: 2})
     kinds = [sensor.spec.kind for sensor in start.sensors]
     assert kinds == ["lidar", "lidar", "camera", "camera", "camera"]
     assert len({unit.base[:2] for unit in start.units}) == len(start.units) == 5
@@ -160,18 +166,22 @@ def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
 @pytest.mark.parametrize(
     ("counts", "objective", "message"),
     [
-        ({}, PRICED, "no device to choose from"),
+        ({}, PRICED, "no devices to combine"),
         ({"no-such": [1]}, PRICED, "no device 'no-such'"),
         ({CAMERA: [1]}, Objective(), f"'{CAMERA}' has no list price"),
-        ({CAMERA: []}, PRICED, "how many of it"),
-        ({CAMERA: [-1, 2]}, PRICED, "numbers from 0"),
-        ({CAMERA: [0]}, PRICED, "no mix is left: allow at least one sensor"),
-        ({CAMERA: [1]}, replace(PRICED, failures=True), "allow at least two sensors"),
-        ({LIDAR: [1]}, Objective(prices={"hesai-xt": 1.0}), "price of 'hesai-xt', which no mix"),
+        ({CAMERA: []}, PRICED, "at least one number of it"),
+        ({CAMERA: [-1, 2]}, PRICED, "each 0 or more"),
+        ({CAMERA: [0]}, PRICED, "no mix is left: a mix needs at least one sensor"),
+        ({CAMERA: [1]}, replace(PRICED, failures=True), "a mix needs at least two sensors"),
+        (
+            {LIDAR: [1]},
+            Objective(prices={"hesai-xt": 1.0}),
+            "price of 'hesai-xt', which is in no mix",
+        ),
         ({CAMERA: range(100_000), LIDAR: range(100_000)}, PRICED, "10,000,000,000 mixes, and at"),
         ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
         ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),
-        ({CAMERA: [99]}, PRICED, "99 sensors, and"),
+        ({CAMERA: [99]}, PRICED, "99 sensors, but only"),
     ],
 )
 def test_bad_input(scene, counts, objective, message):

@@ -85,7 +85,7 @@ def test_the_objective_is_the_callers(scene):
         (dict(position=-0.1), "position -0.1 m is out of range: between 0 m and 2 m"),
         (dict(angle=1.0), "angle 57.2958° is out of range: between 0° and 30°"),
         (dict(samples=0), "samples 0 is out of range: between 1 and 10000"),
-        (dict(softness=0.0), "softness 0 m: more than 0"),
+        (dict(softness=0.0), "softness 0 m: must be more than 0"),
         (dict(seed=-1), "seed -1: a whole number, 0 or more"),
     ],
 )

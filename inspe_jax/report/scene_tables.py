@@ -1,0 +1,145 @@
+"""Tables of scenes, layouts, devices, profiles and junctions for people."""
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from inspe_jax.report.tables import table_of
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
+from inspe_jax.scene.profiles import Profile
+from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.catalogue import Device
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import Spec
+
+if TYPE_CHECKING:
+    from inspe_jax.scene.maps.opendrive.reader import JunctionInfo
+
+
+def scene_table(scene: Scene) -> RenderableType:
+    """A scene: its source, voxels, traffic, settings, notes and regions."""
+    place, grid, traffic = scene.intersection, scene.voxels, scene.traffic
+    facts = table_of(scene.name, "scene", "")
+    rows = {
+        "source": place.source,
+        "centre": _position(place.center),
+        "region of interest": f"radius {grid.radius:g} m",
+        "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels = {grid.count:,}; "
+        f"{grid.words}",
+        "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
+        "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
+        "settings": ", ".join(f"{key} {value}" for key, value in scene.settings),
+        "notes": "\n".join(place.notes),
+    }
+    for name, value in rows.items():
+        if value:
+            facts.add_row(name, Text(value))
+    regions = table_of("Regions", "region", "weight", "columns", "share")
+    for region in Region:
+        count = int((grid.region == region).sum())
+        if count:
+            part = f"{count / len(grid.columns):.1%}"
+            regions.add_row(region.key, f"{WEIGHTS[region]:g}", f"{count:,}", part)
+    return Group(facts, "", regions)
+
+
+def layout_table(layout: Layout) -> RenderableType:
+    """A layout: each sensor with its device and pose [m, degrees].
+
+    Height is above the unit's base. Roll has a column only if a sensor has one.
+    """
+    poses = np.asarray(layout.poses, float)
+    height = poses[:, 2] - [layout.units[sensor.unit].base[2] for sensor in layout.sensors]
+    roll, pitch, yaw = np.degrees(poses[:, 3:]).T
+    numbers = {
+        "x\n[m]": poses[:, 0],
+        "y\n[m]": poses[:, 1],
+        "height\n[m]": height,
+        "yaw\n[°]": 180 - (180 - yaw) % 360,
+        "pitch\n[°]": pitch,
+        **({"roll\n[°]": roll} if np.any(np.abs(roll) >= 0.05) else {}),
+    }
+    table = table_of(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
+    for k, (sensor, row) in enumerate(
+        zip(layout.sensors, zip(*numbers.values(), strict=True), strict=True)
+    ):
+        names = [Text(name) for name in (sensor.name, sensor.spec.name)]
+        table.add_row(str(k + 1), *names, *(f"{value:z.1f}" for value in row))
+    return table
+
+
+def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> RenderableType:
+    """The catalogue: resolution, reach and price of each device, and the sources of the data."""
+    headers = (
+        "device",
+        "kind",
+        "pixels,\nchannels",
+        "field\nof view",
+        "reach\n[m]",
+        "rays",
+        "price\n[US$]",
+    )
+    table = table_of("Devices", *headers)
+    sources = [Text("Where their figures are from", style="bold")]
+    for device in devices.values() if isinstance(devices, Mapping) else devices:
+        resolution, view = _resolution(device.spec)
+        grid = device.spec.grid
+        price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
+        rays = f"{len(grid.rows) * grid.column_count:,}"
+        numbers = (resolution, view, f"{grid.reach:g}", rays, price)
+        table.add_row(device.name, device.kind, *numbers)
+        words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
+        sources.append(Text(words, style="dim"))
+    return Group(table, "", *sources)
+
+
+def profile_table(profile: Profile) -> RenderableType:
+    """A profile: every value, and the reason for it."""
+    table = table_of(f"{profile.name}: {profile.title}", "setting", "value", "reason")
+    for key, reason in profile.reasons.items():
+        table.add_row(key, f"{getattr(profile, key)}", reason)
+    return table
+
+
+def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:
+    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals."""
+    table = table_of(
+        f"Junctions of {map_name}", "id", "centre [m]", "arms", "size [m]", "crosswalks", "signals"
+    )
+    for info in infos:
+        counts = (str(info.crosswalks), str(info.signals))
+        table.add_row(
+            str(info.id), _position(info.center), str(info.arms), f"{info.size:.1f}", *counts
+        )
+    return table
+
+
+def built_ins_table() -> RenderableType:
+    """The built-in intersections."""
+    table = table_of(
+        "Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes"
+    )
+    for name in BUILT_INS:
+        place = built_in(name)
+        regions = ", ".join(
+            region.key
+            for region in Region
+            if region in place.regions and not place.regions[region].is_empty
+        )
+        counts = (str(len(each)) for each in (place.arms, place.poles, place.routes))
+        table.add_row(name, *counts, regions, Text("\n".join(place.notes)))
+    return table
+
+
+def _resolution(spec: Spec) -> tuple[str, str]:
+    """Pixels or channels, and the field of view from edge to edge [degrees], as text."""
+    across, high = np.degrees(spec.field_of_view)
+    return spec.resolution, f"{across:.0f}° × {high:.0f}°"
+
+
+def _position(center: Iterable[float]) -> str:
+    return ", ".join(f"{value:z.1f}" for value in center)

@@ -3,6 +3,8 @@
 import importlib
 import inspect
 import pkgutil
+import re
+from pathlib import Path
 
 import pytest
 
@@ -26,3 +28,16 @@ def test_modules_and_their_public_functions_are_documented(module):
         own = getattr(thing, "__module__", None) == module
         if own and not name.startswith("_") and inspect.isroutine(thing):
             assert inspect.getdoc(thing), f"{module}.{name} has no docstring"
+
+
+def test_contributing_names_files_that_are_there():
+    root, package = Path(__file__).parents[1], Path(inspe_jax.__file__).parent
+    text = (root / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([a-z0-9_./]+(?:\.py|\.toml|/))`", text)
+    assert len(named) > 20
+    missing = [
+        name
+        for name in named
+        if "/" in name and not (root / name).exists() and not (package / name).exists()
+    ]
+    assert not missing

@@ -1,7 +1,7 @@
 """Blueprints of the wire-level CARLA server: names, attributes and boxes as CARLA 0.9.16 has them.
 
-A selection: sizes are near the simulator's, and of what colours a camera's picture a few attributes
-are here. A walker's origin is its middle, a vehicle's is on the ground under it.
+A selection: sizes are close to the simulator's, and of the attributes that change a camera's
+picture only a few are here. A walker's origin is its middle, a vehicle's is on the ground below it.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ PAINT = ("17,37,103", "75,87,173", "180,44,44", "137,0,0")
 
 @dataclass(frozen=True)
 class Attribute:
-    """Of a blueprint: its first recommended value is the default."""
+    """An attribute of a blueprint; its first recommended value is the default."""
 
     name: str
     kind: int
@@ -27,7 +27,7 @@ class Attribute:
 
 @dataclass(frozen=True)
 class Blueprint:
-    """What can be spawned; centre and extent are those of its box [m], none for a sensor."""
+    """A blueprint; centre and extent are those of its box [m]; sensors have no box."""
 
     name: str
     attributes: tuple[Attribute, ...] = ()
@@ -41,7 +41,7 @@ class Blueprint:
 
 
 def vehicle(name, kind, generation, height, extent, special="", ahead=0.0) -> Blueprint:
-    """Its box is centred at a height over its origin, and maybe ahead of it."""
+    """The middle of its box is above its origin, and may be ahead of it."""
     wheels = 2 if kind in ("bicycle", "motorcycle") else 4
     told = dict(object_type="", base_type=kind, special_type=special)
     return Blueprint(
@@ -80,7 +80,7 @@ def walker(number, gender, age, extent) -> Blueprint:
 
 
 def sensor(name, **attributes) -> Blueprint:
-    """Values tell their types: an int, a float, text, or "true"."""
+    """The types follow from the values: an int, a float, text, or "true"."""
     kinds = {int: INT, float: FLOAT, str: STRING}
     return Blueprint(
         f"sensor.{name}",
@@ -168,7 +168,7 @@ SPECTATOR = Blueprint("spectator")
 
 
 def definitions() -> list:
-    """The library as `get_actor_definitions` tells it; blueprints count from 1."""
+    """The library as `get_actor_definitions` returns it; blueprints are numbered from 1."""
     return [
         [
             number,

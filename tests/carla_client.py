@@ -1,6 +1,6 @@
-"""Clients of the wire-level CARLA server: what they were told, written to a file.
+"""Clients of the wire-level CARLA server, which write what they received to a file.
 
-In processes of their own, as what does not fit on the wire ends the interpreter:
+They are processes, because a message that the client cannot read ends the interpreter:
 `python carla_client.py drive|ask|travel PORT FILE`.
 """
 
@@ -38,7 +38,7 @@ WALK = (0.0, 1.5, 0.0)
 
 
 def driven(tick: int) -> list[tuple[float, ...]]:
-    """Where the vehicles are put before a tick: two lanes and a bend."""
+    """The places of the vehicles before a tick: two lanes and a bend."""
     turn = np.radians(10.0 * tick)
     x, y = 13 + 3 * np.cos(turn), 3 * np.sin(turn) - 2
     return [
@@ -83,7 +83,7 @@ def sensor(library: carla.BlueprintLibrary, name: str, **attributes: str) -> car
 
 
 def drive(port: int, file: str) -> None:
-    """Twenty ticks of traffic seen by six sensors."""
+    """Twenty ticks of traffic, recorded by six sensors."""
     _, world = connect(port)
     library = world.get_blueprint_library()
     starts = [*driven(0), (6.0, -1.0, 0.93, 0.0, 90.0, 0.0)]
@@ -145,7 +145,7 @@ def drive(port: int, file: str) -> None:
 
 
 def ask(port: int, file: str) -> None:
-    """The rest of what a recorder may ask for."""
+    """The other calls that a recorder may make."""
     client, world = connect(port)
     library = world.get_blueprint_library()
     settings = world.get_settings()
@@ -228,7 +228,7 @@ def ask(port: int, file: str) -> None:
 
 
 def travel(port: int, file: str) -> None:
-    """From one map to the next."""
+    """Load another map."""
     client, world = connect(port)
     world.spawn_actor(
         world.get_blueprint_library().find("vehicle.tesla.model3"), transform((9, 0, 0, 0, 0, 0))

@@ -1,6 +1,6 @@
-"""How a CARLA server was left, written to a file: `python carla_look.py PORT FILE`.
+"""Writes the state of a CARLA server to a file: `python carla_look.py PORT FILE`.
 
-Apart from the clients that record, as it needs nothing of the package.
+It is apart from the clients that record, because it needs nothing from the package.
 """
 
 import json
@@ -9,11 +9,11 @@ import time
 from pathlib import Path
 
 MIDDLE = (-47.76, -20.43)
-"""Of the junction that is recorded, in our axes [m]."""
+"""The middle of the recorded junction, in the package's axes [m]."""
 
 
 def look_at(port: int) -> dict:
-    """How a server is left."""
+    """The state of a server."""
     import carla
 
     client = carla.Client("127.0.0.1", port)
@@ -24,7 +24,7 @@ def look_at(port: int) -> dict:
     below = world.project_point(here, carla.Vector3D(0, 0, -1), 50)
     until = time.monotonic() + 5
     while not len(world.get_actors()) and time.monotonic() < until:
-        time.sleep(0.02)  # where time stands still the first snapshot may yet be on its way
+        time.sleep(0.02)  # without ticks the first snapshot may not have arrived yet
     actors = sorted(actor.type_id for actor in world.get_actors())
     return {
         "map": world.get_map().name.rpartition("/")[2],

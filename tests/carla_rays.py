@@ -1,8 +1,8 @@
-"""What a sensor of the wire-level CARLA server sees: rays against the ground z = 0 and boxes.
+"""The sensors of the wire-level CARLA server: rays that hit the ground z = 0 and boxes.
 
 CARLA's frame: x forward, y right, z up, left-handed; poses are (x, y, z, pitch, yaw, roll) in
 metres and degrees, rotated roll first and yaw last. Everything is exact and without noise, so that
-a test can work out what it should get. Left out on purpose: drop-off and noise of the LiDAR, lens
+a test can calculate the expected values. Left out on purpose: drop-off and noise of the LiDAR, lens
 effects, weather.
 """
 
@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 SKY, GROUND = 11, 1
-"""CARLA's semantic tags of what is no box: sky, roads."""
+"""CARLA's semantic tags of sky and roads, which are not boxes."""
 
 FAR = 1000.0
-"""Where CARLA's depth camera ends [m]."""
+"""The largest depth of CARLA's depth camera [m]."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A solid: its centre's pose in the world as a matrix, half sizes [m], and how it is drawn."""
+    """A solid: the pose of its centre in the world as a matrix, half sizes [m], and its look."""
 
     matrix: np.ndarray  # (4, 4)
     extent: tuple[float, float, float]
@@ -44,7 +44,7 @@ def matrix(pose: Sequence[float]) -> np.ndarray:
 
 
 def pose(matrix: np.ndarray) -> tuple[float, ...]:
-    """The pose that has this matrix; what hangs on another actor is told where it is by it."""
+    """The pose of a matrix; actors that are attached to another one get theirs from it."""
     pitch = np.arcsin(np.clip(matrix[2, 0], -1, 1))
     yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
     roll = np.arctan2(-matrix[2, 1], matrix[2, 2])
@@ -52,7 +52,7 @@ def pose(matrix: np.ndarray) -> tuple[float, ...]:
 
 
 def instance_of(actor: int) -> int:
-    """Sixteen bits that stand for an actor in instance segmentation.
+    """The 16 bits of an actor in instance segmentation.
 
     CARLA writes Unreal's number of the object there, not the actor's id; nor is it the id here.
     """
@@ -60,7 +60,8 @@ def instance_of(actor: int) -> int:
 
 
 def colour_of(actor: int) -> tuple[int, int, int]:
-    """An actor's colour in RGB images: red differs for 191 in a row, blue is below all else's."""
+    """An actor's colour in RGB images: red differs for 191 actors in a row, and blue is lower than
+    that of anything else."""
     return 64 + 37 * actor % 191, 64 + 53 * actor % 191, actor % 40
 
 
@@ -69,13 +70,13 @@ def cast(
 ) -> tuple[np.ndarray, np.ndarray]:
     """First hits of rays in the world: multiples of `directions` (R, 3), and which box was hit.
 
-    -1 is the ground and -2 nothing, at infinity. A box around the origin is seen through.
+    -1 is the ground; -2 is nothing, at infinity. Boxes around the origin are transparent.
     """
     nearest = np.full(len(directions), np.inf)
     which = np.full(len(directions), -2)
     with np.errstate(divide="ignore", invalid="ignore"):
         down = -origin[2] / directions[:, 2]
-        hit = down > 0  # false where it is no number
+        hit = down > 0  # false for NaN
         nearest[hit], which[hit] = down[hit], -1
         for k, box in enumerate(boxes):
             turn = box.matrix[:3, :3]
@@ -90,7 +91,7 @@ def cast(
 
 
 def overlap(a: Box, b: Box) -> bool:
-    """Whether two boxes meet: no axis of theirs or across both separates them."""
+    """Whether two boxes overlap: no axis of theirs, or across both, separates them."""
     turns = a.matrix[:3, :3], b.matrix[:3, :3]
     across = np.cross(turns[0].T[:, None], turns[1].T[None]).reshape(-1, 3)
     axes = np.concatenate([turns[0].T, turns[1].T, across])  # (15, 3)
@@ -100,14 +101,15 @@ def overlap(a: Box, b: Box) -> bool:
 
 
 def swept(spec: Mapping[str, str], seconds: float) -> float:
-    """What a LiDAR turns in a time [deg]."""
+    """The angle by which a LiDAR turns in a time [deg]."""
     return float(spec["rotation_frequency"]) * float(spec["horizontal_fov"]) * seconds
 
 
 def scan(
     spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], start: float, seconds: float
 ) -> tuple[list[int], np.ndarray]:
-    """A LiDAR's turn from an angle on [deg]: points a channel and all of them, (P, 4) float32.
+    """A LiDAR's turn that begins at an angle [deg]: points per channel, and all points (P, 4),
+    float32.
 
     Points are in the sensor's own frame with intensity exp(-a d), channel after channel from the
     upper one down. As in CARLA there are `points_per_second` × `seconds` rays.
@@ -136,7 +138,7 @@ def scan(
 def sight(
     spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a pinhole camera's pixels show, row by row: depth, and which box as `cast` has it.
+    """The depth of a pinhole camera's pixels, row by row, and the index of the box, as in `cast`.
 
     Rays go through the middles of pixels; the focal length is W / (2 tan(fov / 2)). Depth is along
     the axis, not along the ray.
@@ -157,13 +159,13 @@ def picture(
     boxes: Sequence[Box],
     frame: int,
 ) -> np.ndarray:
-    """(H, W, 4) BGRA bytes of what a camera has seen; the blue of the ground tells the frame."""
+    """(H, W, 4) BGRA bytes of a picture; the blue of the ground encodes the frame."""
     depth, which = seen
     if kind == "depth":
         code = np.round(np.minimum(depth / FAR, 1) * (256**3 - 1)).astype(int)
         rgb = np.stack([code & 255, code >> 8 & 255, code >> 16], -1)
     else:
-        # One row a box, then sky and ground, which -2 and -1 pick.
+        # One row per box, then sky and ground, which -2 and -1 select.
         rows = {
             "rgb": [*(box.colour for box in boxes), (150, 190, 230), (96, 96, 64 + frame % 128)],
             "semantic_segmentation": [

@@ -1,6 +1,6 @@
-"""Clients that record at the wire-level CARLA server, and what they were told, written to a file.
+"""Clients that record with the wire-level CARLA server, and write what they received to a file.
 
-In processes of their own, as what does not fit on the wire ends the interpreter:
+They are processes, because a message that the client cannot read ends the interpreter:
 `python carla_recording.py record|wait|errors PORT FILE`.
 """
 
@@ -28,7 +28,7 @@ from inspe_jax.simulation.recorder import Recording, Server
 TOWN, JUNCTION = "Town10HD", 189
 FRAMES, RATE, SEED = 8, 10.0, 3
 AGAIN = 5
-"""The frame that is asked for twice."""
+"""The frame that is recorded twice."""
 RECORDING = Recording(
     rate=RATE,
     layers=("depth", "instance", "semantic"),
@@ -41,7 +41,7 @@ CAMERA = CameraSpec("camera", 640, 480, 320 / np.tan(np.radians(45)), (320.0, 24
 
 
 def scene() -> Scene:
-    """Everybody at a junction of a town, whose ground is level at z = 0."""
+    """Road users of every class at a junction of a town; its ground is level, at z = 0."""
     place = read_map(MAPS / f"{TOWN}.xodr", junction=JUNCTION, radius=40)
     return build_scene(
         place, radius=40, voxel=2.0, density=24, frames=FRAMES, step=1 / RATE, seed=SEED
@@ -49,7 +49,7 @@ def scene() -> Scene:
 
 
 def layout() -> Layout:
-    """Two cameras and a LiDAR on one mast at a corner, turned every way."""
+    """Two cameras and a LiDAR on one mast at a corner, turned about all axes."""
     x, y = MIDDLE[0] + 14, MIDDLE[1] + 14
     angles = np.radians([[2, -20, -135], [-3, -25, 160], [1, 2, 30]])
     poses = np.column_stack([np.full(3, x), np.full(3, y), [6.0, 6.2, 6.5], angles])
@@ -63,7 +63,7 @@ def at(port: int, seen: Scene, server: Server | None = None, conditions: Conditi
 
 
 def record(port: int, file: Path) -> None:
-    """A scenario of all frames, some asked for again; the traffic beside it."""
+    """Records a scenario of all frames, some of them twice, and writes its traffic to the file."""
     seen, folder = scene(), file.parent / "train" / TOWN
     with at(port, seen, conditions=RAIN) as recorder:
         frames = [recorder.frame(t) for t in range(FRAMES)]
@@ -90,7 +90,7 @@ def record(port: int, file: Path) -> None:
 
 
 def wait(port: int, file: Path) -> None:
-    """Records until somebody stops it, which `file` is there from the first frame on to tell."""
+    """Records until it is stopped; `file` appears after the first frame."""
     seen = scene()
     with at(port, seen) as recorder:
         while True:
@@ -99,9 +99,9 @@ def wait(port: int, file: Path) -> None:
 
 
 def errors(_: int, file: Path, *ports: str) -> None:
-    """What it is told by servers that will not do, NAME:PORT each, and how they are left.
+    """The errors for servers that cannot be used, NAME:PORT each, and their state afterwards.
 
-    On the one named "taken" there is a car already.
+    There is a car already on the one named "taken".
     """
     told, seen, quick = {}, scene(), Server(timeout=1.5)
     for name, port in (given.split(":") for given in ports):
@@ -120,7 +120,7 @@ def errors(_: int, file: Path, *ports: str) -> None:
 
 
 def park(port: int) -> None:
-    """Leaves a car and time standing still, as a client that crashed."""
+    """Leaves a car, and synchronous mode switched on, as a client that crashed."""
     import carla
 
     client = carla.Client("127.0.0.1", port)
@@ -133,7 +133,7 @@ def park(port: int) -> None:
 
 
 if __name__ == "__main__":
-    # Where tests run in the background, shells have Ctrl-C ignored, and processes inherit that.
+    # In the background, shells ignore Ctrl-C, and processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     tasks = {"record": record, "wait": wait, "errors": errors}
     tasks[sys.argv[1]](int(sys.argv[2]), Path(sys.argv[3]), *sys.argv[4:])

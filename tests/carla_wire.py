@@ -83,11 +83,11 @@ KINDS = {
     "sensor.camera.instance_segmentation": 15,
     "snapshot": 17,
 }
-"""What a payload is: the sensor's place in CARLA's registry."""
+"""The type of a payload: the sensor's index in CARLA's registry."""
 
 
 class Wire:
-    """A world, and who listens to it; whatever touches either holds `changed`."""
+    """A world and the clients that listen to it; code that uses either holds `changed`."""
 
     def __init__(
         self,
@@ -102,17 +102,17 @@ class Wire:
         self.port, self.stream_port = (server.server_address[1] for server in self.servers)
         self.world, self.log = World(maps, self.token, scenery), log
         self.mute, self.left = mute, after
-        self.sights: dict[tuple, tuple] = {}  # of this frame's cameras, by where and how they look
+        self.sights: dict[tuple, tuple] = {}  # of this frame's cameras, by pose and attributes
         self.changed = threading.Condition()
         self.listeners: dict[int, list[socket.socket]] = defaultdict(list)
 
     def run(self) -> None:
-        """Serves from threads that end with the process."""
+        """Serve from threads that end with the process."""
         for work in (*(server.serve_forever for server in self.servers), self.flow):
             threading.Thread(target=work, daemon=True).start()
 
     def flow(self) -> None:
-        """Time passes by itself unless a client asked to be waited for."""
+        """Ticks by itself, unless a client switched synchronous mode on."""
         while True:
             time.sleep(STEP)
             with self.changed:
@@ -124,7 +124,7 @@ class Wire:
     # -- Calls ---------------------------------------------------------------------------------
 
     def answer(self, message: list, connection: socket.socket) -> None:
-        """Replies first and publishes the frame after, as CARLA does."""
+        """Replies first, and publishes the frame afterwards, as CARLA does."""
         _, number, name, (_, *arguments) = message
         with self.changed:
             if self.log:
@@ -146,7 +146,7 @@ class Wire:
     # -- Frames --------------------------------------------------------------------------------
 
     def gather(self) -> None:
-        """Waits until all who asked for a stream have come for it."""
+        """Waits until all clients that asked for a stream have connected to it."""
         if not self.changed.wait_for(lambda: not +self.world.awaited, timeout=2):
             self.world.awaited.clear()
 
@@ -159,7 +159,7 @@ class Wire:
                 self.send(self.measurement(actor, seconds, start), listeners)
 
     def silent(self, actor: Actor) -> bool:
-        """Whether a measurement is kept back."""
+        """Whether a measurement is not sent."""
         if actor.blueprint.name != self.mute:
             return False
         self.left -= 1
@@ -199,7 +199,7 @@ class Wire:
         return struct.pack("<IHBB4B12x", stream, self.stream_port, 1, 1, 127, 0, 0, 1)
 
     def subscribe(self, stream: int, connection: socket.socket) -> None:
-        """Who comes for snapshots gets the last one, so that nobody waits for a frame gone by."""
+        """A new listener gets the last snapshot, so that no client waits for a past frame."""
         with self.changed:
             self.listeners[stream].append(connection)
             self.world.awaited[stream] -= 1
@@ -214,17 +214,17 @@ class Wire:
     def send(self, payload: bytes, to: Sequence[socket.socket]) -> None:
         """Waits for slow readers, as CARLA does in synchronous mode."""
         for connection in to:
-            with suppress(OSError):  # one that has just gone
+            with suppress(OSError):  # a client that has just disconnected
                 connection.sendall(struct.pack("<I", len(payload)) + payload)
 
 
 def attempt(work: Callable, *arguments: Any) -> list:
-    """The response of a call."""
+    """The response to a call."""
     try:
         value = work(*arguments)
     except Refused as error:
         return [[0, [str(error)]]]
-    except Exception as error:  # a mistake here is to be read there, not waited for
+    except Exception as error:  # an error here must be visible there, instead of a timeout
         traceback.print_exc()
         return [[0, [f"the server failed: {error!r}"]]]
     return [[False]] if value is None else [[1, value]]
@@ -268,7 +268,7 @@ class Streams(StreamRequestHandler):
 
 @contextmanager
 def serving(*arguments: str | Path) -> Iterator[int]:
-    """The port of a server in a process of its own, which ends with the block."""
+    """The port of a server in a new process, which ends with the block."""
     command = [sys.executable, __file__, *map(str, arguments)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:

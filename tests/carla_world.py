@@ -1,12 +1,12 @@
 """The world behind the wire-level CARLA server: one episode, and what clients may do to it.
 
-No simulation: actors stay where they are put. One that has physics goes on with the velocity it was
-given, one without stands still, as the simulator's snapshots then say. There is no gravity, and
-nothing collides but what is spawned where something is.
+There is no simulation: actors stay where they are placed. Actors with physics move on at their
+given velocity; actors without stand still, and the snapshots say so, as the simulator's do. There
+is no gravity, and the only collision is an actor that is spawned where another one is.
 
-What is answered and has no effect: `NOTED`. What is not answered, so that the client raises a
-RuntimeError: the traffic manager (also of `set_autopilot`), physics and lights of vehicles when
-asked for, bones of walkers, traffic lights, `cast_ray`, the simulator's recorder.
+Calls that are answered but have no effect: `NOTED`. Calls that are not answered, so that the client
+raises a RuntimeError: the traffic manager (also of `set_autopilot`), queries of physics and lights
+of vehicles, bones of walkers, traffic lights, `cast_ray`, the simulator's recorder.
 """
 
 import time
@@ -31,16 +31,16 @@ from carla_rays import (
 
 VERSION = "0.9.16"
 SNAPSHOTS = 1
-"""The stream of snapshots; those of sensors count on from there, actors from elsewhere."""
+"""The number of the stream of snapshots; those of sensors follow it. Actors have other numbers."""
 SETTINGS = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
 NOON = [5.0, 0.0, 0.0, 10.0, -1.0, 45.0, 2.0, 0.75, 0.1, 0.0, 1.0, 0.03, 0.0331, 0.0]
 STEP = 0.05
-"""Seconds a frame where no fixed time is set."""
+"""Seconds per frame, if no fixed time is set."""
 LOADING = 0.3
 """Seconds without frames while a map is loaded."""
 
 CALLS: dict[str, Callable] = {}
-"""What a client may ask for: methods of the world."""
+"""The calls of a client, and the methods of the world that answer them."""
 
 NOTED = [
     "add_actor_angular_impulse",
@@ -87,11 +87,11 @@ COMMANDS = [
     "show_vehicle_debug_telemetry",
     "set_vehicle_light_state",
 ]
-"""The calls that the commands of a batch stand for, by number."""
+"""The calls of the commands in a batch, by number."""
 
 
 class Refused(Exception):
-    """What the client raises as a RuntimeError."""
+    """An error that the client raises as a RuntimeError."""
 
 
 def call(method: Callable) -> Callable:
@@ -101,9 +101,9 @@ def call(method: Callable) -> Callable:
 
 @dataclass
 class Actor:
-    """Its pose is in the world, or in the parent's frame where there is one.
+    """Its pose is in the world, or in the frame of its parent, if it has one.
 
-    A sensor has a stream, the time since it last measured and the angle a LiDAR has come to [deg].
+    A sensor has a stream, the time since its last measurement, and a LiDAR's angle [deg].
     """
 
     number: int
@@ -128,7 +128,7 @@ class Actor:
 
 
 class World:
-    """State of the episode; `token` tells where a stream is to be had."""
+    """State of the episode; `token` gives the address of a stream."""
 
     def __init__(
         self, maps: Sequence[Path], token: Callable[[int], bytes], scenery: Sequence[dict] = ()
@@ -141,7 +141,9 @@ class World:
         ]
         self.release, self.hidden = VERSION, set()
         self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
-        self.awaited: Counter[int] = Counter()  # streams asked for that nobody came for yet
+        self.awaited: Counter[int] = (
+            Counter()
+        )  # streams that a client asked for, but did not connect to yet
         self.episode, self.frame, self.time = 7, 100, 5.0
         self.ticked, self.fresh, self.loaded = False, False, 0.0
         self.settings, self.weather = list(SETTINGS), list(NOON)
@@ -230,7 +232,7 @@ class World:
 
     @call
     def get_environment_objects(self, tag: int) -> list:
-        """Scenery with a tag, 255 for any; boxes are in the world."""
+        """Objects of the map with a tag, 255 for any; their boxes are in the world."""
         found = []
         for number, (solid, box) in enumerate(zip(self.scenery, self.solids, strict=True)):
             if tag in (box.tag, 255):
@@ -252,7 +254,7 @@ class World:
 
     @call
     def project_point(self, start: list, direction: list, reach: float) -> list:
-        """What a ray meets first: whether anything, and where and with which tag."""
+        """The first hit of a ray: whether there is one, its place and its tag."""
         boxes, along = self.boxes(), np.array(direction)
         far, which = cast(np.array(start), along[None], boxes)
         found = bool(far[0] * np.linalg.norm(along) <= reach)
@@ -320,7 +322,7 @@ class World:
 
     @call
     def destroy_actor(self, actor: int) -> bool:
-        """What it carried stays where it is."""
+        """Actors that were attached to it stay where they are."""
         self.find(actor)
         for other in self.actors.values():
             if other.parent == actor:
@@ -362,7 +364,7 @@ class World:
         self.set_actor_transform(actor, transform)
 
     def command(self, kind: int, arguments: list, spawned: int = 0) -> int:
-        """One of a batch, or of what is to be done with what was spawned: the actor's number."""
+        """Run one command of a batch, or one that follows a spawn; gives the actor's number."""
         if COMMANDS[kind] != "spawn_actor":
             actor = spawned or arguments[0]
             CALLS[COMMANDS[kind]](self, actor, *arguments[1:])
@@ -391,7 +393,8 @@ class World:
         return self.frame
 
     def due(self) -> Iterator[tuple[Actor, float, float]]:
-        """Sensors that measure in this frame, since when, and from which angle on a LiDAR turned.
+        """Sensors that measure in this frame, the time since the last one, and a LiDAR's first
+        angle.
 
         One with a `sensor_tick` waits for that time from its last measurement, whole frames.
         """

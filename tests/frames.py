@@ -1,4 +1,4 @@
-"""Small frames of a data set, made by hand and by chance, and what makes two the same."""
+"""Small frames of a data set, by hand and at random, and a comparison of two frames."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -13,10 +13,10 @@ WORLD = {
     "weather": {"cloudiness": 10.0},
     "town": "four_way",
 }
-"""What a protocol must tell."""
+"""The keys that a protocol must have."""
 
 UNIT = np.array([12.0, 8.0, 6.0, 0.0, 0.0, np.radians(-150)])
-"""A pose of a unit: 6 m up, looking south-west."""
+"""The pose of a unit, 6 m up and looking south-west."""
 
 
 def car(track: int = 3, **changes) -> RoadUserBox:
@@ -53,7 +53,7 @@ def image(width: int = 8, height: int = 6, pose=UNIT, layers: bool = True, seed:
 
 
 def scan(count: int = 50, pose=UNIT, seed: int = 0) -> Scan:
-    """Points below and about a LiDAR, with intensities that a byte holds."""
+    """Points below and around a LiDAR; one byte holds each intensity exactly."""
     rng = np.random.default_rng(seed)
     points = rng.uniform([-20, -20, -7, 0], [20, 20, -1, 1], (count, 4))
     points[:, 3] = np.rint(points[:, 3] * 255) / 255
@@ -61,7 +61,7 @@ def scan(count: int = 50, pose=UNIT, seed: int = 0) -> Scan:
 
 
 def station(number: int = 1, cameras: int = 2, lidars: int = 1, layers: bool = True) -> Station:
-    """A station with cameras and LiDARs a little off its pose."""
+    """A station whose cameras and LiDARs are close to its pose."""
     poses = UNIT + np.linspace(0.1, 0.4, cameras + lidars + 1)[:, None]
     return Station(
         number=number,
@@ -82,10 +82,10 @@ def frame(number: int = 68, boxes=None, stations=None) -> Frame:
 
 
 def assert_same(read: Frame, given: Frame) -> None:
-    """Two frames agree, to what files keep.
+    """Two frames agree, as far as files can tell.
 
-    Lengths to 1e-6 m and angles to 1e-6 °; speeds, but not where they lead; intensities to half
-    a byte's step, depths to half a centimetre; all else exactly.
+    Lengths to 1e-6 m and angles to 1e-6 °; speeds, but not their directions; intensities to half
+    of 1/255, depths to half a centimetre; everything else exactly.
     """
     assert read.number == given.number
     assert read.time == given.number * 0.05
@@ -128,13 +128,13 @@ def assert_same_image(read: Image, given: Image) -> None:
 
 
 def vectors(low: list[float], high: list[float]) -> st.SearchStrategy[np.ndarray]:
-    """Vectors between two corners."""
+    """Vectors inside a box with these corners."""
     each = [st.floats(a, b) for a, b in zip(low, high, strict=True)]
     return st.tuples(*each).map(np.array)
 
 
 POSES = vectors([-2000, -2000, -50, -4, -1.5, -7], [2000, 2000, 50, 4, 1.5, 7])
-"""Anywhere on a map, turned any way, and more than once round."""
+"""Poses anywhere on a map, with any angles, also of more than a full turn."""
 
 BOXES = st.builds(
     RoadUserBox,

@@ -1,6 +1,6 @@
-"""A recorder of made-up frames, as slow, deadly or short of room as the environment says.
+"""A recorder of random frames. Environment variables make it slow, kill workers, or fill the disk.
 
-In a module of its own, since workers import what they are sent.
+It is a module because workers import the functions that they are sent.
 """
 
 import errno
@@ -19,14 +19,15 @@ from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station, chunk
 from inspe_jax.scene.traffic.frames import CLASSES
 
 SLOW, DEADLY, ROOM, PIDS = "MADE_UP_SLOW", "MADE_UP_DEADLY", "MADE_UP_ROOM", "MADE_UP_PIDS"
-"""Seconds a frame takes; a seed of which frame 3 kills its worker; the files that there is room
-for; and a folder for a file by the process id of each worker."""
+"""Names of variables: the seconds per frame; the seed of a scenario whose frame 3 kills the worker;
+the number of files that the disk has room for; and a folder in which each worker leaves a file
+named by its process id."""
 
 _work = chunk.work
 
 
 class Recorder:
-    """Noise by the seed and the frame, from where the sensors are; the scene's traffic."""
+    """Records the scene's traffic, and random pictures and points that depend on seed and frame."""
 
     def __init__(self, scene, layout, recording, seed):
         self.scene, self.layout, self.recording, self.seed = scene, layout, recording, seed
@@ -84,7 +85,7 @@ def recorder_of(backend, scene, layout, conditions, recording, seed, server=None
 
 
 def work(scene, todo):
-    """The worker's work, by this recorder."""
+    """What `chunk.work` does, with this recorder."""
     chunk.recorder_of = recorder_of
     if PIDS in os.environ:
         (Path(os.environ[PIDS]) / str(os.getpid())).touch()
@@ -105,7 +106,7 @@ def short_of_room(todo):
 
 
 def use():
-    """Have `generate` send this work; gives what puts that back."""
+    """Let `generate` send this function to workers; gives a function that undoes it."""
     module = importlib.import_module("inspe_jax.dataset.generate")
     before, module.work = module.work, work
     recorder = chunk.recorder_of

@@ -1,8 +1,8 @@
-"""The public readers' rules for a data set, one by one, on every file of it.
+"""Checks every file of a data set against the rules of the public readers.
 
-Written from the description of the format and not from the writer: it imports nothing of the
-package, has its own transforms and its own PCD parser, and fails with an AssertionError that
-names the file. ``check_set`` takes a folder of splits, ``check_scenario`` one scenario.
+It follows the description of the format, not the writer: it imports nothing from the package, has
+its own transforms and its own PCD parser, and fails with an AssertionError that names the file.
+``check_set`` takes a folder of splits, ``check_scenario`` one scenario.
 """
 
 import re
@@ -15,7 +15,7 @@ import yaml
 from PIL import Image
 
 RANGE = (-140.8, -38.4, -8.0, 140.8, 38.4, 0.0)
-"""Where a reader looks, in the LiDAR's frame [m]: z −8…0, for a LiDAR some 6 m up."""
+"""The range that a reader uses, in the LiDAR's frame [m]: z −8…0, for a LiDAR some 6 m up."""
 
 SPLITS = ("train", "validate", "test")
 AGENT_KEYS = ("RSU", "ego_speed", "lidar_pose", "lidar_pose0", "predicted_ego_pos", "true_ego_pos")
@@ -31,7 +31,7 @@ LAYERS = {"depth": ("I;16", "I"), "instance": ("I;16", "I"), "semantic": ("L",)}
 
 @dataclass
 class Report:
-    """What a reader would see: counts over all agents and frames; ``ego`` is its first agent."""
+    """What a reader finds: counts over all agents and frames; ``ego`` is its first agent."""
 
     ego: str = ""
     agents: int = 0
@@ -44,7 +44,7 @@ class Report:
 
 
 def check_set(root, **options) -> dict[str, Report]:
-    """Check every scenario of every split; reports by ``split/scenario``."""
+    """Check every scenario of every split; gives the reports by ``split/scenario``."""
     reports = {}
     for split in SPLITS:
         for scenario in sorted((Path(root) / split).glob("*")):
@@ -57,8 +57,8 @@ def check_set(root, **options) -> dict[str, Report]:
 def check_scenario(scenario, attenuation=None, lidar_range=RANGE, every_box_hit=False) -> Report:
     """Check every file of a scenario.
 
-    ``attenuation`` [1/m]: intensities must be exp(−attenuation · distance), to a byte's step.
-    ``every_box_hit``: each box in range must hold a point of some agent's LiDAR.
+    ``attenuation`` [1/m]: intensities must be exp(−attenuation · distance), to 1/255.
+    ``every_box_hit``: each box in range must contain a point of a LiDAR of some agent.
     """
     scenario = Path(scenario)
     check_protocol(scenario / "data_protocol.yaml")
@@ -77,7 +77,8 @@ def check_scenario(scenario, attenuation=None, lidar_range=RANGE, every_box_hit=
 
 
 def readers_order(scenario: Path) -> list[str]:
-    """Agents as readers take them: sorted as text, and the first moved last if negative."""
+    """Agents in the order of readers: sorted as text, and the first moved to the end if
+    negative."""
     agents = sorted(p.name for p in scenario.iterdir() if p.is_dir())
     need(agents, f"{scenario}: no agent")
     for agent in agents:
@@ -201,7 +202,7 @@ def check_things(path: Path, content: dict) -> dict:
 
 
 def check_lidars(path: Path, content: dict, attenuation) -> np.ndarray:
-    """Points (N, 4) of the first LiDAR, x, y, z and intensity, as the file has them."""
+    """Points (N, 4) of the first LiDAR as in the file: x, y, z and intensity."""
     lidars = sorted(int(m[1]) for m in (re.fullmatch(r"lidar_pose(\d+)", k) for k in content) if m)
     need(lidars == list(range(len(lidars))), f"{path}: LiDARs {lidars} are not 0, 1, …")
     clouds = list(path.parent.glob(f"{path.stem}_lidar*.pcd"))
@@ -220,7 +221,7 @@ def check_lidars(path: Path, content: dict, attenuation) -> np.ndarray:
 
 
 def parse_pcd(path: Path) -> np.ndarray:
-    """x, y, z and intensity by ``struct``, from the plainest form of the format alone."""
+    """x, y, z and intensity by ``struct``; reads only the simplest form of the format."""
     head, mark, body = path.read_bytes().partition(b"DATA binary\n")
     lines = [line.split() for line in head.decode("ascii").splitlines() if line[0] != "#"]
     header = {key: values for key, *values in lines}

@@ -1,4 +1,4 @@
-"""`inspe dataset` as a stranger meets it: what it prints, what it writes, how it fails."""
+"""`inspe dataset` on the command line: what it prints, what it writes, and its errors."""
 
 import csv
 import json
@@ -13,7 +13,7 @@ from inspe_jax.dataset import write_frame, write_protocol
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A set of two scenarios of two frames each, and a folder that is none."""
+    """A data set of two scenarios with two frames each, and a folder that is not a data set."""
     root = tmp_path_factory.mktemp("files")
     for place in ("train/a", "test/a"):
         for number in (4, 6):

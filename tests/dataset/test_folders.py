@@ -1,4 +1,4 @@
-"""Data sets opened as folders: ours, those of others, and what is neither."""
+"""Opening data sets: the package's own, those of other people, and folders that are none."""
 
 import copy
 import pickle
@@ -37,7 +37,7 @@ vehicles:
     location: [110.0, 50.0, 0]
     speed: 36
 """
-"""A frame as OPV2V has it, made up: a car that drives north in the left-handed world's −y."""
+"""A frame as OPV2V has it: a car that drives north, which is −y in the left-handed world."""
 
 POINTS = """\
 # .PCD v0.7 - Point Cloud Data file format
@@ -58,7 +58,8 @@ DATA ascii
 
 @pytest.fixture
 def others(tmp_path) -> Path:
-    """A scenario of somebody else's: two vehicles and a unit, five digits, no protocol."""
+    """A scenario of other people: two vehicles and a unit, file names of five digits, no
+    protocol."""
     scenario = tmp_path / "test_culvercity" / "2021_08_18"
     for agent in ("641", "-1", "9"):
         (scenario / agent).mkdir(parents=True)
@@ -70,7 +71,7 @@ def others(tmp_path) -> Path:
     return scenario
 
 
-def test_a_set_of_others(others):
+def test_a_data_set_of_other_people(others):
     opened = dataset.open(others)
     (scenario,) = opened.splits["test_culvercity"]
     assert scenario.agents == (-1, 9, 641)
@@ -99,7 +100,7 @@ def test_a_set_of_others(others):
 
 
 def test_infra_set_variant(others):
-    """Four dictionaries instead of ``vehicles``, and ``lidar_pose0`` with its own file name."""
+    """Four sections instead of ``vehicles``, and ``lidar_pose0`` with its own file name."""
     agent = others / "-1"
     holds = yaml.safe_load(OTHERS)
     car = holds.pop("vehicles")[215]
@@ -117,7 +118,7 @@ def test_infra_set_variant(others):
 
 
 def ours(root: Path) -> Path:
-    """Two scenarios to train with and one to test, two frames each."""
+    """Two scenarios in train and one in test, with two frames each."""
     for place in ("train/a", "train/b", "test/c"):
         for number in (0, 2):
             write_frame(root / place, frame(number))
@@ -126,7 +127,7 @@ def ours(root: Path) -> Path:
     return root
 
 
-def test_the_three_levels_of_a_set(tmp_path):
+def test_a_set_a_split_or_a_scenario_can_be_opened(tmp_path):
     root = ours(tmp_path / "set")
     opened = dataset.open(root)
     assert [*opened.splits] == ["train", "test"]
@@ -148,20 +149,20 @@ def test_frames_of_a_scenario(tmp_path):
         scenario.frame(4)
 
 
-def test_half_a_frame_is_none(tmp_path):
+def test_an_incomplete_frame_does_not_count(tmp_path):
     scenario = ours(tmp_path) / "train" / "a"
     (scenario / "-2" / "000002.yaml").unlink()
     assert dataset.open(scenario).scenarios[0].frames == (0,)
 
 
-def test_the_tick_comes_from_the_protocol(tmp_path):
+def test_the_time_step_comes_from_the_protocol(tmp_path):
     write_frame(tmp_path, frame(30))
     write_protocol(tmp_path, {"world": {**WORLD, "fixed_delta_seconds": 0.1}})
     assert read_frame(tmp_path, 30).time == pytest.approx(3)
 
 
-def test_pictures_and_points_are_read_when_asked_for(tmp_path):
-    """And then kept: what was read is there when the files no longer are."""
+def test_pictures_and_points_are_read_when_used(tmp_path):
+    """Only once: what was read stays when the files are deleted."""
     write_frame(tmp_path, frame())
     read = read_frame(tmp_path, 68)
     first, second = read.stations
@@ -177,7 +178,7 @@ def test_pictures_and_points_are_read_when_asked_for(tmp_path):
 
 
 def test_deferred_records_are_records(tmp_path):
-    """Copied, pickled, changed and shown as any other."""
+    """They can be copied, pickled, changed and printed."""
     write_frame(tmp_path, frame())
     read = read_frame(tmp_path, 68).stations[0].images[0]
     assert "rgb" not in repr(read)
@@ -252,7 +253,7 @@ def test_broken_frames(others, old, new, message):
 
 
 def test_frames_with_anchors_are_read_whole(others):
-    """An anchor before the things may be meant among them."""
+    """An anchor before the road users may be used among them."""
     text = OTHERS.replace("ego_speed: 20.0", "ego_speed: &fast 20.0")
     (others / "-1" / "00068.yaml").write_text(text.replace("speed: 36", "speed: *fast"))
     speed = np.linalg.norm(read_frame(others, 68).boxes[0].velocity)
@@ -266,7 +267,7 @@ def test_broken_protocol(tmp_path):
         _ = dataset.open(scenario).scenarios[0].protocol
 
 
-def test_folders_that_are_no_set(tmp_path):
+def test_folders_that_are_not_data_sets(tmp_path):
     with pytest.raises(InspeError, match="missing: no such folder"):
         dataset.open(tmp_path / "missing")
     with pytest.raises(InspeError, match="missing: no such folder"):

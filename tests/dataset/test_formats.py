@@ -1,4 +1,4 @@
-"""A format of one's own: a module of four functions and a row of the registry."""
+"""Adding a format: a module with four functions, and one row of the registry."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station, chunk, l
 from inspe_jax.dataset.formats.registry import FORMATS, DatasetFormat
 from inspe_jax.dataset.writer import DatasetWriter
 
-# ---- the toy: all of a frame in one .npz file --------------------------------------------------
+# ---- the toy format: a frame is one .npz file --------------------------------------------------
 
 
 def toy_agents(folder: Path) -> tuple[int, ...]:
@@ -71,7 +71,7 @@ TOY = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.npz", "made_
 
 @pytest.fixture(autouse=True)
 def _toy(monkeypatch):
-    """The row, which is all that adding a format changes."""
+    """Add the row, which is the only change to the package."""
     monkeypatch.setitem(FORMATS, "npz", TOY)
 
 
@@ -83,7 +83,7 @@ def study(folder: Path, **changes) -> Path:
     return path
 
 
-# ---- what then works -----------------------------------------------------------------------
+# ---- what works then -----------------------------------------------------------------------
 
 
 def test_frames_are_read_back_as_they_were_written(tmp_path):
@@ -100,8 +100,8 @@ def test_frames_are_read_back_as_they_were_written(tmp_path):
     assert sorted(path.name for path in first.path.iterdir()) == ["3.npz", "68.npz", "made_by.yaml"]
 
 
-def test_a_folder_is_of_the_format_whose_frames_it_has(tmp_path, monkeypatch):
-    """Two formats may call their protocol alike, or there may be none."""
+def test_a_folder_has_the_format_of_its_frames(tmp_path, monkeypatch):
+    """Also if two formats use the same name for the protocol, or there is no protocol."""
     alike = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.npz")
     monkeypatch.setitem(FORMATS, "npz", alike)
     for name, of in (("a", "npz"), ("b", "opv2v")):
@@ -113,7 +113,7 @@ def test_a_folder_is_of_the_format_whose_frames_it_has(tmp_path, monkeypatch):
     assert [scenario.format for scenario in dataset.open(tmp_path).scenarios] == kinds
 
 
-def test_the_statistics_count_it(tmp_path):
+def test_statistics_of_a_new_format(tmp_path):
     dataset.write_frame(tmp_path / "a" / "b", frame(1), "npz")
     dataset.write_frame(tmp_path / "c" / "d", frame(1))
     npz, opv2v = (dataset.statistics(tmp_path / name).total for name in "ac")
@@ -121,8 +121,9 @@ def test_the_statistics_count_it(tmp_path):
         assert getattr(npz, count) == getattr(opv2v, count) > 0
 
 
-def test_a_set_is_generated_in_it(tmp_path, monkeypatch):
-    """As a worker does, and the writer of the set that puts finished scenarios in their place."""
+def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
+    """By the functions of a worker, and the writer that moves finished scenarios into their
+    split."""
     monkeypatch.setattr(chunk, "recorder_of", made_up.recorder_of)
     monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
     generation = load_generation(study(tmp_path, format="npz"))
@@ -139,7 +140,7 @@ def test_a_set_is_generated_in_it(tmp_path, monkeypatch):
         assert writer.finish(plan) is True
     (scenario,) = dataset.open(tmp_path / "out").scenarios
     assert (scenario.format, scenario.frames) == (TOY, tuple(range(14)))
-    # From its protocol it is made again in the same format.
+    # Its protocol gives a plan in the same format.
     again = load_generation(scenario.path / "made_by.yaml")
     assert (again.format, again.scenarios[0].seed) == ("npz", plan.seed)
     other = load_generation(study(tmp_path))
@@ -148,7 +149,7 @@ def test_a_set_is_generated_in_it(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("use", ["study", "frame", "protocol"])
-def test_formats_that_there_are_not(tmp_path, use):
+def test_unknown_formats(tmp_path, use):
     uses = SimpleNamespace(
         study=lambda: load_generation(study(tmp_path, format="opv2")),
         frame=lambda: dataset.write_frame(tmp_path / "a", frame(1), "opv2"),
@@ -159,13 +160,13 @@ def test_formats_that_there_are_not(tmp_path, use):
     assert not (tmp_path / "a").exists()
 
 
-def test_no_set_names_every_format(tmp_path):
+def test_the_error_for_other_folders_names_every_format(tmp_path):
     with pytest.raises(InspeError, match=r"SPLIT/SCENARIO/AGENT/000000.yaml.*, SCENARIO/0.npz"):
         dataset.open(tmp_path)
 
 
 def test_only_the_registry_knows_the_formats():
-    """A format is one new file and a row: no other module imports one."""
+    """No other module imports a format: a new one is one new file and a row."""
     root = Path(dataset.__file__).parents[1]
     knows = [
         path.relative_to(root).as_posix()

@@ -1,4 +1,4 @@
-"""Data sets made by processes: killed, out of room, taken up again; the bytes stay the same."""
+"""Generating data sets: killed, out of disk space and continued, the bytes stay the same."""
 
 import os
 import shutil
@@ -51,7 +51,7 @@ main()
 """
 
 
-@pytest.fixture(autouse=True, name="the_real_one")
+@pytest.fixture(autouse=True, name="restore_recorder")
 def _made_up():
     back = made_up.use()
     yield back
@@ -60,9 +60,9 @@ def _made_up():
 
 @pytest.fixture
 def at_home(monkeypatch):
-    """One worker in this process, which need not import anything first.
+    """One worker in this process, which does not have to import anything first.
 
-    For tests to which it is all the same; `undisturbed` and the slow ones have processes.
+    For tests where this makes no difference; `undisturbed` and the slow tests use processes.
     """
     from distributed import Client, LocalCluster
 
@@ -85,7 +85,7 @@ def write(folder: Path, **changes) -> Path:
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Every file of a set and what is in it, but for what tells runs apart."""
+    """The content of every file of a data set, without lock files."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock")
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
@@ -93,7 +93,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def begin(
     path: Path, out: Path, *options: str, slow: float = 0.02, around: Sequence[str] = (), **more
 ) -> subprocess.Popen:
-    """`inspe generate` of made-up frames, in a process and a group of its own."""
+    """Start `inspe generate` with the random recorder, in a new process and process group."""
     here = str(Path(__file__).parents[1])
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.Popen(
@@ -117,7 +117,7 @@ def begin(
 
 
 def wait_for_frames(process: subprocess.Popen, out: Path, count: int) -> None:
-    """Until there are so many; whatever has its final name is whole on the way."""
+    """Wait for this number of frames; every file with its final name must be complete meanwhile."""
     end = time.monotonic() + 120
     while sum(1 for _ in out.rglob("*/-1/[0-9]*.yaml")) < count:
         assert process.poll() is None, process.communicate()
@@ -184,7 +184,7 @@ def test_every_scenario_is_valid_and_in_its_split(undisturbed):
 
 
 def test_noise_differs_and_traffic_does_not(undisturbed):
-    """From light to light; and both from seed to seed."""
+    """Between lights only the noise differs; between seeds both do."""
     path, files = undisturbed
     each = {}
     for plan in load_generation(path).scenarios:
@@ -196,8 +196,8 @@ def test_noise_differs_and_traffic_does_not(undisturbed):
     assert len({points for _, points in each.values()}) == 4
 
 
-def test_what_is_there_is_not_made_again(undisturbed, at_home, tmp_path):
-    """Nor is a worker started; what was taken away is made again."""
+def test_existing_frames_are_not_recorded_again(undisturbed, at_home, tmp_path):
+    """No worker is started either; deleted frames are recorded again."""
     path, files = undisturbed
     out = tmp_path / "out"
     shutil.copytree(path.parent / "out", out)
@@ -229,13 +229,13 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
         "Note: camera: made up (4 scenarios)",
         "Note: lidar: made up (8 scenarios)",
     ]
-    assert len([*pids.iterdir()]) == 2  # another took its place
+    assert len([*pids.iterdir()]) == 2  # another worker replaced it
     assert content(out) == files
 
 
 @pytest.mark.process
-def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
-    """Taken up at once: the workers of the first may still be at their frames."""
+def test_a_killed_run_continues_where_it_was(undisturbed, tmp_path):
+    """The second run starts at once: workers of the first may still write their frames."""
     path, files = undisturbed
     out = tmp_path / "out"
     killed = begin(path, out, "--workers", "2")
@@ -251,12 +251,12 @@ def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
 
 
 @pytest.mark.process
-def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
+def test_ctrl_c_says_how_to_continue(undisturbed, tmp_path):
     path, files = undisturbed
     out = tmp_path / "out"
     process = begin(path, out, "--workers", "1")
     wait_for_frames(process, out, 3)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers as well
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to workers as well
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "give the same command again to resume" in err
@@ -266,7 +266,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
 
 
 def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
-    """What is there is whole; and with room again, the set is what it would have been."""
+    """All files are complete, and with free space again the data set becomes the same."""
     path, files = undisturbed
     out = tmp_path / "out"
     monkeypatch.setenv(made_up.ROOM, "400")
@@ -321,8 +321,8 @@ def test_a_disk_that_is_really_full(undisturbed, tmp_path):
 
 
 @pytest.mark.process
-def test_scenarios_that_cannot_be_made(tmp_path, monkeypatch):
-    """They say why, also where they kill their workers, and the others are made."""
+def test_scenarios_that_cannot_be_generated(tmp_path, monkeypatch):
+    """The errors say why, also if a worker was killed, and the other scenarios are generated."""
     (tmp_path / "broken.yaml").write_text(LAYOUT.replace("two masts", "broken"))
     (tmp_path / "unheard.yaml").write_text(LAYOUT.replace("two masts", "unheard of"))
     (tmp_path / "broken.xodr").write_text("<OpenDRIVE/>")
@@ -350,8 +350,8 @@ def test_scenarios_that_cannot_be_made(tmp_path, monkeypatch):
     assert_whole(tmp_path / "out")
 
 
-def test_a_scenario_is_made_again_from_its_protocol(undisturbed, at_home, tmp_path):
-    """To the same bytes: from this file alone, and at another place."""
+def test_a_scenario_is_generated_again_from_its_protocol(undisturbed, at_home, tmp_path):
+    """To the same bytes: from this file alone, in another folder."""
     path, files = undisturbed
     plan = load_generation(path).scenarios[2]
     assert plan.layout.strategy == "L-c"
@@ -367,7 +367,7 @@ def test_a_scenario_is_made_again_from_its_protocol(undisturbed, at_home, tmp_pa
     assert again == {name: data for name, data in files.items() if name.startswith(place)}
 
 
-def test_folders_of_something_else_are_left_alone(undisturbed, tmp_path):
+def test_other_folders_are_not_changed(undisturbed, tmp_path):
     path, files = undisturbed
     out = tmp_path / "out"
     shutil.copytree(path.parent / "out", out)
@@ -420,7 +420,7 @@ def test_bad_options(tmp_path, monkeypatch, options, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_server_by_a_name_that_can_be_none():
+def test_a_server_with_an_invalid_name():
     with pytest.raises(InspeError, match=r"no CARLA server at a\.\.b:2000 .*--server HOST:PORT"):
         dataset.Server("a..b").reach()
 
@@ -443,9 +443,9 @@ def test_workers_need_dask(tmp_path, monkeypatch):
         generate(load_generation(write(tmp_path)), tmp_path / "out")
 
 
-def test_the_embedded_backend(tmp_path, at_home, the_real_one):
-    """The recorder that the package has, and the validator."""
-    the_real_one()
+def test_the_embedded_backend(tmp_path, at_home, restore_recorder):
+    """The package's own recorder, checked by the validator."""
+    restore_recorder()
     path = write(
         tmp_path,
         layouts=["two.yaml"],
@@ -460,7 +460,7 @@ def test_the_embedded_backend(tmp_path, at_home, the_real_one):
 
 
 def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
-    """Open as long as it does chunks of its scenario, and closed in the end."""
+    """It stays open for the chunks of its scenario, and is closed at the end."""
     told = []
 
     @contextmanager
@@ -485,7 +485,7 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     assert dataset.open(tmp_path / day.name).scenarios[0].frames == (0, 1, 10, 11)
 
 
-def test_a_fault_of_the_disk_is_not_the_scenario_s(tmp_path):
+def test_a_disk_error_is_no_error_of_the_scenario(tmp_path):
     (plan, *_) = load_generation(write(tmp_path)).scenarios
     (tmp_path / "file").touch()
     given = tmp_path / "file" / "scenario", tmp_path / "lock", 0, 9, 10

@@ -1,4 +1,4 @@
-"""Frames into files and back; the files judged by the public readers' rules."""
+"""Writing and reading frames; the files are checked against the rules of the public readers."""
 
 import re
 import shutil
@@ -46,14 +46,14 @@ def test_written_frames_read_back(given):
         assert_same(read, given)
         names = {s.number: s.name for s in given.stations}
         assert {s.number: s.name for s in read.stations} == names
-        # What was read is written again to the same bytes, in place.
+        # A frame that was read is written again, in place, to the same bytes.
         before = files(scenario)
         write_frame(scenario, read)
         assert files(scenario) == before
 
 
 def test_readers_accept_a_set(tmp_path):
-    """Three LiDARs, one of them a station's second, and a station with none."""
+    """Three LiDARs, one of them the second of its station, and a station without one."""
     stations = station(1), station(2, cameras=1, lidars=2), station(3, cameras=4, lidars=0)
     for split, number in (("train", 0), ("train", 2), ("validate", 4), ("test", 6)):
         written(tmp_path / split / "2024_01_01", frame(number, stations=stations))
@@ -208,8 +208,8 @@ def test_yaml_of_a_known_frame(tmp_path):
     np.testing.assert_allclose(extrinsic[:3, 3], above, atol=1e-9)
 
 
-def test_a_thing_lands_where_its_picture_shows_it(tmp_path):
-    """A car ahead and to the left of a camera is left of the middle, by the files alone."""
+def test_a_box_is_projected_to_where_the_picture_shows_it(tmp_path):
+    """Using the files alone: a car ahead and to the left of a camera is left of the middle."""
     seen = image(800, 600, pose=[0, 0, 6, 0, 0, np.radians(90)], layers=False)
     here = replace(station(1, 0, 1), images=(seen,))
     scenario = written(
@@ -233,7 +233,7 @@ def test_the_same_frame_gives_the_same_bytes(tmp_path):
 
 
 def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
-    """With and without libyaml; also what plain YAML would take for a number, a date or nothing."""
+    """With and without libyaml; also names that YAML could read as a number, a date or null."""
     if not yaml.__with_libyaml__:
         pytest.skip("there is no libyaml to compare with")
     names = ["null", "1e-7", "2024-01-01", "", " a: b", "ä\n", "\U0001f697", "x" * 300]
@@ -251,7 +251,7 @@ def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
 
 
 def test_any_parser_reads_the_same(tmp_path):
-    """The text in halves, as our reader takes it, and the whole by plain safe_load."""
+    """The package's reader parses the text in two halves; `safe_load` parses it as a whole."""
     scenario = written(tmp_path / "a", frame(boxes=[car(i, yaw=1e-6 * i) for i in range(9)]))
     text = (scenario / "-1" / "000068.yaml").read_text()
     assert re.search(r"\d[eE][-+]?\d", text)
@@ -260,8 +260,8 @@ def test_any_parser_reads_the_same(tmp_path):
     assert_same(read_frame(scenario, 68), frame(boxes=[car(i, yaw=1e-6 * i) for i in range(9)]))
 
 
-def test_a_frame_that_fails_midway_is_not_there(tmp_path, monkeypatch):
-    """The disk is full at the last picture: of the frame before, too, nothing is left to read."""
+def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
+    """The disk becomes full at the last picture: the earlier frame of this number is gone, too."""
     scenario = written(tmp_path / "a")
     count = [0]
 
@@ -291,7 +291,7 @@ def test_yaml_is_the_last_file_of_each_agent(tmp_path, monkeypatch):
 
 
 def test_a_frame_written_again_leaves_nothing_behind(tmp_path):
-    """Fewer cameras, no layers: pictures of the first time would be read with the second's."""
+    """The second frame has fewer cameras and no layers: old pictures must not be read with it."""
     scenario = written(tmp_path / "a", frame(stations=[station(1, cameras=3)]))
     (scenario / "-1" / ".000068.pcd.killed.part").touch()
     bare = frame(stations=[station(1, cameras=1, layers=False)])
@@ -301,7 +301,8 @@ def test_a_frame_written_again_leaves_nothing_behind(tmp_path):
 
 
 def test_a_frame_is_cleared_so_that_it_can_be_resumed(tmp_path, monkeypatch):
-    """Without its YAML it is not there; as long as its first file is, it is known to be begun."""
+    """Without its YAML file it does not count; while its first file is there, it counts as
+    begun."""
     scenario = written(tmp_path / "a", frame(stations=[station()]))
     gone, unlink = [], Path.unlink
 
@@ -325,7 +326,7 @@ def test_one_file_of_points_has_two_names_or_two_copies(tmp_path, monkeypatch):
     assert files(written(tmp_path / "b")) == linked
 
 
-def test_depth_is_capped_and_reads_as_no_end(tmp_path):
+def test_depth_is_capped_and_reads_as_infinite(tmp_path):
     path = tmp_path / "depth.png"
     write_depth(path, np.array([[0.0, 1.234, 655.34], [655.35, 1e6, np.inf]]))
     expected = [[0, 1.23, 655.34], [np.inf] * 3]
@@ -391,13 +392,13 @@ def test_scans_that_cannot_be_written(tmp_path, points, message):
 
 
 @pytest.mark.parametrize("key", WORLD)
-def test_protocols_must_tell_the_world(tmp_path, key):
+def test_protocols_must_have_the_keys_of_world(tmp_path, key):
     world = {k: v for k, v in WORLD.items() if k != key}
     with pytest.raises(InspeError, match=rf"data_protocol.yaml: world.{key}: missing key"):
         write_protocol(tmp_path, {"world": world})
 
 
-def test_protocols_must_be_plain(tmp_path):
+def test_protocols_must_be_plain_yaml(tmp_path):
     with pytest.raises(InspeError, match=r"data_protocol.yaml: .*cannot represent"):
         write_protocol(tmp_path, {"world": WORLD, "noise": np.float32(0.02)})
 

@@ -1,4 +1,4 @@
-"""PCD files: written, read back, read as others write them, and refused with one message."""
+"""PCD files: written and read back, read from other programs, and rejected with one message."""
 
 import contextlib
 import struct
@@ -72,8 +72,8 @@ def test_comments_are_kept(tmp_path):
     assert read_pcd(tmp_path / "a.pcd").shape == (0, 4)
 
 
-def test_ascii_as_others_write_it(tmp_path):
-    """``rgb`` as the float with the bits of 0x00800000, to ten digits; and lines in DOS's way."""
+def test_ascii_of_other_programs(tmp_path):
+    """``rgb`` as the float with the bits of 0x00800000, to ten digits; also with DOS line ends."""
     text = header() + "1 -2 3.5 1.175494351e-38\n4 5 6 0\n"
     expected = [[1, -2, 3.5, 128 / 255], [4, 5, 6, 0]]
     np.testing.assert_allclose(read_pcd(put(tmp_path, text)), expected, rtol=1e-6)
@@ -139,7 +139,7 @@ def test_empty_places_are_left_out(tmp_path):
         (header("binary") + "too short", "cut short: 2 POINTS need 32 bytes, there are 9"),
     ],
 )
-def test_other_files_are_refused(tmp_path, content, message):
+def test_other_files_are_rejected(tmp_path, content, message):
     path = put(tmp_path, content)
     with pytest.raises(InspeError, match=message) as e:
         read_pcd(path)
@@ -152,7 +152,7 @@ def test_missing_file(tmp_path):
 
 
 @given(st.data())
-def test_any_damage_is_refused_or_read(data):
+def test_damaged_files_are_rejected_or_read(data):
     """A cut and a changed byte give an InspeError or points, never another error."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.pcd"

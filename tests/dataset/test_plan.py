@@ -1,4 +1,4 @@
-"""Generation studies and protocols: which scenarios they mean, and the message of every bad one."""
+"""Study files and protocols: the scenarios that they describe, and the message of every error."""
 
 import shutil
 from itertools import product
@@ -78,7 +78,7 @@ def test_defaults(read):
     assert (plan.frames, plan.build["step"]) == (8, 0.25)
 
 
-def test_names_tell_what_varies_and_are_fit_for_folders(read):
+def test_names_say_what_varies_and_are_valid_for_folders(read):
     varied = dict(voxel=[1, 0.5], traffic="waypoints", mix=["mixed", "largest"], seconds=[1, 2])
     names = [plan.name for plan in read(settings=varied).scenarios]
     assert "four_way__Cam-d1__medium__midday__voxel-0.5__mix-largest__seconds-2__0" in names
@@ -93,8 +93,8 @@ def test_names_tell_what_varies_and_are_fit_for_folders(read):
         assert not {*"/\\: *"} & {*name}
 
 
-def test_seeds_and_splits_are_those_of_what_a_scenario_shows(read, tmp_path):
-    """Whatever it is called, whoever else is there, and wherever the study lies."""
+def test_seed_and_split_depend_on_the_content_of_a_scenario(read, tmp_path):
+    """They do not depend on its name, on other scenarios, or on the folder of the study."""
 
     def facts(generation):
         return {(p.source.name, p.name.partition("__")[2]): p.seed for p in generation.scenarios}
@@ -110,7 +110,7 @@ def test_seeds_and_splits_are_those_of_what_a_scenario_shows(read, tmp_path):
     assert {plan.name: plan.split for plan in other.scenarios} == there
 
 
-def test_splits_are_near_their_shares(read):
+def test_splits_have_their_proportions(read):
     generation = read()
     assert [len(plans) for plans in generation.splits.values()] == [45, 6, 13]
     for scene, light in product(("four_way", "the circle"), ("midday", "night")):
@@ -123,7 +123,7 @@ def test_splits_are_near_their_shares(read):
         assert 10 <= own.count("train") <= 12
         assert 1 <= own.count("validate") <= 2
         assert 3 <= own.count("test") <= 4
-    for key in ("density", "weather", "seed"):  # none of their values is left out
+    for key in ("density", "weather", "seed"):  # every value occurs
         for split, plans in generation.splits.items():
             assert len({plan.settings[key] for plan in plans}) == 2, (key, split)
     assert {plan.split for plan in read(splits=dict(test=1)).scenarios} == {"test"}
@@ -144,20 +144,22 @@ def test_split_by_scene_keeps_traffic_apart(read):
 
 @given(
     st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("xyz")), min_size=1, max_size=80),
-    st.lists(st.floats(0, 10), min_size=3, max_size=3).filter(lambda shares: sum(shares) > 0.1),
+    st.lists(st.floats(0, 10), min_size=3, max_size=3).filter(
+        lambda proportions: sum(proportions) > 0.1
+    ),
     st.randoms(),
 )
-def test_splits_of_any_number(kinds, shares, random):
+def test_splits_of_any_number(kinds, proportions, random):
     kinds = {f"key {n}": kind for n, kind in enumerate(kinds)}
-    found = _split(kinds, shares)
+    found = _split(kinds, proportions)
     assert set(found) == set(kinds)
-    for split, share in zip(SPLITS, shares, strict=True):
+    for split, share in zip(SPLITS, proportions, strict=True):
         many = list(found.values()).count(split)
-        assert abs(many - share / sum(shares) * len(kinds)) < 1 + 1e-6
+        assert abs(many - share / sum(proportions) * len(kinds)) < 1 + 1e-6
         assert share or not many
     keys = list(kinds)
     random.shuffle(keys)
-    assert _split({key: kinds[key] for key in keys}, shares) == found
+    assert _split({key: kinds[key] for key in keys}, proportions) == found
 
 
 @pytest.mark.parametrize(
@@ -207,7 +209,7 @@ def test_bad_studies(read, changes, message):
         read(**changes)
 
 
-def test_files_that_are_no_study(tmp_path):
+def test_files_that_are_not_studies(tmp_path):
     path = tmp_path / "study.yaml"
     for text, message in (
         ("", "the study is empty: it needs 'scenes' and 'layouts'"),
@@ -273,7 +275,7 @@ def test_a_protocol_is_its_scenario(read, tmp_path):
         assert (tmp_path / "again" / "data_protocol.yaml").read_bytes() == path.read_bytes()
 
 
-def test_other_versions_are_told(read, tmp_path):
+def test_other_versions_are_noted(read, tmp_path):
     (plan, *_) = read().scenarios
     path = protocol(plan, tmp_path)
     content = yaml.safe_load(path.read_text())
@@ -300,7 +302,7 @@ def test_protocols_find_their_maps(read, tmp_path, name, monkeypatch):
         InspeError, match=rf"{name} was not found; searched in {folder}, .*/set, .*--f"
     ):
         load_generation(path)
-    for place in (tmp_path / "set", folder):  # the nearest is looked at first
+    for place in (tmp_path / "set", folder):  # the closest folder is searched first
         shutil.copy(tmp_path / name, place)
         (again,) = load_generation(path).scenarios
         assert again.source == plan.source.__class__(

@@ -1,4 +1,4 @@
-"""What a set is counted to hold, against sets made by hand and counts done the long way."""
+"""Statistics of small data sets, compared with counts by hand and by brute force."""
 
 import os
 from dataclasses import replace
@@ -29,10 +29,10 @@ def scan_of(world_points, pose=LEVEL) -> Scan:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Two splits: train with two scenarios of two frames and one, test with one of one frame.
+    """Two splits: train with two scenarios of two frames and one frame, test with one of one frame.
 
-    Station 1 has a camera and a LiDAR 10 m from a car that holds 2 of its 3 points; station 2 a
-    LiDAR that has the car 20 m away, and one point in it.
+    Station 1 has a camera, and a LiDAR 10 m from a car, with 2 of its 3 points inside the car.
+    Station 2 has a LiDAR 20 m from the car, with one point inside it.
     """
     root = tmp_path_factory.mktemp("sets") / "made"
     near, far = LEVEL + [0, 10, -4, 0, 0, 1], LEVEL + [0, -20, -4, 0, 0, 2]
@@ -89,7 +89,7 @@ def test_points_by_scan_and_together(made):
     assert found.merged.points[~cars].tolist() == [0, 0]
 
 
-def test_a_file_with_two_names_takes_its_place_once(made):
+def test_a_file_with_two_names_counts_once(made):
     files = [path for path in (made / "test").rglob("*") if path.is_file()]
     linked = [path for path in files if path.name in ("000003.pcd",)]
     assert all(path.stat().st_nlink == 2 for path in linked)  # OPV2V's name and the variant's
@@ -97,7 +97,7 @@ def test_a_file_with_two_names_takes_its_place_once(made):
     assert statistics(made).splits[1].size == size
 
 
-def test_a_split_or_a_scenario_is_a_set_too(made):
+def test_statistics_of_a_split_or_a_scenario(made):
     assert statistics(made / "train").total.frames == 3
     assert statistics(dataset.open(made / "train" / "b")).total.frames == 1
 
@@ -110,7 +110,7 @@ def test_a_row_of_a_table(made):
     }  # fmt: skip
 
 
-def test_what_a_set_does_not_tell_is_left_open(made):
+def test_unknown_columns_are_empty(made):
     found = statistics(made)
     bare = replace(found, protocols=({},) * 3, cameras=(4, 6), agents=((-1, 641),))
     row = table_row(bare)
@@ -122,8 +122,8 @@ def test_what_a_set_does_not_tell_is_left_open(made):
     assert [table_row(real)[key] for key in ("source", "maps")] == ["real", 1]
 
 
-def test_a_set_of_others_without_types_or_point_clouds(tmp_path):
-    """OPV2V names no types: what it lists are cars."""
+def test_a_data_set_of_other_people_without_types_or_point_clouds(tmp_path):
+    """OPV2V gives no types: every entry is a car."""
     entry = {"angle": [0, 90, 0], "extent": [2, 1, 0.75], "location": [10, 0, 0]}
     content = {"lidar_pose": [0.0] * 6, "true_ego_pos": [0.0] * 6, "vehicles": {5: entry}}
     for agent in ("641", "9"):
@@ -151,7 +151,7 @@ def test_a_set_without_point_clouds(tmp_path):
     assert bands(found.single, 0) == ()
 
 
-def test_frames_without_a_thing(tmp_path):
+def test_frames_without_road_users(tmp_path):
     write_frame(tmp_path / "a", frame(1, boxes=()))
     found = statistics(tmp_path / "a")
     assert found.crowd.tolist() == [0]
@@ -159,7 +159,7 @@ def test_frames_without_a_thing(tmp_path):
     assert sum(found.boxes.values()) == 0
 
 
-def test_no_such_set_and_none_with_a_frame(tmp_path):
+def test_no_such_set_and_no_frame(tmp_path):
     with pytest.raises(InspeError, match="nosuch: no such folder"):
         statistics(tmp_path / "nosuch")
     with pytest.raises(InspeError, match="not a data set"):
@@ -192,8 +192,8 @@ def test_bands_of_range():
     assert bands(PointCounts(kind, away, points), 2) == ()
 
 
-def test_points_in_a_box_that_stands_across():
-    """4 m long, 2 m wide, 2 m high, turned by 30°: ends of its axes are in."""
+def test_points_in_a_turned_box():
+    """4 m long, 2 m wide, 2 m high, turned by 30°: the ends of its axes are inside."""
     box = car(center=np.array([10.0, 5.0, 1.0]), yaw=np.pi / 6, size=np.array([4.0, 2.0, 2.0]))
     ahead, left = np.array([3**0.5 / 2, 0.5, 0]), np.array([-0.5, 3**0.5 / 2, 0])
     middle, up = box.center, np.array([0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""What the figures of a data set and of its frames show, read back from them; and the tables."""
+"""The content of the figures and tables of a data set and of its frames."""
 
 import io
 import json
@@ -32,7 +32,7 @@ BEHIND = car(2, kind="truck", center=np.array([-20.0, 0.0, 2.0]), size=np.array(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A scenario of six frames: two things, one of which a level camera has ahead of it."""
+    """A scenario of six frames with two road users, one of them ahead of a level camera."""
     root = tmp_path_factory.mktemp("sets") / "seen"
     masts = (Station(1, "mast", LEVEL, (CAMERA,), (scan(200, LEVEL),)), station(2, layers=False))
     for number in range(6):
@@ -98,7 +98,8 @@ def test_sizes_are_drawn_where_they_are(found):
 
 
 def test_points_against_range_are_those_counted(found):
-    """One scan: 1 to 5 points at 8 m, and too few boxes at 30 m; all together: 10 points."""
+    """Single scans: 1 to 5 points at 8 m, and too few boxes at 30 m; all scans together: 10
+    points."""
     kind = np.zeros(FEWEST + 2, int)
     single = PointCounts(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
     merged = PointCounts(kind[:5], np.full(5, 9.0), np.full(5, 10))
@@ -140,8 +141,8 @@ def test_the_figure_is_the_same_each_time(found, tmp_path):
 
 
 def test_boxes_are_where_the_calibration_puts_them(scenario):
-    """The near corners of the box ahead: 12.5 pixels beside, 50 below the middle; see
-    test_projection. What is behind the camera is on no picture."""
+    """The near corners of the box ahead are 12.5 pixels beside and 50 below the middle; see
+    test_projection. The box behind the camera is not on the picture."""
     fig = frame_view(scenario, 3)
     (ax,) = panels(fig)["station 1, camera 0: 1 box"]
     lines = [line for drawn in ax.collections for line in drawn.get_segments()]

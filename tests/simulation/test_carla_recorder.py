@@ -1,4 +1,4 @@
-"""A data set recorded by the wire-level CARLA server, judged by its files alone."""
+"""A data set recorded with the wire-level CARLA server, checked by its files alone."""
 
 import json
 import re
@@ -43,7 +43,7 @@ from inspe_jax.simulation.frame import RoadUserBox
 from inspe_jax.simulation.recorder import Server
 
 PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
-"""A car that is a part of the map, in the middle of the junction."""
+"""A car that is part of the map, in the middle of the junction."""
 NEAR = 2e-3
 """Metres. Points come as float32 in the sensor's frame, poses as float32 in the world."""
 TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
@@ -69,9 +69,9 @@ def look(port: int, folder) -> dict:
 
 @pytest.fixture(scope="module")
 def recorded(maps, tmp_path_factory):
-    """A folder with a set, what its traffic was, and what the server told before and after.
+    """A folder with a data set, its traffic, and the state of the server during and after.
 
-    Another map is loaded at first.
+    The server starts with another map.
     """
     folder = tmp_path_factory.mktemp("carla")
     scenery = folder / "scenery.json"
@@ -94,15 +94,15 @@ def frames(recorded):
 
 
 def box_of(box: RoadUserBox) -> np.ndarray:
-    """From a thing's box to the world, (4, 4)."""
+    """The matrix from a road user's box to the world, (4, 4)."""
     cos, sin, turn = np.cos(box.yaw), np.sin(box.yaw), np.eye(4)
     turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], box.center
     return turn
 
 
 def body(pose: np.ndarray) -> np.ndarray:
-    """From a sensor's frame to the world, both right-handed (4, 4); by the validator's reckoning,
-    which is left-handed."""
+    """The matrix from a sensor's frame to the world, both right-handed (4, 4), by the validator's
+    functions, which are left-handed."""
     x, y, z, roll, pitch, yaw = pose
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     angles = np.degrees([roll, -yaw, pitch])
@@ -132,7 +132,7 @@ def test_readers_accept_the_set(recorded):
     assert report.points > 5000 * client.FRAMES
 
 
-def test_the_server_is_in_step_meanwhile_and_put_back_afterwards(recorded):
+def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
     _, told, after = recorded
     meanwhile = json.loads(str(told["meanwhile"]))
     assert meanwhile["settings"] == [True, 1 / client.RATE]
@@ -155,7 +155,7 @@ def test_the_server_is_in_step_meanwhile_and_put_back_afterwards(recorded):
     }
 
 
-def test_things_stand_where_the_traffic_has_them_with_boxes_of_the_server(recorded, frames):
+def test_road_users_stand_where_the_traffic_has_them_with_boxes_of_the_server(recorded, frames):
     _, told, _ = recorded
     names = {}
     for t, frame in enumerate(frames):
@@ -178,8 +178,8 @@ def test_things_stand_where_the_traffic_has_them_with_boxes_of_the_server(record
     assert len(set(names.values())) > 5
 
 
-def test_lidar_points_lie_on_things_and_the_ground(frames):
-    """And not on what is parked there, which is hidden."""
+def test_lidar_points_lie_on_road_users_and_the_ground(frames):
+    """And none on the parked car, which is hidden."""
     hit = 0
     for frame in frames:
         (scan,) = frame.stations[0].scans
@@ -191,7 +191,7 @@ def test_lidar_points_lie_on_things_and_the_ground(frames):
 
 
 def test_depth_is_of_surfaces(frames):
-    """To half a centimetre's step of depth, which is as much off the ground and more off sides."""
+    """To half a centimetre of depth, which is the same from the ground, and more from sides."""
     for frame in frames[::4]:
         for image in frame.stations[0].images:
             height, width = image.depth.shape
@@ -206,7 +206,7 @@ def test_depth_is_of_surfaces(frames):
 
 
 def outline(image, box: RoadUserBox) -> shapely.Geometry | None:
-    """The box in the picture by its corners above ground; None where one is behind the camera."""
+    """The box in the picture, by its corners above ground; None if one is behind the camera."""
     corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     corners[:, :3] *= box.size / 2
     ahead, left, up, _ = np.linalg.inv(body(image.pose)) @ box_of(box) @ corners.T
@@ -219,8 +219,8 @@ def outline(image, box: RoadUserBox) -> shapely.Geometry | None:
 
 
 def test_boxes_by_the_written_calibration_cover_their_instances(frames):
-    """Pixels of one instance have one colour of the picture and lie within its box's outline;
-    what has the colour of an actor is an instance."""
+    """Pixels of an instance have one colour, and lie in the outline of its box; all pixels with the
+    colour of an actor belong to an instance."""
     seen = 0
     for frame in frames:
         kinds = {box.track: box.kind for box in frame.boxes}
@@ -247,7 +247,7 @@ def test_boxes_by_the_written_calibration_cover_their_instances(frames):
 
 
 def test_every_measurement_is_of_its_own_tick(frames):
-    """The ground's blue tells the tick."""
+    """The blue of the ground encodes the tick."""
     blue = [
         [image.rgb[(image.semantic == 1)][:, 2] for image in frame.stations[0].images]
         for frame in frames
@@ -257,7 +257,7 @@ def test_every_measurement_is_of_its_own_tick(frames):
     np.testing.assert_array_equal(ticks[:, 0], ticks[:, 1])
 
 
-def test_servers_that_will_not_do_are_told_plainly(maps, tmp_path):
+def test_servers_that_cannot_be_used(maps, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         nobody = free.getsockname()[1]
@@ -313,7 +313,7 @@ units:
 
 @pytest.fixture(scope="module")
 def generated(maps, tmp_path_factory):
-    """A study, the folder of its set, and what `inspe generate` told of it."""
+    """A study, the folder of its data set, and the output of `inspe generate`."""
     folder = tmp_path_factory.mktemp("generated")
     (folder / "one.yaml").write_text(ONE)
     shutil.copy(maps / f"{client.TOWN}.xodr", folder)
@@ -326,7 +326,7 @@ def generated(maps, tmp_path_factory):
     return folder / "towns.yaml", folder / "set", port, words + err
 
 
-def test_a_set_is_generated_at_a_server_that_it_does_not_tell(generated):
+def test_the_address_of_the_server_is_not_in_the_data_set(generated):
     _, folder, port, words = generated
     assert "1 scenario, 2 frames" in words
     ((name, report),) = check_set(folder).items()
@@ -335,7 +335,7 @@ def test_a_set_is_generated_at_a_server_that_it_does_not_tell(generated):
         assert not re.search(rf"(?<![\w.]){port}(?![\w.])|localhost", file.read_text())
 
 
-def test_what_carla_cannot_record_as_asked_is_told_and_kept(generated):
+def test_what_carla_cannot_record_is_noted(generated):
     study, folder, _, words = generated
     (scenario,) = dataset.open(folder).scenarios
     (kept,) = scenario.protocol["notes"]
@@ -345,8 +345,8 @@ def test_what_carla_cannot_record_as_asked_is_told_and_kept(generated):
     assert (again.backend, again.notes) == ("carla", ())
 
 
-def test_what_is_left_of_a_set_needs_a_server_at_any_address(generated, tmp_path):
-    """Where it was is no part of the set: only that nobody is there now is wrong."""
+def test_the_rest_of_a_data_set_can_be_recorded_by_another_server(generated, tmp_path):
+    """The address is no part of the data set: the only error is that no server answers now."""
     study, made, port, _ = generated
     generation, out = dataset.load_generation(study), tmp_path / "set"
     shutil.copytree(made, out)
@@ -359,7 +359,7 @@ def test_what_is_left_of_a_set_needs_a_server_at_any_address(generated, tmp_path
     assert str(told.value).endswith("or say where it is: --server HOST:PORT")
 
 
-def test_all_is_put_back_on_ctrl_c(maps, tmp_path):
+def test_everything_is_restored_on_ctrl_c(maps, tmp_path):
     with carla_wire.serving(maps / f"{client.TOWN}.xodr") as port:
         begun = tmp_path / "begun"
         with subprocess.Popen(command("wait", port, begun), stderr=subprocess.PIPE) as process:
@@ -373,10 +373,10 @@ def test_all_is_put_back_on_ctrl_c(maps, tmp_path):
     assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
 
 
-# ── What needs no server ────────────────────────────────────────────────────────────────────────
+# ── Without a server ────────────────────────────────────────────────────────────────────────────
 
 
-def test_scenes_that_no_server_has_are_told_so():
+def test_scenes_that_no_server_has():
     scene = world(radius=12.0, voxel=1.0)
     layout = place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
     with (
@@ -386,7 +386,7 @@ def test_scenes_that_no_server_has_are_told_so():
         pass
 
 
-def test_a_missing_client_is_told(monkeypatch):
+def test_a_missing_client(monkeypatch):
     monkeypatch.setitem(sys.modules, "carla", None)
     place = replace(crossing(), source="Town03.xodr (OpenDRIVE)")
     assert town_of(place) == "Town03"
@@ -418,7 +418,7 @@ def test_a_lidar_turns_once_a_frame_with_all_its_rays():
 
 
 def test_boxes_without_a_size_have_the_usual_one():
-    """CARLA is left-handed: what is to the right there has a negative y here."""
+    """CARLA is left-handed: its right has a negative y here."""
     box = SimpleNamespace(
         location=SimpleNamespace(x=0.1, y=0.2, z=np.inf),
         extent=SimpleNamespace(x=0.8, y=0.0, z=np.inf),
@@ -445,8 +445,8 @@ def test_weather_and_light_are_in_the_order_of_their_strength():
     assert 0 <= weather_in("dusk", "clear")["sun_azimuth_angle"] < 360
 
 
-def test_two_numbers_of_one_road_user_are_both_its_own_and_strangers_are_nobodys():
-    """A rider has a number of its own; a statue with a road user's label stands beside."""
+def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
+    """A rider has its own number; a statue with the label of a road user stands next to it."""
     box = RoadUserBox(
         track=4,
         kind="cyclist",
@@ -477,6 +477,6 @@ def test_servers_by_text(text, server):
 
 
 @pytest.mark.parametrize("text", ["", ":", "sim:", ":2000", "sim:two", "sim:70000", "0"])
-def test_servers_that_are_none(text):
+def test_invalid_servers(text):
     with pytest.raises(InspeError, match=r"server|port"):
         Server.of(text)

@@ -1,4 +1,4 @@
-"""The wire-level CARLA server against the unmodified client, and what its sensors see."""
+"""The wire-level CARLA server with the unmodified client, and the data of its sensors."""
 
 import json
 import subprocess
@@ -36,7 +36,7 @@ def asked(task: str, folder, *arguments: object, of: int) -> dict:
 
 @pytest.fixture(scope="module")
 def told(maps, tmp_path_factory) -> dict:
-    """What the client wrote down of twenty ticks."""
+    """What the client wrote about twenty ticks."""
     file = tmp_path_factory.mktemp("drive") / "told.npz"
     with carla_wire.serving(maps / "Town07.xodr") as port:
         run_client("drive", port, file)
@@ -45,7 +45,7 @@ def told(maps, tmp_path_factory) -> dict:
 
 
 def to_world(pose) -> np.ndarray:
-    """By the client's own reckoning, (4, 4)."""
+    """The client's own matrix, (4, 4)."""
     return np.array(client.transform(pose).get_matrix())
 
 
@@ -64,7 +64,7 @@ def depth_in(points: np.ndarray, told: dict, tick: int) -> np.ndarray:
 
 
 def scan(told: dict, tick: int) -> tuple[np.ndarray, np.ndarray]:
-    """A LiDAR's points in the world (P, 3) and as they came (P, 4)."""
+    """A LiDAR's points in the world (P, 3), and as received (P, 4)."""
     ends = np.cumsum(told["counts"].sum(1))
     own = told["points"][ends[tick] - told["counts"][tick].sum() : ends[tick]].astype(float)
     turn = to_world(client.PILLAR)
@@ -72,7 +72,7 @@ def scan(told: dict, tick: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outlines(told: dict, tick: int) -> list[shapely.Polygon]:
-    """Of the road users' boxes in an image, by their corners, as far as above ground."""
+    """The outlines of the road users' boxes in an image, by their corners above ground."""
     drawn, turn = [], to_world(client.ROADSIDE)
     for where, centre, extent in zip(
         told["poses"][tick], told["centres"], told["extents"], strict=True
@@ -88,7 +88,8 @@ def outlines(told: dict, tick: int) -> list[shapely.Polygon]:
 
 
 def inside(outline: shapely.Polygon, by: float) -> np.ndarray:
-    """Pixels whose middles lie in it by so many pixels, (H, W); just outside where negative."""
+    """Pixels whose middles are inside by this many pixels, (H, W); if negative, also just
+    outside."""
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     return shapely.contains_xy(outline.buffer(-by), x, y)
 
@@ -139,7 +140,7 @@ def test_lidar_points_lie_on_the_ground_or_on_a_box(told):
 
 
 def test_lidar_points_are_the_first_on_their_ray(told):
-    """Nothing on the way to a point, and every ray that is steep enough has one.
+    """Nothing is in front of a point, and every ray that is steep enough has one.
 
     From 5 m up the ground is within 60 m from 4.8 degrees down, which is from the fourth of
     sixteen channels between 0 and -30 degrees.
@@ -160,7 +161,7 @@ def test_lidar_goes_round_once_a_tick(told):
 
 
 def test_pixels_have_the_colour_of_whose_box_is_there(told):
-    """Told apart where the outline does not pass right through a pixel's middle."""
+    """Pixels are compared only where no outline passes through their middles."""
     lit = np.zeros(len(told["ids"]), int)
     for tick in range(client.TICKS):
         image, drawn = told["rgb"][tick][..., 2::-1], outlines(told, tick)
@@ -187,7 +188,7 @@ def test_depth_is_that_of_the_surface_which_the_pixel_shows(told):
         gap = depth_in(points, told, tick)
         np.testing.assert_allclose(gap.min(0), 0, atol=NEAR)
         tags = np.array([*told["tags"], GROUND])[gap.argmin(0)]
-        clear = np.sort(gap, 0)[1] > 10 * NEAR  # where only one surface is that near
+        clear = np.sort(gap, 0)[1] > 10 * NEAR  # where only one surface is that close
         assert (told["semantic"][tick][near][clear, 2] == tags[clear]).all()
         assert set(told["semantic"][tick][~near][:, 2].tolist()) <= {SKY, GROUND}
 
@@ -262,7 +263,8 @@ def test_a_server_ends_when_told_to(maps):
 
 
 def test_a_server_ends_with_who_started_it(maps):
-    """Its stderr is the starter's: that it is closed means that the server is gone."""
+    """It inherits stderr from the process that started it: if stderr is closed, the server is
+    gone."""
     starter = (
         "import subprocess, sys\n"
         "server = subprocess.Popen([sys.executable, *sys.argv[1:]], stdout=subprocess.PIPE)\n"

@@ -1,4 +1,4 @@
-"""Boxes on pictures: corners worked out on paper, and what is left out."""
+"""Boxes in pictures: corners calculated by hand, and what is left out."""
 
 from dataclasses import replace
 
@@ -15,10 +15,10 @@ CAMERA = Image(
     intrinsic=np.array([[100.0, 0, 400], [0, 100.0, 300], [0, 0, 1]]),
     rgb=np.zeros((HIGH, WIDE, 3), np.uint8),
 )
-"""6 m up, level, looking east; 100 pixels a unit of the slope."""
+"""A camera 6 m up, level, looking east; focal length 100 pixels."""
 
 BOX = car(center=np.array([10.0, 0.0, 1.0]), yaw=0.0, size=np.array([4.0, 2.0, 2.0]))
-"""From 8 m to 12 m away; a metre to each side; 2 m high."""
+"""A box from 8 m to 12 m away, 1 m to each side, 2 m high."""
 
 
 def test_corners_in_the_world():
@@ -43,7 +43,7 @@ def test_a_known_corner_falls_on_a_known_pixel():
 
 
 def test_a_camera_that_is_turned_and_tilted():
-    """Looking north and 45° down, 6 m up: the spot 6 m ahead on the ground is in the middle."""
+    """Looking north and 45° down from 6 m: the point on the ground 6 m ahead is in the middle."""
     camera = replace_pose([5.0, -2.0, 6.0, 0.0, -np.pi / 4, np.pi / 2])
     np.testing.assert_allclose(
         pixels(camera, np.array([[5.0, 4.0, 0.0], [6.0, 4.0, 0.0]])),
@@ -55,7 +55,7 @@ def replace_pose(pose) -> Image:
     return Image(np.array(pose), CAMERA.intrinsic, CAMERA.rgb)
 
 
-def test_what_is_behind_or_beside_is_left_out():
+def test_boxes_behind_or_outside_are_left_out():
     behind = replace(BOX, track=1, center=np.array([-10.0, 0.0, 1.0]))
     beside = replace(BOX, track=2, center=np.array([10.0, 60.0, 1.0]))
     below = replace(BOX, track=3, center=np.array([10.0, 0.0, -60.0]))
@@ -65,7 +65,7 @@ def test_what_is_behind_or_beside_is_left_out():
 
 
 def test_a_box_that_reaches_behind_the_camera_is_cut():
-    """20 m long, from 9 m behind to 11 m ahead, its top 3 m below: nothing runs through infinity.
+    """20 m long, from 9 m behind to 11 m ahead, its top 3 m below: no line goes through infinity.
 
     Its far end is at 300 + 300/11, and its long edges leave the picture at the bottom, where
     depth is 3·100/300 = 1 m for the top, 5/3 m for the bottom.
@@ -83,7 +83,7 @@ def test_a_box_that_reaches_behind_the_camera_is_cut():
 
 
 def test_edges_are_cut_at_the_near_plane():
-    """A beam overhead, cut as it comes close; what is left is on the picture."""
+    """A beam overhead is cut close to the camera; the rest is in the picture."""
     camera = replace_pose([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     beam = replace(BOX, center=np.array([0.0, 0.0, 1.0]), size=np.array([8.0, 1e-4, 1e-4]))
     lines, _ = box_lines(camera, [beam], WIDE, HIGH)

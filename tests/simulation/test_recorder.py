@@ -1,4 +1,4 @@
-"""The recorder: against rays and triangles worked out another way, and against the scores."""
+"""The embedded recorder, compared with rays and triangles by other code, and with the scores."""
 
 from dataclasses import replace
 
@@ -83,8 +83,8 @@ def nearest_triangle(origin, directions, triangles):
     return best, index
 
 
-def test_returns_are_what_rays_and_triangles_say(scene, corners):
-    """300 rays of one LiDAR: distances to a millimetre, and the very road user."""
+def test_returns_agree_with_rays_and_triangles(scene, corners):
+    """300 rays of one LiDAR: distances agree to a millimetre, and so do the road users."""
     recorder = EmbeddedRecorder(scene, corners)
     boxes = boxes_at(scene.traffic, 0, 0)
     actors = FrameActors(boxes, recorder.static_world.center)
@@ -109,7 +109,7 @@ def test_returns_are_what_rays_and_triangles_say(scene, corners):
 
 
 def test_no_ray_slips_through_between_two_faces():
-    """Rays at the very edges that faces of a thin tube share end at its near side."""
+    """Rays at edges that two faces of a thin tube share end at its near side."""
     rng = np.random.default_rng(0)
     turn = np.arange(8) * np.pi / 4
     ring = np.array([-10.3, -10.3]) + 0.08 * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -129,7 +129,7 @@ def test_no_ray_slips_through_between_two_faces():
     assert np.abs(hits.distance - far)[facing].max() < 0.02  # the far side is 0.1 m further
 
 
-def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
+def test_points_lie_on_surfaces_within_the_noise(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
     returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
@@ -139,7 +139,7 @@ def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
     off = np.linalg.norm(scan.points[:, :3], axis=1) - returns.distance[back]
     assert off.std() == pytest.approx(0.03, rel=0.05)
     assert abs(off.mean()) < 0.002
-    # On level ground what meets the ground lies on it: nose-up is up.
+    # Rays that hit level ground have their points on it: the sign of the pitch is right.
     down = returns.direction[back][:, 2] < -0.2
     assert np.abs(scan.points[down][:, 2] + 6.0).mean() < 0.3
     assert scan.points[:, 3] == pytest.approx(
@@ -147,7 +147,7 @@ def test_points_lie_on_what_they_claim_within_the_noise(scene, corners):
     )
 
 
-def test_as_many_are_lost_as_said(scene, corners):
+def test_the_given_share_of_returns_is_lost(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
     returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
@@ -158,14 +158,14 @@ def test_as_many_are_lost_as_said(scene, corners):
 
     assert left(lost=0.0, weakest_lost=0.0) == total
     assert left(lost=0.3, weakest_lost=0.0) == pytest.approx(0.7 * total, rel=0.02)
-    # At 60 m intensity is 0.79: with a limit of 1 up to a fifth of 0.4 is lost beside.
+    # At 60 m intensity is 0.79: with a limit of 1, up to a fifth of 0.4 is lost in addition.
     both = left(lost=0.3, weak=1.0, weakest_lost=0.4)
     assert 0.9 * 0.7 * total < both < 0.995 * 0.7 * total
 
 
 def test_points_on_a_car_fall_with_range_as_the_beams_spread():
     """A car broadside at 10, 20 and 40 m from a LiDAR at its own height: rows and columns both
-    thin out, so points go with the inverse square, within the grain of 32 rows."""
+    become fewer, so points fall with the inverse square, as far as 32 rows resolve it."""
     spec = replace(COARSE, elevations=tuple(np.radians(np.linspace(-12, 4, 64)).tolist()))
     counts = []
     for x in (10.0, 20.0, 40.0):
@@ -177,14 +177,14 @@ def test_points_on_a_car_fall_with_range_as_the_beams_spread():
         counts.append(int((recorder.sensors[0].cast(actors, 0.0).box == 0).sum()))
     assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
     assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
-    # A car is 4.6 m by some 1.3 m of body: so many steps of azimuth by so many of elevation.
+    # A car body of 4.6 m by about 1.3 m: steps of azimuth times steps of elevation.
     width, height = 2 * np.arctan(2.3 / 19.1), 1.3 / 19.1
     expected = width / (2 * np.pi / 600) * height / np.radians(16 / 63)
     assert counts[1] == pytest.approx(expected, rel=0.2)
 
 
 def test_the_turn_takes_time(scene):
-    """What moves is met where it is when it is fired at: half a turn before and after the frame."""
+    """A moving car is hit where it is when the ray is fired, up to half a turn from the frame."""
     moving = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, -12, 0, 4.6, 1.85, 1.5))
     traffic = replace(moving.traffic, velocity=np.array([[[10.0, 0, 0]]]))
     moving = replace(moving, traffic=traffic)
@@ -203,12 +203,12 @@ def test_the_turn_takes_time(scene):
     assert middle(turned) - middle(still) == pytest.approx(-0.25, abs=0.1)
 
 
-# ---- one world with the scores ---------------------------------------------------------------
+# ---- agreement with the scores ---------------------------------------------------------------
 
 
 SHORT = replace(COARSE, reach=25.0)
 PARTIAL = {
-    # Sensors low enough that much is hidden, and of short enough a reach that much is out of view.
+    # Sensors so low that much is hidden, with so short a reach that much is out of view.
     "a LiDAR and a camera": (
         (SHORT, [9, 9, 3.0, 0, 0, 0]),
         (SMALL, [-9, -9, 5.0, 0, -0.25, -2.3]),
@@ -223,8 +223,8 @@ def crowded():
 
 
 @pytest.mark.parametrize("name", PARTIAL)
-def test_as_much_is_met_by_rays_as_coverage_says(crowded, name):
-    """Rays end on the ground, on kerbs and poles; the scores know none of these."""
+def test_rays_reach_as_many_voxels_as_coverage_says(crowded, name):
+    """Rays end on the ground, on kerbs and on poles, which the scores do not know."""
     layout = place_sensors(*PARTIAL[name])
     recorder = EmbeddedRecorder(crowded, layout)
     seen = np.zeros(crowded.voxels.count, bool)
@@ -237,12 +237,12 @@ def test_as_much_is_met_by_rays_as_coverage_says(crowded, name):
     share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
     coverage = inspe_jax.evaluate(crowded, layout).coverage
     assert 0.6 < coverage < 0.95
-    assert share == pytest.approx(coverage, abs=0.001)  # asked for is 0.02
+    assert share == pytest.approx(coverage, abs=0.001)  # 0.02 is required
 
 
 @pytest.mark.parametrize("name", PARTIAL)
-def test_as_much_is_seen_as_occlusion_says(crowded, name):
-    """Lines of sight to the voxels' centres past meshes, where the scores have boxes: they hide a
+def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
+    """Lines of sight to voxels' centres, with meshes where the scores have boxes: boxes hide a
     little more."""
     layout = place_sensors(*PARTIAL[name])
     recorder = EmbeddedRecorder(crowded, layout)
@@ -279,7 +279,7 @@ def test_only_kerbs_and_poles_stand_within_the_radius():
         at = (static_world.triangles[tall] + static_world.center).reshape(-1, 3)
         assert len(at) > 300
         assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
-        # Nor does any stand between two places in it.
+        # None stands between two points inside the radius.
         assert np.hypot(*(at - static_world.center)[:, :2].T).min() > 40
         assert set(np.unique(static_world.material)) == set(range(7))
 
@@ -288,7 +288,7 @@ def test_units_over_the_road_have_no_mast(scene):
     over, beside = (
         EmbeddedRecorder(scene, lidars((x, x, 6))).static_world.material == POLE for x in (0, 14)
     )
-    # A tube of eight sides, each of three triangles.
+    # A tube of eight sides with three triangles each.
     assert beside.sum() == over.sum() + 24
 
 
@@ -296,7 +296,7 @@ def test_units_over_the_road_have_no_mast(scene):
 
 
 def camera_scene():
-    """A car alone, broadside, and a camera above looking at it."""
+    """A single car, seen from the side by a camera above."""
     return with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, np.pi / 2, 4.6, 1.85, 1.5))
 
 
@@ -308,8 +308,8 @@ def looked_at():
 
 
 def test_a_pixel_shows_what_the_pinhole_says(looked_at):
-    """The car's box through the intrinsic by hand covers the car's pixels, and its depth is the
-    way along the axis to its near side."""
+    """The car's box, projected by hand, covers the car's pixels; their depth is the distance along
+    the axis to its near side."""
     (image,) = looked_at.stations[0].images
     seen = image.instance > 0
     assert set(np.unique(image.instance)) == {0, looked_at.boxes[0].track + 1}
@@ -333,8 +333,8 @@ def test_a_pixel_shows_what_the_pinhole_says(looked_at):
 
 
 def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
-    """IoU of the box's hull with the instance's pixels, cars that nothing stands before, from
-    files: at least 0.7 each, cut off at the picture's edge or not."""
+    """From files: the IoU of a box's hull with the pixels of its instance is at least 0.7 for every
+    car that nothing hides, also at the edge of the picture."""
     scene = four_way(frames=2, density="low")
     layout = place_sensors(
         (replace(SMALL, width=640, height=480, focal=280.0, principal=(320.0, 240.0)),
@@ -376,7 +376,7 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
             hull = MultiPoint(at).convex_hull.intersection(frame_box)
             if hull.area < 400:
                 continue
-            # Unoccluded: alone in the world it has as many pixels.
+            # Not hidden: alone in the world it has as many pixels.
             actors = FrameActors((box,), recorder.static_world.center)
             free = recorder.sensors[0].image(actors, 0, np.random.default_rng(0), ("instance",))
             own = free.instance > 0
@@ -394,11 +394,11 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0),
     ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0),  # beside a truck that is partly behind it
     ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0),  # a car at its left, one behind
-    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08),  # at dusk the ground falls as shadows do
+    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08),  # at dusk the ground falls like the shadows
     ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08),
 ])  # fmt: skip
-def test_nobody_is_overlooked(pose, slope):
-    """Every pixel's ray, and every sunlit point's: as where only some are cast."""
+def test_no_road_user_or_shadow_is_missed(pose, slope):
+    """All rays of pixels and of sunlit points give the same as those that the camera selects."""
     truck, car = (8, 2.5, 3.4), (4.6, 1.9, 1.5)
     boxes = [
         (2.5, -14, 1.57, *truck), (-14.5, 2.0, 0.1, *car), (-20, 0, 1.0, *car),
@@ -423,7 +423,7 @@ def test_nobody_is_overlooked(pose, slope):
         found = np.full(len(box), -1)
         found[seen.pixels] = seen.box
         assert np.array_equal(found, box)
-        assert len(np.unique(box)) > 2  # near ones hide those further off
+        assert len(np.unique(box)) > 2  # close ones hide others
         assert np.array_equal(np.sort(seen.pixels[seen.box < 0]), dark)
         assert len(dark) > 100
 
@@ -441,7 +441,7 @@ def test_light_falls_and_noise_rises_from_midday_to_night():
     assert grain[0] < grain[1] < grain[2]
 
 
-def test_the_sun_throws_shadows_away_from_itself():
+def test_shadows_point_away_from_the_sun():
     """At midday the sun stands in the south-south-east: beside the car its north is darker."""
     scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, 0, 6.0, 2.5, 3.4))
     layout = place_sensors((SMALL, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0]))
@@ -461,7 +461,7 @@ def test_the_sun_throws_shadows_away_from_itself():
 
 
 def test_points_at_the_rim_are_in_the_last_squares():
-    """Their sums with half the width, in single precision, are the width."""
+    """Their sums with half the width are the whole width, in single precision."""
     rim = np.nextafter(np.float32(SHADOWED), np.float32(0))
     assert rim + np.float32(SHADOWED) == 2 * SHADOWED
     point = np.array([[rim, 0.5, 0], [0.5, rim, 0], [-rim, 0.5, 0]], np.float32)
@@ -481,7 +481,7 @@ def test_fog_hides_what_is_far():
     assert contrast("fog:40") < 0.6 * contrast("clear")
 
 
-# ---- all of it ------------------------------------------------------------------------------
+# ---- whole frames ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("light", slow_but(LIGHTS, "night"))
@@ -506,7 +506,7 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
     assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
 
 
-def test_things_are_where_the_traffic_has_them(scene):
+def test_boxes_are_where_the_traffic_has_them(scene):
     t = scene.traffic
     on = np.flatnonzero(t.valid[1])
     for b, box in zip(on, boxes_at(t, 1, 0), strict=True):
@@ -521,8 +521,8 @@ def test_things_are_where_the_traffic_has_them(scene):
         assert ahead > 0.9 * np.hypot(*box.velocity[:2])
 
 
-def test_another_seed_is_other_noise():
-    """With nobody there, noise is all that the seed is for."""
+def test_another_seed_gives_other_noise():
+    """Without road users the seed changes the noise only."""
     empty, at = world(count=0, radius=20.0, voxel=1.0), [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]
     layout = place_sensors((SMALL, at), (COARSE, at))
     frames = [EmbeddedRecorder(empty, layout, seed=seed).frame(0) for seed in (0, 0, 1)]
@@ -536,7 +536,7 @@ def test_another_seed_is_other_noise():
     assert not np.array_equal(scans[0].points, scans[2].points)
 
 
-def test_things_keep_their_looks(scene):
+def test_road_users_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):
         for box in boxes_at(scene.traffic, t, 0):
@@ -547,8 +547,8 @@ def test_things_keep_their_looks(scene):
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_with_nobody_there_the_layers_are_of_what_stands_still(light):
-    """The road where rays meet its plane; without a lamp by night, lit by the sky alone."""
+def test_layers_of_the_static_world(light):
+    """The road where rays hit its plane; at night and without lamps only the sky lights it."""
     scene = world(count=0, radius=20.0, voxel=1.0)
     pose = np.array([0.0, 0.0, 6.0, 0.0, -0.3, -2.3])  # over the road: no mast
     layout = place_sensors((SMALL, pose.tolist()))

@@ -1,4 +1,4 @@
-"""A kind of sensor of one's own: a spec, and one row in the table of a backend."""
+"""Adding a kind of sensor: a spec, and one row in the table of a backend."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ from inspe_jax.simulation.recorder import Recording
 
 @dataclass(frozen=True)
 class FanSpec:
-    """A flat fan of rays ahead, as of a radar: so many across ``fov`` [rad], to ``reach`` [m]."""
+    """A flat fan of ``count`` rays ahead, as of a radar, across ``fov`` [rad], to ``reach`` [m]."""
 
     name: str
     count: int
@@ -52,8 +52,8 @@ FAN = FanSpec("a fan", 41, np.radians(40), 60.0)
 """A ray for every degree."""
 
 
-def test_a_fan_of_rays_is_recorded_beside_a_camera(monkeypatch):
-    """Broadside on a car 10 m ahead of it, 1 m up: its side of 4.6 m, at y = 10 − 0.925."""
+def test_a_fan_of_rays_is_recorded_next_to_a_camera(monkeypatch):
+    """A car 10 m ahead, seen from the side, which is 4.6 m long, at y = 10 − 0.925."""
     pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
     monkeypatch.setitem(SENSORS, "fan", Fan)
     scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, 10, 0, 4.6, 1.85, 1.5))
@@ -82,7 +82,7 @@ def test_a_kind_without_a_row_is_an_error():
 
 
 def test_carla_needs_a_row_as_well(monkeypatch):
-    """Without a server: what it would spawn, what it notes, and what becomes of a measurement."""
+    """Without a server: the notes, and the scan of a measurement."""
     row = sensor_kinds.CarlaSensorKind(
         blueprints=lambda recording: {"returns": "sensor.other.radar"},
         attributes=lambda spec, recording: {"range": repr(spec.reach)},

@@ -1,4 +1,4 @@
-"""Shapes fill their boxes, show their outsides only, and can be told apart by their parts."""
+"""Shapes fill their boxes, show only their outsides, and have the parts of their class."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ every = pytest.mark.parametrize(("kind", "variant"), EVERY, ids=NAMES)
 
 
 def corners(shape: Shape, size: np.ndarray) -> np.ndarray:
-    """Triangles (F, 3, 3) of a shape at a size, its centre at 0."""
+    """Triangles (F, 3, 3) of a shape at a given size, centred at 0."""
     return (shape.vertices * size)[shape.faces]
 
 
@@ -39,7 +39,7 @@ def normals(triangles: np.ndarray) -> np.ndarray:
 
 
 def first_hits(triangles: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Index of the triangle that each ray meets first, by Embree; −1 where none."""
+    """Index of the triangle that each ray hits first, by Embree; −1 for none."""
     core = pytest.importorskip("embreex.rtcore_scene")
     mesh = pytest.importorskip("embreex.mesh_construction")
     scene = core.EmbreeScene()
@@ -49,9 +49,9 @@ def first_hits(triangles: np.ndarray, origins: np.ndarray, directions: np.ndarra
 
 
 def view(azimuth: float, height: float, distance: float, pixels: int, radius: float):
-    """Eye and rays of a camera at a pole, towards the middle of a box [m, rad].
+    """Position and rays of a camera on a pole that looks at the middle of a box [m, rad].
 
-    A ray somewhere in each pixel: edges along rows of pixels would count a row too many.
+    Each ray has a random place in its pixel: otherwise edges along rows count a row too many.
     """
     eye = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -87,10 +87,10 @@ def test_few_triangles_and_none_without_area(kind, variant):
 
 @every
 @pytest.mark.parametrize("phase", [0.0, 0.3])
-def test_only_outsides_are_seen(kind, variant, phase):
+def test_only_outsides_are_visible(kind, variant, phase):
     """From every side, level and from above: no gap shows the inside of a face.
 
-    Limbs that pass into each other may show a few; they are thin.
+    Limbs that intersect may show a few; they are thin.
     """
     triangles = corners(shape_of(kind, variant, phase), SIZES[kind])
     outward, radius = normals(triangles), np.linalg.norm(SIZES[kind]) / 2
@@ -114,7 +114,7 @@ def test_volume_is_positive_and_less_than_the_box(kind, variant):
 def test_a_car_covers_its_box(variant):
     """At least 70 % of what the box covers, from any pole 5 to 8 m high, 8 to 40 m away.
 
-    From one half of the azimuths, for a car's sides are alike.
+    For half of the azimuths, because both sides of a car are alike.
     """
     size = SIZES["car"]
     car, box = corners(shape_of("car", variant), size), (CUBE * size)[CUBE_FACES]
@@ -124,7 +124,7 @@ def test_a_car_covers_its_box(variant):
             for distance in (8.0, 15.0, 25.0, 40.0):
                 eye, rays = view(azimuth, height - size[2] / 2, distance, 100, 2.7)
                 seen, whole = first_hits(car, eye, rays) >= 0, first_hits(box, eye, rays) >= 0
-                assert not (seen & ~whole).sum() > 1  # the box holds the car
+                assert not (seen & ~whole).sum() > 1  # the box contains the car
                 share.append(seen.sum() / whole.sum())
     assert min(share) >= 0.7
     assert np.median(share) >= 0.74
@@ -167,7 +167,7 @@ def test_the_left_or_the_right_foot_is_in_front():
 
 
 def test_a_walker_keeps_the_depth_of_the_trunk():
-    """Feet and hands come and go; the chest would pulse if the whole body were scaled."""
+    """If the whole body were scaled with the stride, the chest would grow and shrink."""
     chest = []
     for step in range(PHASES):
         points = shape_of("pedestrian", 1, step / PHASES).vertices
@@ -203,7 +203,7 @@ def test_shapes_are_shared_and_cannot_be_written_to():
         shape_of("car", 0).vertices[0, 0] = 1
 
 
-def test_every_class_of_the_traffic_has_shapes_with_names_of_their_own():
+def test_every_class_of_the_traffic_has_shapes_with_unique_names():
     assert tuple(VARIANTS) == CLASSES
     assert len(set(NAMES)) == len(NAMES)
     assert [shape_of(kind, variant).name for kind, variant in EVERY] == NAMES
@@ -245,7 +245,7 @@ def test_cars_have_the_colours_of_the_road():
     assert coloured == pytest.approx(0.18, abs=0.037)
 
 
-def test_shapes_that_are_not_are_refused():
+def test_unknown_shapes():
     with pytest.raises(InspeError, match="class 'tram': one of car, truck, cyclist, pedestrian"):
         shape_of("tram", 0)
     with pytest.raises(InspeError, match="car variant 5 is out of range: 0 to 4"):

@@ -356,7 +356,7 @@ def test_the_rest_of_a_data_set_can_be_recorded_by_another_server(generated, tmp
     with pytest.raises(InspeError) as told:
         dataset.generate(generation, out, **given)
     assert str(told.value).startswith(f"no CARLA server at 127.0.0.1:{port} (Connection refused)")
-    assert str(told.value).endswith("or say where it is: --server HOST:PORT")
+    assert str(told.value).endswith("or give its address: --server HOST:PORT")
 
 
 def test_everything_is_restored_on_ctrl_c(maps, tmp_path):

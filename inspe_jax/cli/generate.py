@@ -116,7 +116,7 @@ def generate(
                 generation, folder, backend, workers=workers, server=server, progress=report
             )
     except KeyboardInterrupt:
-        err.print("stopped; the same command goes on from here", soft_wrap=True)
+        err.print("stopped; give the same command again to resume", soft_wrap=True)
         raise typer.Exit(130) from None
     speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
     out.print(

@@ -18,7 +18,7 @@ from inspe_jax.study.engine import load_cluster, run_jobs
 from inspe_jax.study.work import message_of
 
 MB = 1e6
-CONTINUE = "make room, and the same command goes on from here"
+CONTINUE = "make room, then give the same command again to resume"
 
 
 @dataclass(frozen=True)

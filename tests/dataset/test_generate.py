@@ -276,7 +276,7 @@ def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
     assert f"{out}: the disk is full: " in words
     assert f"of {8 * FRAMES} frames are there, about " in words
     assert "MB more are needed" in words
-    assert "the same command goes on from here" in words
+    assert "give the same command again to resume" in words
     assert check_set(out)
     assert_whole(out)
     monkeypatch.delenv(made_up.ROOM)
@@ -313,7 +313,7 @@ def test_a_disk_that_is_really_full(undisturbed, tmp_path):
         pytest.skip("no file systems can be mounted here")
     assert process.returncode == 2, err
     assert f"Error: {small / 'out'}: the disk is full: " in err
-    assert " MB more are needed, and 0.0 MB are free; make room, and the same command" in err
+    assert " MB more are needed, and 0.0 MB are free; make room, then give the same command" in err
     assert check_set(kept)
     assert_whole(kept)
     there = {name: data for name, data in content(kept).items() if ".unfinished" not in name}

@@ -6,7 +6,7 @@ Points are written as ``x y z rgb``, float32 and binary, with the intensity in t
 Why not a library: pypcd4 (1.5) rejects a file without COUNT, which the format allows; it reads one
 whose POINTS contradict WIDTH and HEIGHT; and on damaged files it raises ValueError,
 UnicodeDecodeError or pydantic's errors, without the file's name. Checks around it would be about as
-long as this reader. Open3D is a dependency of hundreds of megabytes.
+long as this reader. Open3D is a large dependency.
 """
 
 import os

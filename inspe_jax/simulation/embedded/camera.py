@@ -310,7 +310,7 @@ class Camera:
     def _shadows(
         self, caster: Caster, boxes: tuple[RoadUserBox, ...], after: float
     ) -> Int[np.ndarray, " P"]:
-        """The pixels of the static world that the sun would light if no road user stood in it."""
+        """The pixels of the static world in the shadow of a road user, and in the sun otherwise."""
         if not (self.light.has_sun and boxes):
             return np.zeros(0, int)
         near = np.zeros(len(self.directions), bool)

@@ -21,7 +21,7 @@ def generate(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="STUDY.yaml", help="What to record (see below), or a data_protocol.yaml."
+            metavar="STUDY.yaml", help="What to record (see above), or a data_protocol.yaml."
         ),
     ],
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],

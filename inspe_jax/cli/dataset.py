@@ -53,10 +53,9 @@ def stats(
     - `inspe dataset stats infra --plot infra.png --json infra.json --csv row.csv`
     - `inspe dataset stats infra/test --json -`
     """
-    from inspe_jax.core.files import check_output, write_text
+    from inspe_jax.core.files import check_output, csv_text, write_text
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.statistics import statistics, table_row
-    from inspe_jax.placement.result import csv_text
     from inspe_jax.report.dataset_figure import statistics_view
     from inspe_jax.report.dataset_tables import statistics_record, statistics_table
     from inspe_jax.report.sheet import FORMATS, save_figure

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.cli.common import app, busy, counted, err, note, out, progress
 from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
 
 SHOWN = 3
@@ -21,7 +21,7 @@ def generate(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="STUDY.yaml", help="What to record (see below), or a data_protocol.yaml."
+            metavar="STUDY.yaml", help="What to record (see above), or a data_protocol.yaml."
         ),
     ],
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
@@ -104,8 +104,8 @@ def generate(
     if dry_run:
         each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
         out.print(
-            f"{generation.name}: {_counted(len(generation.scenarios), 'scenario')} ({each}), "
-            f"{_counted(generation.frames, 'frame')}",
+            f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
+            f"{counted(generation.frames, 'frame')}",
             highlight=False,
             soft_wrap=True,
         )
@@ -120,24 +120,20 @@ def generate(
         raise typer.Exit(130) from None
     speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
     out.print(
-        f"{_counted(result.scenarios, 'scenario')}, {_counted(result.frames, 'frame')}, "
+        f"{counted(result.scenarios, 'scenario')}, {counted(result.frames, 'frame')}, "
         f"{result.size / 1e6:.1f} MB{speed}",
         highlight=False,
         soft_wrap=True,
     )
     out.print(f"wrote {result.folder}", highlight=False, soft_wrap=True)
     counts = Counter(words for notes in result.notes.values() for words in notes)
-    note(f"{words} ({_counted(count, 'scenario')})" for words, count in counts.items())
+    note(f"{words} ({counted(count, 'scenario')})" for words, count in counts.items())
     failures = list(result.failures.items())
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:
         err.print(
-            f"{_counted(len(failures), 'scenario')} could not be generated; "
+            f"{counted(len(failures), 'scenario')} could not be generated; "
             "the same command tries again",
             soft_wrap=True,
         )
         raise typer.Exit(1)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count:,} {what}{'s' * (count != 1)}"

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.cli.common import app, busy, counted, err, note, out, progress
 
 SHOWN = 3
 """Number of failures whose error is printed."""
@@ -80,8 +80,8 @@ def sweep(
         scenes = {job.scene for job in study.jobs}
         layouts = {job.layout for job in study.jobs}
         out.print(
-            f"{study.name}: {_counted(len(study.jobs), 'job')}, "
-            f"{_counted(len(layouts), 'layout')} on {_counted(len(scenes), 'scene')}",
+            f"{study.name}: {counted(len(study.jobs), 'job')}, "
+            f"{counted(len(layouts), 'layout')} on {counted(len(scenes), 'scene')}",
             highlight=False,
         )
         return
@@ -107,7 +107,3 @@ def sweep(
     if failures:
         err.print("some jobs failed; --retry runs them again", soft_wrap=True)
         raise typer.Exit(1)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count:,} {what}{'s' * (count != 1)}"

@@ -1,12 +1,15 @@
 """Reading files that users write, key by key, and writing files whole or not at all."""
 
+import csv
+import io
 import os
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -167,6 +170,24 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file, whole or not at all."""
     with whole_file(path) as f:
         f.write(text.encode("utf-8"))
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as CSV text, under the keys of the first; there must be at least one."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
+def json_value(value: Any) -> Any:
+    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's."""
+    if isinstance(value, Mapping):
+        return {str(key): json_value(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [json_value(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _umask() -> int:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_model, read_yaml
+from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.plan import (
@@ -41,7 +41,14 @@ from inspe_jax.study.settings import (
     check_settings,
     conditioned,
 )
-from inspe_jax.study.sources import LayoutSource, SceneEntry, SceneSource, digest_of, scene_source
+from inspe_jax.study.sources import (
+    LayoutSource,
+    SceneEntry,
+    SceneSource,
+    digest_of,
+    read_study,
+    scene_source,
+)
 
 FORMAT = "inspe_jax scenario 1"
 PORT = 2000
@@ -148,9 +155,7 @@ def load_generation(
     InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
-    content = read_yaml(path)
-    if not isinstance(content, dict) or not content:
-        raise InspeError(f"{path}: the study is empty: it needs 'scenes' and 'layouts'")
+    content = read_study(path)
     if "world" not in content:
         return make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:

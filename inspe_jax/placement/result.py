@@ -5,7 +5,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, prepare_folder, write_text
+from inspe_jax.core.files import check_input, csv_text, json_value, prepare_folder, write_text
 from inspe_jax.placement.run import Progress
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
@@ -188,9 +188,9 @@ def _record(result: Result) -> dict[str, Any]:
         "seconds": result.seconds,
         "seed": result.seed,
         "notes": list(result.notes),
-        "scores_before": _plain(asdict(replace(result.scores_before, seen_share=np.zeros(0)))),
-        "scores": _plain(asdict(replace(result.scores, seen_share=np.zeros(0)))),
-        "settings": _plain(result.settings),
+        "scores_before": json_value(asdict(replace(result.scores_before, seen_share=np.zeros(0)))),
+        "scores": json_value(asdict(replace(result.scores, seen_share=np.zeros(0)))),
+        "settings": json_value(result.settings),
         "versions": result.versions,
     }
 
@@ -216,21 +216,3 @@ def _by_metric(record: dict[str, Any]) -> dict[str, Any]:
 def _name_weights(settings: dict[str, Any]) -> None:
     """Replace three weights, as format 2 has them, by weights with names."""
     settings["weights"] = dict(zip(_PAPER, settings["weights"], strict=True))
-
-
-def csv_text(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows as CSV text, under the keys of the first; there must be at least one."""
-    text = io.StringIO()
-    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
-
-
-def _plain(value: Any) -> Any:
-    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

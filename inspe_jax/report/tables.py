@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import json_value
 from inspe_jax.core.version import __version__
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.studies.pareto import DeviceMix
@@ -198,7 +199,7 @@ def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str
             }
             for row in found.slopes
         ],
-        "settings": _plain(found.settings),
+        "settings": json_value(found.settings),
         **_origin(scene, layout),
     }
 
@@ -223,7 +224,7 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
             }
             for part, unit, device in _members(scores, layout)
         ],
-        "settings": _plain(scores.settings),
+        "settings": json_value(scores.settings),
         **_origin(scene, layout),
     }
 
@@ -291,12 +292,3 @@ def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
         (part, layout.units[sensor.unit].name, sensor.spec.name)
         for part, sensor in zip(scores.contributions, layout.sensors, strict=True)
     ]
-
-
-def _plain(value: Any) -> Any:
-    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -15,8 +15,7 @@ from typing import IO
 from filelock import FileLock, Timeout
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import prepare_folder, write_text
-from inspe_jax.placement.result import csv_text
+from inspe_jax.core.files import csv_text, prepare_folder, write_text
 from inspe_jax.study.plan import Study
 from inspe_jax.study.work import Row, columns, tag_columns, versions
 

@@ -3,93 +3,93 @@
 import csv
 import io
 import json
-from dataclasses import replace
-from types import SimpleNamespace
+import shutil
 
 import numpy as np
 import pytest
 import yaml
 from processes import inspe_here
 from rich.console import Console
-from worlds import CAMERA, place_sensors, world
+from worlds import place_sensors
 
-from inspe_jax.placement.problem import Objective
+from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save_scene, strategy
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix, save_pareto
 from inspe_jax.report import page, tables
 from inspe_jax.report.figures import plan_view
 from inspe_jax.report.progress import before_after
-from inspe_jax.scoring import evaluate as scoring
-from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.scoring.metrics import METRICS, Metric
-from inspe_jax.sensing.layout import save_layout
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.work import columns
+from inspe_jax.study.work import run_job, versions
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 
-TOY = Metric("toy_metric", "TM_x", 0.0, "share of toys that are seen")
-VALUE, DROP, BEFORE = 0.2468, 0.1357, 0.1111
+TOY = Metric(
+    "worst_frame",
+    "W_f",
+    0.0,
+    "share of voxels that stays visible in the worst frame",
+    lambda found: (found.seen / found.original).min(0),
+)
 STUDY = """
 scenes: [{built_in: four_way}]
 layouts: [L-c]
-settings: {radius: 20, voxel: 2, frames: 2}
+settings: {radius: 12, voxel: 1, frames: 3, density: 5}
 """
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return world(radius=12, voxel=1.0, frames=3, count=5)
+    return build_scene(built_in("four_way"), radius=12, voxel=1.0, frames=3, density=5)
 
 
 @pytest.fixture(scope="module")
-def layout():
-    return place_sensors((CAMERA, [5, 5, 6, 0, -0.4, -2.0]))
+def layouts():
+    """A camera on a corner, and the same one turned."""
+    camera, turned = [8, 8, 6, 0, -0.4, -2.3], [8, 8, 6, 0, -0.4, -2.0]
+    return [place_sensors((device("paper-camera").spec, pose)) for pose in (turned, camera)]
 
 
-@pytest.fixture(scope="module")
-def result(scene, layout):
-    """Of a search whose scores have the toy metric."""
-    paper = scoring.evaluate(scene, layout)
-    part = Contribution("s0", paper.contributions[0].metrics | {TOY.name: DROP}, 0.1)
-    after = replace(paper, metrics=paper.metrics | {TOY.name: VALUE}, contributions=(part,))
-    before = replace(after, metrics=paper.metrics | {TOY.name: BEFORE})
-    return Result(
-        layout=layout,
-        start=layout,
-        scores_before=before,
-        scores=after,
-        objective_before=0.1,
-        objective=0.2,
-        history=(Progress(0.5, 1.0, 0.3, 0.3),),
-        path=np.asarray(layout.poses, float)[None],
-        evaluations=1.0,
-        seconds=0.5,
-        status="converged",
-        method="grid",
-        seed=0,
-        settings={"scenes": [{"name": "test crossing"}]},
-        versions={},
-    )
+class There:
+    """What the places below look at; scores are of the metrics that are registered when asked."""
+
+    def __init__(self, scene, layouts, folder, monkeypatch, capsys):
+        self.scene, (self.start, self.layout) = scene, layouts
+        self.folder, self.monkeypatch, self.capsys = folder, monkeypatch, capsys
+        save_scene(scene, folder / "s.npz")
+        save_layout(self.layout, folder / "layout.yaml")
+        (folder / "study.yaml").write_text(STUDY)
+
+    @property
+    def scores(self):
+        return evaluate(self.scene, self.layout)
+
+    @property
+    def result(self):
+        return Result(
+            layout=self.layout,
+            start=self.start,
+            scores_before=evaluate(self.scene, self.start),
+            scores=self.scores,
+            objective_before=0.1,
+            objective=0.2,
+            history=(Progress(0.5, 1.0, 0.3, 0.3),),
+            path=np.asarray(self.start.poses, float)[None],
+            evaluations=1.0,
+            seconds=0.5,
+            status="converged",
+            method="grid",
+            seed=0,
+            settings={"scenes": [{"name": "test crossing"}]},
+            versions={},
+        )
 
 
 @pytest.fixture
-def there(scene, layout, result, tmp_path, monkeypatch, capsys):
-    """What the places below look at. Scores are the result's: no toy is really measured."""
-    monkeypatch.setattr(scoring, "evaluate", lambda *_, **options: scored_as(result, options))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "study.yaml").write_text(STUDY)
-    save_layout(layout, tmp_path / "layout.yaml")
-    return SimpleNamespace(
-        scene=scene, layout=layout, result=result, scores=result.scores, folder=tmp_path,
-        monkeypatch=monkeypatch, capsys=capsys,
-    )  # fmt: skip
-
-
-def scored_as(result: Result, options) -> Scores:
-    return replace(result.scores, settings=result.scores.settings | {"weights": options["weights"]})
+def there(scene, layouts, tmp_path, monkeypatch, capsys):
+    return There(scene, layouts, tmp_path, monkeypatch, capsys)
 
 
 def shown(table):
@@ -108,14 +108,12 @@ def inspe(there, *arguments):
 
 
 def score(there):
-    return inspe(there, "score", "four_way", "layout.yaml")
+    return inspe(there, "score", "s.npz", "layout.yaml")
 
 
 def score_as_json(there):
-    found = json.loads(inspe(there, "score", "four_way", "layout.yaml", "--json", "-"))
-    parts = [(key, found[key]) for key in found if key.startswith("toy")]
-    parts += [(key, row[key]) for row in found["contributions"] for key in row if "toy" in key]
-    return str(parts)
+    found = json.loads(inspe(there, "score", "s.npz", "layout.yaml", "--json", "-"))
+    return str([found, *found["contributions"]])
 
 
 def metrics_command(there):
@@ -145,7 +143,7 @@ def map_heading(there):
 
 def maps_before_and_after(there):
     result, layout = there.result, there.layout
-    figure = before_after(there.scene, layout, layout, result.scores_before, result.scores)
+    figure = before_after(there.scene, result.start, layout, result.scores_before, result.scores)
     return " ".join(ax.get_title(loc="left") for ax in figure.axes)
 
 
@@ -159,49 +157,54 @@ def pareto_csv(there):
     return str(row)
 
 
-def sweep_columns(there):
-    """The columns of a study's table, and a row of it as it is written and read again."""
+def sweep_table_on_disk(there):
+    """A row of a study's results, as a worker finds it, written and read again."""
     study = load_study(there.folder / "study.yaml")
-    row = {m: f"{there.scores.value(m):.7f}" for m in (*METRICS, "surrogate")}
+    (job,) = study.jobs
     with Results(study, there.folder / "out") as results:
-        results.add({"key": study.jobs[0].key, **dict.fromkeys(columns(study), ""), **row})
+        results.add(*run_job(there.scene, job, versions()))
     return str(read_results(there.folder / "out"))
 
 
 def sweep_table(there):
-    row = {m: f"{there.scores.value(m):.7f}" for m in (*METRICS, "surrogate")}
-    return shown(tables.sweep_table([{"layout": "L-c", "status": "done", **row}]))
+    study = load_study(there.folder / "study.yaml")
+    row, _ = run_job(there.scene, study.jobs[0], versions())
+    return shown(tables.sweep_table([row]))
 
 
 PLACES = {
-    score: ("toy metric", "TM_x", "0.247", "+0.1357"),
-    score_as_json: ("toy_metric", "0.2468", "0.1357"),
-    metrics_command: ("toy_metric", "TM_x", "share of toys that are seen"),
-    report_page: ("toy metric TM_x", "share of toys that are seen", ">0.247<", ">+0.1357<"),
-    viewer_panel: ("toy metric TM_x", "width:24.7%", ">0.247<"),
-    before_and_after: ("toy metric", "TM_x", "0.111", "0.247", "+0.136"),
-    map_heading: ("$TM_{x}$ 0.247",),
-    maps_before_and_after: ("$TM_{x}$ 0.111", "$TM_{x}$ 0.247"),
-    pareto_table: ("TM_x", "0.247"),
-    pareto_csv: ("'toy_metric': '0.2468'",),
-    sweep_columns: ("'toy_metric': '0.2468000'",),
-    sweep_table: ("TM_x", "0.247 ± 0.00"),
+    score: ("worst frame", "W_f", "{value:.3f}", "{drop:+.4f}"),
+    score_as_json: ("'worst_frame': {value!r}", "'worst_frame': {drop!r}"),
+    metrics_command: ("worst_frame", "W_f", TOY.summary),
+    report_page: ("worst frame W_f", TOY.summary, ">{value:.3f}<", ">{drop:+.4f}<"),
+    viewer_panel: ("worst frame W_f", "width:{percent:.1f}%", ">{value:.3f}<"),
+    before_and_after: ("worst frame", "W_f", "{before:.3f}", "{value:.3f}"),
+    map_heading: ("$W_{{f}}$ {value:.3f}",),
+    maps_before_and_after: ("$W_{{f}}$ {before:.3f}", "$W_{{f}}$ {value:.3f}"),
+    pareto_table: ("W_f", "{value:.3f}"),
+    pareto_csv: ("'worst_frame': '{value!r}'",),
+    sweep_table_on_disk: ("'worst_frame': '{central:.7f}'",),
+    sweep_table: ("W_f", "{central:.3f} ± 0.00"),
 }
 
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: place.__name__)
 def test_it_shows_once_it_is_in_the_registry_and_not_before(place, there):
-    words = PLACES[place]
     without = place(there)
-    for word in (TOY.name, TOY.words, TOY.symbol, "TM_{x}"):
+    for word in (TOY.name, TOY.words, TOY.symbol, "$W_{f}$"):
         assert word not in without
     there.monkeypatch.setitem(METRICS, TOY.name, TOY)
-    if place is sweep_columns:  # other columns are another table
-        there.folder = there.folder / "again"
-        there.folder.mkdir()
-        (there.folder / "study.yaml").write_text(STUDY)
+    shutil.rmtree(there.folder / "out", ignore_errors=True)  # other columns are another table
+    result = there.result
+    value, before = (float(of.value(TOY.name)) for of in (result.scores, result.scores_before))
+    central = evaluate(there.scene, strategy(there.scene, "L-c")).value(TOY.name)
+    assert 0 < before < 1
+    assert 0 < value < 1
+    assert value != pytest.approx(before, abs=1e-3)
+    drop = float(result.scores.contributions[0].value(TOY.name))
+    numbers = dict(value=value, percent=100 * value, before=before, drop=drop, central=central)
     text = place(there)
-    assert [word for word in words if word not in text] == []
+    assert [word for word in PLACES[place] if word.format(**numbers) not in text] == []
 
 
 # ── What it can do: carry weight ────────────────────────────────────────────
@@ -214,33 +217,34 @@ def registered(monkeypatch):
 
 @pytest.mark.usefixtures("registered")
 def test_it_carries_weight_on_the_command_line(there):
-    weights = ("--weight", "toy_metric=0.25", "--weight", "occlusion=0.75")
-    found = json.loads(inspe(there, "score", "four_way", "layout.yaml", *weights, "--json", "-"))
+    weights = ("--weight", "worst_frame=0.25", "--weight", "occlusion=0.75")
+    found = json.loads(inspe(there, "score", "s.npz", "layout.yaml", *weights, "--json", "-"))
     assert {k: v for k, v in found["settings"]["weights"].items() if v} == {
-        "toy_metric": 0.25,
+        "worst_frame": 0.25,
         "occlusion": 0.75,
     }
-    assert "toy metric TM_x 0.25" in " ".join(
-        inspe(there, "score", "four_way", "layout.yaml", *weights).split()
+    by_hand = 0.25 * found["worst_frame"] + 0.75 * found["occlusion"]
+    assert found["surrogate"] == pytest.approx(by_hand, abs=1e-6)
+    assert "worst frame W_f 0.25" in " ".join(
+        inspe(there, "score", "s.npz", "layout.yaml", *weights).split()
     )
 
 
 @pytest.mark.usefixtures("registered")
-def test_it_carries_weight_in_an_objective_and_in_a_study(tmp_path):
-    weights = {"toy_metric": 0.25, "occlusion": 0.75}
-    objective = Objective(weights=weights)
-    objective.check()
-    assert objective.weights_by_name == {
-        "coverage": 0.0, "occlusion": 0.75, "information_gain": 0.0, "toy_metric": 0.25
-    }  # fmt: skip
+def test_it_carries_weight_in_a_study(there):
+    weights = {"worst_frame": 0.25, "occlusion": 0.75}
     content = yaml.safe_load(STUDY)
-    paper = load_of(tmp_path, content)
+    paper = load_of(there.folder, content)
     content["settings"]["weights"] = weights
-    toy = load_of(tmp_path, content)
+    toy = load_of(there.folder, content)
     assert toy.settings["weights"] == weights
     assert toy.key != paper.key
+    row, _ = run_job(there.scene, toy, versions())
+    by_hand = 0.25 * float(row["worst_frame"]) + 0.75 * float(row["occlusion"])
+    assert float(row["surrogate"]) == pytest.approx(by_hand, abs=1e-6)
+    assert row["weights"] == "occlusion=0.75 worst_frame=0.25"
     content["settings"]["weights"] = [0.3, 0.5, 0.2]
-    assert load_of(tmp_path, content).key == paper.key
+    assert load_of(there.folder, content).key == paper.key
 
 
 def load_of(folder, content):
@@ -249,18 +253,22 @@ def load_of(folder, content):
     return job
 
 
-def test_a_result_keeps_it_also_where_nobody_registers_it(result, tmp_path):
+def test_a_result_keeps_it_also_where_nobody_registers_it(there, tmp_path):
+    with there.monkeypatch.context() as registered:
+        registered.setitem(METRICS, TOY.name, TOY)
+        result = there.result
     save_result(result, tmp_path)
     back = load_result(tmp_path)
-    assert back.scores.value(TOY.name) == VALUE
-    assert back.scores.contributions[0].value(TOY.name) == DROP
-    assert "coverage" in shown(tables.before_after_table(back))
+    assert back.scores.value(TOY.name) == result.scores.value(TOY.name) > 0
+    assert back.scores.contributions[0].value(TOY.name) > 0
+    text = shown(tables.before_after_table(back))
+    assert "coverage" in text
+    assert TOY.words not in text
 
 
-@pytest.mark.usefixtures("registered")
-def test_a_result_of_before_it_was_registered_is_shown_without_it(result):
-    paper = {name: value for name, value in result.scores.metrics.items() if "toy" not in name}
-    of = replace(result.scores, metrics=paper)
-    old = shown(tables.before_after_table(replace(result, scores=of, scores_before=of)))
-    assert "coverage" in old
-    assert "toy" not in old
+def test_a_result_of_before_it_was_registered_is_shown_without_it(there):
+    result = there.result
+    there.monkeypatch.setitem(METRICS, TOY.name, TOY)
+    text = shown(tables.before_after_table(result))
+    assert "coverage" in text
+    assert TOY.words not in text

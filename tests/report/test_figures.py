@@ -17,7 +17,7 @@ from matplotlib.text import Text
 from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report import figures
+from inspe_jax.report import figures, routes
 from inspe_jax.report.figures import (
     CLASS_COLORS,
     REGION_COLORS,
@@ -357,7 +357,7 @@ def test_no_traffic_no_routes_and_no_poles_can_be_drawn(scene, pair):
 
 def test_arrow_heads_point_along_the_lanes():
     full = build_scene(built_in("roundabout"), radius=40, voxel=2.0, density="none")
-    heads = figures._arrow_heads(full)
+    heads = routes._arrow_heads(full)
     assert len(heads) > 8
     along = [r.waypoints[:, :2] for r in full.intersection.routes if r.user == "vehicle"]
     for at, ahead in heads:
@@ -425,7 +425,8 @@ def test_nothing_is_left_of_a_figure_that_fails(scene, tmp_path, monkeypatch):
 
 def test_no_display_is_asked_for():
     """pyplot keeps every figure alive and may open a window; the object API does neither."""
-    for node in ast.walk(ast.parse(Path(figures.__file__).read_text())):
+    texts = (Path(module.__file__).read_text() for module in (figures, routes))
+    for node in (node for text in texts for node in ast.walk(ast.parse(text))):
         if isinstance(node, ast.Import | ast.ImportFrom):
             names = [alias.name for alias in node.names] + [getattr(node, "module", None) or ""]
             assert not any("pyplot" in name for name in names)

@@ -74,7 +74,7 @@ def test_bad_input_is_said(k, reliability, says):
 
 
 def test_weight_on_another_metric_is_refused(monkeypatch):
-    monkeypatch.setitem(METRICS, "toy", Metric("toy", "T", 0.0, "a toy"))
+    monkeypatch.setitem(METRICS, "toy", Metric("toy", "T", 0.0, "a toy", None))
     assert best_subset(*instance(0), 1.0, 2, {"coverage": 1.0}).value > 0
     with pytest.raises(InspeError, match="weights on toy: the integer program"):
         best_subset(*instance(0), 1.0, 2, {"coverage": 0.5, "toy": 0.5})

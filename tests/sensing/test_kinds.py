@@ -26,6 +26,7 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, make_layout, save_layout
 from inspe_jax.sensing.sensors import Spec, SphericalGrid
+from inspe_jax.simulation.recorder import recordable
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.queries import in_view
 
@@ -175,6 +176,12 @@ def test_figures_and_tables_show_it(scene, layout, tmp_path):
     console = Console(width=200, record=True, file=io.StringIO())
     console.print(devices_table([device_of(layout.sensors[0].spec)]))
     assert re.search(r"my-fan\W+fan\W+1\W+120° × 0°\W+30\W+241", console.export_text())
+
+
+def test_simulators_say_that_they_cannot_record_it(layout):
+    with pytest.raises(InspeError, match="'my-fan' is a fan of rays: only cameras and LiDARs"):
+        recordable(layout.sensors[0].spec)
+    assert recordable(layout.sensors[2].spec) == layout.sensors[2].spec
 
 
 def test_without_its_row_the_kind_is_not_known(tmp_path):

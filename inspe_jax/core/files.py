@@ -1,10 +1,11 @@
 """Reading files that users write, key by key, and writing files whole or not at all."""
 
 import csv
+import functools
 import io
 import os
 import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -16,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from inspe_jax.core.errors import InspeError, nearest
 
 Model = TypeVar("Model", bound=BaseModel)
+Content = TypeVar("Content")
 
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -106,6 +108,31 @@ def check_input(path: Path) -> None:
     """Raise InspeError if there is no such file."""
     if not path.is_file():
         raise InspeError(f"{path}: no such file")
+
+
+def cached_by_file(
+    size: int,
+) -> Callable[[Callable[[Path], Content]], Callable[[str | os.PathLike[str]], Content]]:
+    """A decorator for readers of files: it caches the content of ``size`` files.
+
+    A file is read again when it changes. The reader then raises InspeError if there is no file.
+    """
+
+    def decorated(read: Callable[[Path], Content]) -> Callable[[str | os.PathLike[str]], Content]:
+        @functools.lru_cache(maxsize=size)
+        def cached(path: Path, _where: Path, _modified: int, _size: int) -> Content:
+            return read(path)
+
+        @functools.wraps(read)
+        def load(path: str | os.PathLike[str]) -> Content:
+            path = Path(path)
+            check_input(path)
+            stat = path.stat()
+            return cached(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
+
+        return load
+
+    return decorated
 
 
 def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] = ()) -> None:

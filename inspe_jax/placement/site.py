@@ -134,7 +134,7 @@ class Site:
 
     @cached_property
     def lanes(self) -> BaseGeometry:
-        """The ground of vehicles' lanes."""
+        """The ground of all vehicle lanes."""
         return unary_union(
             [
                 # Mitred, because round joins would change a layout slightly if the world turns.

@@ -1,4 +1,4 @@
-"""Kinds of sensor: how a catalogue describes the devices of each.
+"""Kinds of sensor: the keys with which a catalogue describes their devices.
 
 To add a kind, write its spec, a subclass of :class:`~inspe_jax.sensing.sensors.Spec`, and here its
 catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches, layout files and catalogues
@@ -32,7 +32,7 @@ class DeviceKeys(BaseModel):
     spec_type: ClassVar[type[Spec]]
     """The spec that they make."""
     alternatives: ClassVar[tuple[str, ...]] = ()
-    """Keys of which a device gives one."""
+    """Keys of which a device has exactly one."""
 
     def spec(self, name: str, where: str) -> Spec:
         """The spec [rad, m] of a device. Raises InspeError that names ``where`` and the key."""
@@ -45,7 +45,7 @@ class DeviceKeys(BaseModel):
 
     @classmethod
     def combined(cls, other: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-        """The keys of a device that is like another: its own, and the other's for the rest."""
+        """The keys of a device that is like another: ``own``, and ``other`` where it has none."""
         if any(key in own for key in cls.alternatives):
             other = {key: value for key, value in other.items() if key not in cls.alternatives}
         return other | own
@@ -184,7 +184,7 @@ SENSOR_KINDS: dict[str, type[DeviceKeys]] = {
 
 def keys_of(kind: Any, where: str) -> type[DeviceKeys]:
     """The catalogue keys of a kind. Raises InspeError that names ``where`` and the kinds."""
-    if kind not in SENSOR_KINDS:
+    if not isinstance(kind, str) or kind not in SENSOR_KINDS:
         known = " or ".join(f"'{name}'" for name in SENSOR_KINDS)
         raise InspeError(f"{where}: kind: must be {known}, got {kind!r}")
     return SENSOR_KINDS[kind]

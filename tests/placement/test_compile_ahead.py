@@ -34,10 +34,10 @@ class Late(Problem):
 
     def __init__(self, scene):
         super().__init__(scene, strategy(scene, "L-c"))
-        self.go, self.asked = threading.Event(), []
+        self.go, self.callers = threading.Event(), []
 
     def slope(self, poses, on, softness):
-        self.asked.append(threading.get_ident())
+        self.callers.append(threading.get_ident())
         assert self.go.wait(60)
         return 0.5, np.zeros((len(poses), 6), jnp.zeros((), float).dtype)
 
@@ -73,7 +73,7 @@ def search(problem, method, each=lambda run, state: None, **budget):
 
 def test_where_the_gradient_is_never_ready_it_is_greedy_placement(late):
     found = search(late, GREEDY_ADAM)
-    assert len(late.asked) == 1  # and that one waits
+    assert len(late.callers) == 1  # and that one waits
     plain = search(late, GREEDY)
     assert len(plain.history) > 3
     assert [row.score for row in found.history] == [row.score for row in plain.history]
@@ -108,13 +108,13 @@ def test_a_gradient_that_is_ready_too_late_is_left(late):
             run.wait(GRADIENT)
 
     search(late, GREEDY_ADAM, each)
-    assert len(late.asked) == 1
+    assert len(late.callers) == 1
 
 
 def test_a_gradient_that_will_not_be_ready_in_time_is_not_begun(late, monkeypatch):
     monkeypatch.setattr(greedy_adam, "COMPILES", np.inf)
     found = search(late, GREEDY_ADAM)
-    assert not late.asked
+    assert not late.callers
     assert [row.score for row in found.history] == [
         row.score for row in search(late, GREEDY).history
     ]
@@ -123,16 +123,16 @@ def test_a_gradient_that_will_not_be_ready_in_time_is_not_begun(late, monkeypatc
 def test_with_a_budget_in_evaluations_nothing_is_done_beside_the_search(late):
     late.go.set()
     search(late, GREEDY_ADAM, evaluations=SECONDS)
-    assert set(late.asked) == {threading.get_ident()}
+    assert set(late.callers) == {threading.get_ident()}
 
 
 def test_once_it_is_compiled_nothing_is_done_beside_the_search(late):
     late.go.set()
     search(late, GREEDY_ADAM, evaluations=SECONDS)
-    late.asked.clear()
+    late.callers.clear()
     assert not GREEDY_ADAM.ahead(Run(late, late.space.start(late.layout)[0], seconds=1.0))
     search(late, GREEDY_ADAM)
-    assert set(late.asked) == {threading.get_ident()}
+    assert set(late.callers) == {threading.get_ident()}
 
 
 def test_an_error_there_is_one_of_the_search(late, monkeypatch):

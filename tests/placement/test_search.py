@@ -414,7 +414,7 @@ def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
     rough, (views, seen) = problem.rough(x, sample), problem.views(0, poses, sample)
-    compiled = sampled_scores.hard_scores._cache_size(), candidate_views._see._cache_size()
+    compiled = sampled_scores.hard_scores._cache_size(), candidate_views._view._cache_size()
     assert len(rough) == len(views) == len(seen) == len(x)
     for count in (1, 3):
         np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
@@ -423,7 +423,7 @@ def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
             np.testing.assert_array_equal(part, whole[-count:])
     assert (
         sampled_scores.hard_scores._cache_size(),
-        candidate_views._see._cache_size(),
+        candidate_views._view._cache_size(),
     ) == compiled
 
 

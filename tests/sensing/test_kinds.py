@@ -18,14 +18,15 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.report.figures import plan_view
+from inspe_jax.report.scene_tables import devices_table
 from inspe_jax.report.sheet import save_figure
-from inspe_jax.report.tables import devices_table
 from inspe_jax.sensing import kinds
 from inspe_jax.sensing.catalogue import Device, load_devices, spec_of, table_of
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, make_layout, save_layout
 from inspe_jax.sensing.sensors import Spec, SphericalGrid
+from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.queries import in_view
 
@@ -175,6 +176,12 @@ def test_figures_and_tables_show_it(scene, layout, tmp_path):
     console = Console(width=200, record=True, file=io.StringIO())
     console.print(devices_table([device_of(layout.sensors[0].spec)]))
     assert re.search(r"my-fan\W+fan\W+1\W+120° × 0°\W+30\W+241", console.export_text())
+
+
+def test_the_recorder_says_that_it_cannot_simulate_it(scene, layout):
+    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+    with pytest.raises(InspeError, match="my-fan: backend embedded cannot simulate a sensor of ki"):
+        EmbeddedRecorder(scene, layout)
 
 
 def test_without_its_row_the_kind_is_not_known(tmp_path):

@@ -195,6 +195,8 @@ units:
         ("{like: paper-camara}", r"devices.x: like: no device 'paper-camara'.*mean paper-camera"),
         ("{depth_m: 3}", r"devices.x: kind: missing key"),
         ("{kind: radar}", r"devices.x: kind: must be 'lidar' or 'camera', got 'radar'"),
+        ("{kind: [lidar]}", r"devices.x: kind: must be 'lidar' or 'camera', got \['lidar'\]"),
+        ("{like: paper-camera, kind: radar}", r"devices.x: kind: must be 'lidar' or 'camera'"),
         ("{like: paper-camera, range_m: 3}", r"devices.x: range_m: unknown key"),
         ("{like: paper-camera, depth_m: -3}", r"devices.x: depth_m: .*greater than 0"),
         ("{like: paper-lidar-32, channels: 3}", r"devices.x: channels: 3, but elevations_deg has"),

@@ -22,20 +22,21 @@ from inspe_jax.placement.run import Run
 from inspe_jax.placement.space import Space
 
 STEPS = {"yaw": np.pi / 4, "pitch": np.pi / 18, "height": 2.0}
-"""Steps of the first grid [rad, rad, m]; every finer grid has half of the last one's."""
+"""Steps of the first grid [rad, rad, m]. Each finer grid has half the steps of the one before."""
 STANDS = 24
-"""Feet on the first grid, at most."""
+"""Most feet on the first grid."""
 FINEST = 5
-"""Times that the grid is made finer."""
+"""How often the grid is made finer."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class GridState:
-    """Where the search stands on the grid of one block.
+    """The place of the search on the grid of one block.
 
-    ``x`` (N,), the present layout, and ``value``, its exact score; ``level``, how often the grid
-    was made finer; ``sweep`` and ``block``, which of all blocks is searched; ``moved``, whether
-    this sweep found anything better; ``scores``, those of the block's grid so far.
+    ``x`` (N,) is the present layout and ``value`` its exact score. ``scores`` are those of the
+    block's grid so far. ``level`` counts how often the grid was made finer. ``sweep`` and ``block``
+    are the numbers of the sweep and of the block in it. ``moved`` tells whether this sweep has
+    found anything better.
     """
 
     x: Float[np.ndarray, " N"]
@@ -83,7 +84,7 @@ def step(run: Run, state: GridState) -> GridState | None:
 
 @dataclass(frozen=True)
 class _Block:
-    """What is gridded at a time: unit ``unit`` as a whole, or its ``sensor``."""
+    """The coordinates of one grid: those of ``unit`` as a whole, or of its ``sensor``."""
 
     unit: int
     sensors: tuple[int, ...]
@@ -95,16 +96,16 @@ def _blocks(members: Sequence[tuple[int, ...]]) -> list[_Block]:
 
 
 def _grid(space: Space, x: Float[np.ndarray, " N"], block: _Block, level: int) -> np.ndarray:
-    """The present layout and after it the others of a block's grid, all feasible."""
+    """The present layout, and then the other layouts of a block's grid; all are feasible."""
     found = (_stand if block.sensor is None else _aim)(space, x, block, level)
     found = np.concatenate([x[None], found])
-    # Some are the same once they are projected.
+    # Projection may make some of them equal.
     first = np.unique(found.round(4), axis=0, return_index=True)[1]
     return found[np.sort(first)]
 
 
 def _stand(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
-    """Feet × turns of a whole unit: feet everywhere at first, then about the present one."""
+    """Feet × turns of a whole unit. At level 0 feet are everywhere, then near the present foot."""
     index = coordinates(space)
     if level:
         about = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 2), -1).reshape(-1, 2)
@@ -120,7 +121,7 @@ def _stand(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray
 
 
 def _aim(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
-    """Yaws all round at first, then about the present one × pitches × heights about theirs."""
+    """Yaws × pitches × heights of one sensor, near the present ones; at level 0 all yaws."""
     index, s = coordinates(space), block.sensor
     ranges = (np.arange(-2, 3) if level else np.arange(8), *[np.arange(-1, 2)] * 2)
     yaw, pitch, height = (

@@ -17,9 +17,9 @@ from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 class MapFormat:
     """A format of map files.
 
-    ``suffixes`` end its file names, in lower case. ``module`` has ``list_junctions(path)`` and a
-    function named ``reader``, called as :func:`read_map` is. It is imported on first use, as it
-    may need a package of an extra.
+    ``suffixes`` are those of its files, in lower case. ``module`` has a function
+    ``list_junctions(path)`` and one with the name ``reader``, which is called as :func:`read_map`.
+    It is imported on first use, because it may need a package of an extra.
     """
 
     name: str
@@ -48,12 +48,12 @@ FORMATS = [
 
 
 def map_suffixes() -> tuple[str, ...]:
-    """How the names of map files end."""
+    """The suffixes of map files."""
     return tuple(suffix for row in FORMATS for suffix in row.suffixes)
 
 
 def is_map(path: str | os.PathLike[str]) -> bool:
-    """Whether a file's name is that of a map."""
+    """Whether a file's name has the suffix of a map."""
     return str(path).lower().endswith(map_suffixes())
 
 

@@ -4,7 +4,6 @@ A log is a sequence of packets, each with an id and a length. Packets that are n
 skipped. Logs are in centimetres and left-handed; both are converted here.
 """
 
-import functools
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ import numpy as np
 
 from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input
+from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.parts import CLEARANCE
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames, pack_frames
@@ -83,18 +82,12 @@ class RecorderLog:
         return self.moments[-1].time - self.moments[0].time
 
 
+@cached_by_file(4)
 def load_log(path: Path) -> RecorderLog:
     """A recorder log, cached while the file does not change.
 
     Raises InspeError if the file is missing, cut short or not a log.
     """
-    check_input(path)
-    stat = path.stat()
-    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=4)
-def _read(path: Path, _where: Path, _modified: int, _size: int) -> RecorderLog:
     reader = _Reader(path.read_bytes())
     try:
         reader.take("H")

@@ -4,7 +4,6 @@ CARLA is left-handed. ``position`` flips its y and ``heading_of`` its yaw, as
 :mod:`inspe_jax.core.carla_frame` explains.
 """
 
-import functools
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input
+from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.parts import STEP, distance_from
 
@@ -78,19 +77,12 @@ def position(location: Any) -> np.ndarray:
     return np.array([location.x, -location.y, location.z])
 
 
-def load_map(path: str | os.PathLike[str]) -> TownMap:
+@cached_by_file(8)
+def load_map(path: Path) -> TownMap:
     """The map of a file, cached while the file does not change.
 
     Raises InspeError if the CARLA client or the file is missing, or if it is not OpenDRIVE.
     """
-    path = Path(path)
-    check_input(path)
-    stat = path.stat()
-    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=8)
-def _read(path: Path, _where: Path, _modified: int, _size: int) -> TownMap:
     text = path.read_bytes().decode("utf-8-sig", "replace")
     root = _root(path, text)
     try:

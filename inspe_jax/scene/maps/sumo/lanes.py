@@ -49,7 +49,7 @@ class Streets:
     walks: tuple[tuple[str, Polygon], ...]  # node, walking area
 
     def node(self, name: str) -> np.ndarray:
-        """Where a node is (3,)."""
+        """The position of a node (3,) [m]."""
         return self.road.to_world([self.road.net.getNode(name).getCoord3D()])[0]
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input
+from inspe_jax.core.files import cached_by_file
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
@@ -69,26 +69,21 @@ class RoadNet:
         return at - [*self.shift, 0.0]
 
 
+@cached_by_file(8)
 def load_net(path: Path) -> RoadNet:
     """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
 
     Raises InspeError if SUMO or the file is missing, if it is another kind of file, or if it has no
     roads.
     """
-    check_input(path)
-    stat = path.stat()
-    return _read(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=8)
-def _read(path: Path, where: Path, _modified: int, _size: int) -> RoadNet:
     try:
         import sumolib
     except ImportError as error:
         raise InspeError(
             "SUMO networks and OpenStreetMap need: pip install 'inspe_jax[sumo]'"
         ) from error
-    file = where if path.name.lower().endswith(NET_SUFFIXES) else _converted(path)
+    is_net = path.name.lower().endswith(NET_SUFFIXES)
+    file = path.resolve() if is_net else _converted(path)
     _check_root(file, path, "net")
     try:
         net = sumolib.net.readNet(

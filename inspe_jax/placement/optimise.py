@@ -188,7 +188,7 @@ def compare(
 def warming(problem: Problem) -> float:
     """What a run may spend in which any method comes to each of its parts [evaluations]."""
     drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
-    return max(WARMING, WARMING_SAMPLES * problem.share(drawn))
+    return max(WARMING, WARMING_SAMPLES * problem.sample_cost(drawn))
 
 
 # ── One search ──────────────────────────────────────────────────────────────

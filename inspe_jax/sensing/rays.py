@@ -1,8 +1,9 @@
-"""Grids of rays in what is compiled: their numbers are arrays, and only their kind is fixed.
+"""Grids of rays inside compiled programs: their numbers are arrays, only their kind is fixed.
 
-A camera's grid is in the plane of tangents, a LiDAR's on the sphere. The two kinds share one
-interface, which is all that visibility knows of a sensor: where a point lies among the rows and
-columns, and which way ray (i, j) points. All in the body frame: x forward, y left, z up.
+A camera's grid is regular in tangents of angles, a LiDAR's in angles. Both kinds have one
+interface, :class:`Rays`, which is all that visibility knows of a sensor: where a point lies among
+the rows and columns, and which way the ray of a row and a column points. Points and directions are
+in the body frame: x forward, y left, z up.
 """
 
 from collections.abc import Callable
@@ -17,18 +18,19 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax.core.geometry import FAR, Point
 from inspe_jax.core.numerics import arctan2
 
-_LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
-_ANGLE = 1e-6  # what an angle in single precision may be off by [rad]
+_MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
+_ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
 
 
 class RayTable(NamedTuple):
     """The numbers of a grid of rays as arrays, so that one compiled program serves every grid.
 
-    ``rows`` (R,) ascend and end in copies of the last; ``nearest`` (K,) is the row nearest to each
-    of many even steps from the first row on, ``steps`` to the unit. ``row_edges`` and
-    ``column_edges`` (2,) are the coordinates of the first and the last, and of these
-    ``row_turn`` and ``column_turn`` (2, 2) the cosines and the sines, of angles, or of the angles
-    that they are tangents of. ``wide``: columns take up more than half a turn.
+    ``rows`` (R,) are the coordinates of the rows, ascending and padded with the last one.
+    ``nearest`` (K,) is the number of the nearest row at each of K even steps from the first row on;
+    there are ``steps`` of them to a unit. ``reach`` is in metres. ``row_edges`` and
+    ``column_edges`` (2,) are the coordinates of the first and the last row and column.
+    ``row_turn`` and ``column_turn`` (2, 2) are the cosines and the sines of the edges' angles.
+    ``wide``: the columns take up more than half a turn.
     """
 
     rows: Float[Array | np.ndarray, "*S R"]
@@ -47,14 +49,14 @@ class RayTable(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """Kind of a grid: its class of rays, and whether the columns wrap round."""
+    """Kind of a grid: its class of rays, and whether the columns go all the way round."""
 
     of: "type[Rays]"
     wraps: bool
 
     @property
     def name(self) -> str:
-        """A name to sort by."""
+        """A name to sort kinds by."""
         return f"{self.of.__name__} {self.wraps}"
 
     def rays(self, table: RayTable) -> "Rays":
@@ -64,9 +66,10 @@ class Kind(NamedTuple):
 
 @dataclass(frozen=True)
 class Rays:
-    """A grid of rays in what is compiled: its numbers are arrays, traced or not.
+    """A grid of rays inside a compiled program: its numbers are arrays, traced or not.
 
-    What differs by kind is below; each kind has its own coordinates of rows and columns.
+    Each kind has its own coordinates of rows and columns, and overrides the methods that depend on
+    them.
     """
 
     table: RayTable
@@ -75,7 +78,7 @@ class Rays:
     def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
         """Index of the row nearest to a row coordinate; an end row beyond the ends.
 
-        From a table eight steps finer than the closest rows: a point midway
+        It is from a table with steps of an eighth of the least row spacing, so a point about midway
         between two rows may get either.
         """
         index = jnp.round((row - self.table.row_edges[0]) * self.table.steps)
@@ -84,17 +87,17 @@ class Rays:
         return found.astype(jnp.int32)
 
     def row_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of row ``index``; of the last one beyond it."""
+        """Coordinate of row ``index``; that of the last row beyond it."""
         return jnp.asarray(self.table.rows, float)[index]
 
     def column_index(self, column: Float[Array, "*n"]) -> Int[Array, "*n"]:
-        """Index of the column at or before a column coordinate, not yet within the grid."""
+        """Index of the column at or before a column coordinate; it may lie outside the grid."""
         first = self.table.column_edges[0]
         return jnp.floor((column - first) * self.table.columns_per_unit).astype(jnp.int32)
 
     def column_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of column ``index``, held at the edge column; or wrapped round, of an index
-        less than a turn outside."""
+        """Coordinate of column ``index``: clipped to the edge columns; or, if the columns wrap
+        round, wrapped once."""
         count = self.table.column_count
         if self.wraps:
             index = jnp.where(index < 0, index + count, index)
@@ -104,25 +107,27 @@ class Rays:
         return self.table.column_edges[0] + index.astype(float) * self.table.column_step
 
     def field_margin(self, q: Point) -> Float[Array, "*n"]:
-        """How deep points lie in the field of view [m]: from the nearest edge row, edge column or
-        the end of the reach; negative outside."""
+        """How deep points lie in the field of view [m]; negative outside.
+
+        It is the least distance to an edge row, an edge column and the end of the reach.
+        """
         table = self.table
-        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _LEAST**2))
+        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _MIN_DISTANCE**2))
         above, below = (self.square_row(q, k) for k in range(2))
         margin = jnp.minimum(jnp.minimum(table.reach - distance, above), -below)
         if self.wraps:
             return margin
         after, before = (self.square_column(q, k) for k in range(2))
-        # A field of more than half a turn is the union of the two sides, else their overlap.
+        # A field of more than half a turn is the union of the two half-spaces, else their overlap.
         both = jnp.minimum(after, -before)
         if not self.slants:
             both = jnp.where(table.wide, jnp.maximum(after, -before), both)
         return jnp.minimum(margin, both)
 
-    # What the kinds define, each for its own coordinates.
+    # Each kind defines the following in its own coordinates.
 
     slants: ClassVar[bool] = False
-    """Whether coordinates are tangents, so that :meth:`beyond_row` measures along an axis."""
+    """Whether coordinates are tangents; then :meth:`beyond_row` measures along an axis."""
 
     @staticmethod
     def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
@@ -138,19 +143,19 @@ class Rays:
         raise NotImplementedError
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
-        """How far points lie beyond a row, in metres across it; linear or nearly so."""
+        """How far points lie beyond a row [m]; linear in the point, or nearly so."""
         raise NotImplementedError
 
     def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first row (0) or the last (1), measured square on [m]."""
+        """Perpendicular distance of points beyond the first row (0) or the last (1) [m]."""
         raise NotImplementedError
 
     def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first column (0) or the last (1), in metres across it."""
+        """How far points lie beyond the first column (0) or the last (1) [m]; linear."""
         raise NotImplementedError
 
     def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """The same, measured square on [m]."""
+        """Perpendicular distance of points beyond the first column (0) or the last (1) [m]."""
         raise NotImplementedError
 
     def row_normal(self, q: Point) -> Point:
@@ -161,24 +166,26 @@ class Rays:
         """A direction in which the column coordinate of points grows."""
         raise NotImplementedError
 
-    # For most voxels the ray nearest to the centre tells already whether any passes through.
+    # For most voxels the ray nearest to the centre decides whether any ray passes through.
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """From points to a point on a ray near each, and how far off that may be [m]: far, where
-        there is none."""
+        """(vectors from points to a point on a ray near each, its largest error [m]).
+
+        The error is :data:`~inspe_jax.core.geometry.FAR` where there is no such ray.
+        """
         raise NotImplementedError
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Whether cubes about points surely lie between two rows or two columns that follow each
-        other, or beyond an end row, clear of both; false is no answer.
+        """Whether cubes around points surely lie between two neighbouring rows or columns, or
+        beyond an end row, and touch neither. False means that it is not known.
 
-        ``half`` is half a cube's edge [m], ``extent`` how far it reaches along a direction, times
-        the direction's length.
+        ``half`` is half a cube's edge [m]. ``extent`` gives how far a cube reaches along a
+        direction, times the direction's length.
         """
         raise NotImplementedError
 
     def _neighbour(self, row: Float[Array, "*n"]) -> tuple[Any, Any, Any]:
-        """(the nearest row, the next one on the other side, whether there is one)."""
+        """(the nearest row, the nearest one on the other side of ``row``, whether that exists)."""
         index = self.nearest_row(row)
         nearest = self.row_at(index)
         index = index + jnp.where(row > nearest, 1, -1)
@@ -186,7 +193,7 @@ class Rays:
         return nearest, self.row_at(jnp.clip(index, 0, self.table.row_count - 1)), exists
 
     def _nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of the nearest column, not wrapped round."""
+        """Coordinate of the nearest column, not wrapped."""
         table = self.table
         first, count = table.column_edges[0], jnp.asarray(table.column_count)
         index = jnp.round((column - first) * table.columns_per_unit)
@@ -240,10 +247,10 @@ class SphericalRays(Rays):
         return -q[1], q[0], jnp.zeros_like(q[0])
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Along the meridian to the nearest row and along the parallel to the nearest column.
+        """Along the meridian to the nearest row, and along the parallel to the nearest column.
 
-        Both as if straight: off by no more than the square of the angle, halved, times the range.
-        Right above and below there is no meridian.
+        Both arcs are taken as straight. The error is at most half the squared angle times the
+        range. Right above and below the sensor there is no meridian, and so no ray.
         """
         elevation, azimuth = self.row(q), self.column(q)
         up = self.row_at(self.nearest_row(elevation)) - elevation
@@ -252,11 +259,14 @@ class SphericalRays(Rays):
         inward = up * q[2] / plan
         bend = (jnp.abs(up) + jnp.abs(left)) ** 2 / 2
         to = -inward * q[0] - left * q[1], -inward * q[1] + left * q[0], up * plan
-        return to, jnp.where(plan > 2 * _LEAST, distance * (bend + _ANGLE), FAR)
+        return to, jnp.where(plan > 2 * _MIN_DISTANCE, distance * (bend + _ANGLE_ERROR), FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Between two cones. A cube's extent across a cone is that across its tangent plane, and
-        what the cone bends away from it."""
+        """Whether cubes lie between the cones of two rows.
+
+        A cube's extent across a cone is that across its tangent plane, plus how far the cone bends
+        away from the plane.
+        """
         plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
         elevation, span = self.row(q), 3.0**0.5 * half
         across = extent((-q[2] * q[0] / plan, -q[2] * q[1] / plan, plan)) / distance
@@ -265,7 +275,7 @@ class SphericalRays(Rays):
         def clear(row: Any) -> Bool[Array, "*n"]:
             away = jnp.abs(elevation - row)
             turned = across + away * span + bend * (jnp.abs(q[2]) / distance + away)
-            return distance * (away - away**3 / 6 - _ANGLE) > turned
+            return distance * (away - away**3 / 6 - _ANGLE_ERROR) > turned
 
         nearest, other, exists = self._neighbour(elevation)
         opposite = (elevation - nearest) * (elevation - other) < 0
@@ -286,12 +296,12 @@ class PinholeRays(Rays):
         return scale, column * scale, row * scale
 
     def row(self, q: Point) -> Float[Array, "*n"]:
-        """Tangent of the angle above the optical axis; from behind, as from far aside."""
-        return q[2] / jnp.maximum(q[0], _LEAST)
+        """z/x, the tangent of the angle above the optical axis; very large behind the sensor."""
+        return q[2] / jnp.maximum(q[0], _MIN_DISTANCE)
 
     def column(self, q: Point) -> Float[Array, "*n"]:
-        """Tangent of the angle to the left of the optical axis."""
-        return q[1] / jnp.maximum(q[0], _LEAST)
+        """y/x, the tangent of the angle to the left of the optical axis."""
+        return q[1] / jnp.maximum(q[0], _MIN_DISTANCE)
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """Height above the plane through row ``row``, along z."""
@@ -311,21 +321,21 @@ class PinholeRays(Rays):
 
     def row_normal(self, q: Point) -> Point:
         """Gradient of z/x, times x²."""
-        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _LEAST)
+        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _MIN_DISTANCE)
 
     def column_normal(self, q: Point) -> Point:
         """Gradient of y/x, times x²."""
-        return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
+        return -q[1], jnp.maximum(q[0], _MIN_DISTANCE), jnp.zeros_like(q[0])
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Within the plane that is as far ahead as the point; none is behind."""
+        """Within the plane x = const through the point; behind the sensor there is no ray."""
         row = self.row_at(self.nearest_row(self.row(q)))
         column = self._nearest_column(self.column(q))
         to = jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]
         return to, jnp.where(q[0] > 0, 0.0, FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Between two planes."""
+        """Whether cubes lie between the planes of two rows, or of two columns."""
         x, y, z = q
         zero, one = jnp.zeros_like(x), jnp.ones_like(x)
 
@@ -349,4 +359,5 @@ class PinholeRays(Rays):
 
 
 def _plan(q: Point) -> Float[Array, "*n"]:
-    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _LEAST**2))
+    """Distance from the z axis [m], at least :data:`_MIN_DISTANCE`."""
+    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _MIN_DISTANCE**2))

@@ -72,7 +72,7 @@ def _solve_lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     score = charted_score(problem)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
-        run.charge(GRADIENT_COST * problem.share(data[0]))
+        run.charge(GRADIENT_COST * problem.sample_cost(data[0]))
         return score(jnp.asarray(z, float), anchor, place, *data)
 
     # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
@@ -104,7 +104,7 @@ def _solve_projected(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
         return problem.space.project(scale * np.asarray(z, float), np)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
-        run.charge(GRADIENT_COST * problem.share(data[0]))
+        run.charge(GRADIENT_COST * problem.sample_cost(data[0]))
         return score(z, *data)
 
     # Within each block, as a foot, one scale serves all coordinates: the nearest point is the

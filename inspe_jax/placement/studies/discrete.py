@@ -38,7 +38,7 @@ def best_subset(
     """The k of K candidates with the highest P_sm, each used once at most.
 
     ``f`` and ``seen`` as from :meth:`Problem.views`, ``weight``, ``entropy`` and ``free`` as from
-    :meth:`Problem.shares`; one ``reliability`` ρ for all. Maximum coverage: y_j whether candidate
+    :meth:`Problem.voxel_weights`; one ``reliability`` ρ. Maximum coverage: y_j whether candidate
     j is chosen; z for each set of candidates that some voxels, or voxels of a frame, are seen by:
     z ≤ 1 and z ≤ Σ y over the set. Voxels of one set count together. With ρ < 1, IG is worth
     1 − (1 − ρ)ⁿ where n candidates see a voxel, concave in n: it has a z for the first, worth ρ,

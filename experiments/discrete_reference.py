@@ -79,7 +79,7 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
 def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The optimum and greedy's choice: a row each; and the instance's figures."""
     problem, tally = table.problem, table.tally
-    kind, k, shares = table.kinds[0], len(problem.layout), problem.shares(tally.sample)
+    kind, k, shares = table.kinds[0], len(problem.layout), problem.voxel_weights(tally.sample)
     count, voxels = len(kind.foot), len(shares.weight)
     bits = np.concatenate(kind.bits)[:count]
     began = time.perf_counter()

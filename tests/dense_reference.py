@@ -62,7 +62,7 @@ def sight(
 def measure(
     field: SceneArrays,
     poses: Float[Array, "S 6"],
-    crew: SensorSet,
+    sensor_set: SensorSet,
     voxel: float,
     softness: Softness = EXACT,
     *,
@@ -73,10 +73,10 @@ def measure(
 
     ``voxel`` is the edge of a voxel [m]. Differentiable in the poses where ``softness`` is not 0.
     """
-    ground = field.ground
-    in_field, on_ray = view_margins(poses, ground.centers, crew.groups, voxel / 2)
+    ground = field.centered
+    in_field, on_ray = view_margins(poses, ground.centers, sensor_set.groups, voxel / 2)
     f = step(in_field, softness.field) * step(on_ray, softness.ray)  # (S, V)
-    failures = Groups.of_rows(crew.failures, len(poses))
+    failures = Groups.of_rows(sensor_set.failures, len(poses))
     seen = accumulate_frames(
         ground,
         poses[:, :3],
@@ -87,7 +87,7 @@ def measure(
         visibility=visibility,
     )
     occupancy = seen.occupancy if field.occupancy is None else field.occupancy
-    q = f * (seen.sight_share * jnp.asarray(crew.reliability, float)[:, None])
+    q = f * (seen.sight_share * jnp.asarray(sensor_set.reliability, float)[:, None])
     covered, resolved = leave_one_out(f, failures), leave_one_out(q, failures)
     remaining, total = metrics.entropy_terms(resolved, occupancy)
     by_column = covered[0].reshape(ground.heights.shape)

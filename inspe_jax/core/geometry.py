@@ -1,8 +1,21 @@
-"""Poses, rotations, and the two margins everything rests on; knows no sensor.
+"""Rotations, and the two geometric tests of visibility: ray against cube, sight line against prism.
 
-Ray against box: separations on the separating axes, in metres. Line of sight
-against vertical prisms: the height below which a prism hides a column, and, to be
-read softly, how deep the sight line cuts into the prism sideways and from above.
+Ray against cube: :func:`ray_cube_margin`, the separation on the separating axes, in metres.
+
+Sight line against prism: in plan the line from sensor s to column c is s + t·(c − s), 0 ≤ t ≤ 1. It
+cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the column below the height
+at which the line touches its top: z* = z_s + rise/t, with rise the top's height above the sensor,
+t = t₁ for a sensor above the top and t = t₀ for one below. This module has that cut in two forms,
+which :mod:`tests/core/test_geometry.py` compares:
+
+- :func:`shadow_ceiling`, for exact scores, works in u = 1/t (:func:`_plan_crossings`). Each u is
+  linear in the column, so a sight line costs no division, and t₀ and t₁ are compared but never
+  computed. It gives z* itself, :data:`NEVER` where the line misses.
+- :func:`plan_cut` with :func:`below_top`, for soft scores, gives margins in metres: how deep the
+  line cuts in sideways, also where it misses, and how far it passes below the top at t₀ or t₁.
+  ``plan_cut(…).beside > 0`` exactly where the ceiling of a valid prism is not :data:`NEVER`.
+
+They stay two: exact scores need the speed of the first, gradients need the metres of the second.
 """
 
 from typing import Any, NamedTuple
@@ -14,16 +27,20 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.core.numerics import nonzero
 
 NEVER = -1e9
-"""Ceiling [m] of a prism that hides nothing: below every voxel, yet finite."""
+"""Ceiling [m] of a prism that hides nothing: below every voxel, but finite."""
 FAR = 1e9
-"""Stands for an unbounded slab: large, yet finite, so that 0 × FAR is 0."""
+"""Stands for infinity: large, but finite, so that 0 × FAR is 0."""
 
 Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
-"""x, y, z of many points or directions, apart: the kernels take one coordinate at a time."""
+"""x, y and z of many points or directions, as three arrays."""
 
 
 class Prism(NamedTuple):
-    """Vertical prisms on solid ground: an oriented rectangle each, and a top [m, rad]."""
+    """Vertical prisms that stand on the ground: rectangles in plan, with a top.
+
+    ``center`` x and y [m]; ``yaw`` [rad]; ``half`` of length and width [m]; ``top`` height [m].
+    Prisms that are not ``valid`` are padding.
+    """
 
     center: Float[Array, "*b 2"]
     yaw: Float[Array, "*b"]
@@ -33,11 +50,11 @@ class Prism(NamedTuple):
 
 
 def rotation(angles: Any, xp: Any = jnp) -> Any:
-    """Body-to-world rotation Rz(yaw) Ry(−pitch) Rx(roll) of (roll, pitch, yaw) [rad]:
-    (3,) to (3, 3).
+    """Body-to-world rotation Rz(yaw) Ry(−pitch) Rx(roll), (3, 3), of angles (roll, pitch, yaw)
+    [rad].
 
-    Pitch is positive nose-up in a frame whose y points left, hence its sign.
-    ``xp`` is jax.numpy, or numpy for double precision outside a trace.
+    Pitch is positive nose-up; as the body's y points left, its rotation is about −y. ``xp`` is
+    jax.numpy, or numpy for double precision outside a trace.
     """
     (cr, cp, cy), (sr, sp, sy) = xp.cos(angles), xp.sin(angles)
     return xp.array(
@@ -57,12 +74,11 @@ def ray_cube_margin(
 ) -> Float[Array, "*n"]:
     """How deep a ray passes through a cube [m]; negative by how far it misses.
 
-    The ray starts at 0 and goes ``reach`` metres along the unit ``direction``;
-    the cube is centred at ``offset`` with half edge ``half``, axis-aligned.
-    Separating axes of a segment and a box: the box's own three, and the three
-    cross products of the ray with them. On each, the margin is the supports'
-    sum minus the offset, over the length of the axis; unlike slab parameters it
-    stays in metres when the ray runs parallel to a face.
+    The ray starts at 0 and goes ``reach`` metres along the unit ``direction``. The cube is aligned
+    with the axes, centred at ``offset``, with half edge ``half`` [m]. The separating axes of a
+    segment and a box are the box's three and the cross products of the ray with them. On each, the
+    margin is the sum of the supports minus the offset, divided by the axis's length. Unlike slab
+    parameters, it stays in metres when the ray is parallel to a face.
     """
     margin = jnp.full_like(direction[0], FAR)
     for k in range(3):
@@ -72,13 +88,19 @@ def ray_cube_margin(
         length = jnp.sqrt(jnp.maximum(a * a + b * b, 1e-12))
         across = jnp.abs(offset[k - 2] * a - offset[k - 1] * b)
         support = half * (jnp.abs(a) + jnp.abs(b))
-        # Along e_k itself the cross product vanishes and separates nothing.
+        # A ray along axis k has no cross product with it, and nothing is separated.
         margin = jnp.minimum(margin, jnp.where(length < 1e-5, half, (support - across) / length))
     return margin
 
 
 class ShadowTerms(NamedTuple):
-    """A prism as one sensor sees it: what its shadow needs, made by :func:`shadow_terms`."""
+    """What :func:`shadow_ceiling` needs of one sensor and a prism, made by :func:`shadow_terms`.
+
+    ``cos`` and ``sin`` of the prism's yaw. ``x_near`` and the next three are one over the distances
+    [1/m] from the sensor to the planes of the front, back, left and right side, in the prism's
+    frame. ``x_inside`` and ``y_inside``: the sensor is between front and back, between left and
+    right. ``rise``: the top's height above the sensor [m].
+    """
 
     cos: Float[Array, "*b"]
     sin: Float[Array, "*b"]
@@ -92,13 +114,13 @@ class ShadowTerms(NamedTuple):
 
 
 def shadow_terms(sensor: Float[Array, "3"], prism: Prism) -> ShadowTerms:
-    """Turn a sensor into each prism's frame and divide once, so that no sight line has to.
+    """The terms of a sensor's sight lines against a prism, with the divisions done once for all.
 
-    Along the sight line s + t·(c − s) the slab −a ≤ x ≤ a of the prism's own
-    frame is crossed at t = (±a − s_x)/d_x. In u = 1/t that is d_x/(±a − s_x):
-    linear in the column, the division being by a number of the prism alone. A
-    sight line parallel to a side has u = 0, t = ∞, and needs no special case.
-    An invalid prism gets u = 0 throughout and shades nothing.
+    In the prism's frame, the sight line s + t·(c − s) crosses the slab −a ≤ x ≤ a at
+    t = (±a − s_x)/d_x, with d = c − s. In u = 1/t that is d_x/(±a − s_x): linear in the column, and
+    divided by a number that depends on sensor and prism only. A sight line parallel to a side has
+    u = 0, t = ∞, and needs no special case. An invalid prism gets u = 0 throughout and hides
+    nothing.
     """
     dx, dy = sensor[0] - prism.center[..., 0], sensor[1] - prism.center[..., 1]
     cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
@@ -114,7 +136,7 @@ def shadow_terms(sensor: Float[Array, "3"], prism: Prism) -> ShadowTerms:
         on / back,
         on / left,
         on / right,
-        # By the same numbers, so that a sensor in the plane of a side is on one side of it.
+        # From the same numbers, so that a sensor in the plane of a side is on one side of it.
         prism.valid & (front > 0) & (back < 0),
         prism.valid & (left > 0) & (right < 0),
         prism.top - sensor[2],
@@ -131,12 +153,12 @@ def shadow_ceiling(
 ) -> Float[Array, " L"]:
     """Height [m] below which one prism hides each column; :data:`NEVER` where it does not.
 
-    (dx, dy) is column minus sensor. With t₀, t₁ the plan-view entry and exit
-    (t₁ clipped to 1) and h the top: z* = z_s − (z_s − h)/t₁ for a sensor above
-    the top, whose sight line is lowest where it leaves the prism, and
-    z* = z_s + (h − z_s)/t₀ for one below, lowest where it enters. Nothing is
-    seen beneath a prism. ``ignore_self_occlusion``: a prism does not hide the columns it
-    stands on.
+    (dx, dy) is column minus sensor [m], ``sensor_z`` is z_s. With h the top, and t₀ and t₁ the
+    entry and exit in plan (t₁ clipped to 1): z* = z_s − (z_s − h)/t₁ for a sensor above the top,
+    whose sight line is lowest where it leaves the prism; z* = z_s + (h − z_s)/t₀ for a sensor
+    below, whose sight line is lowest where it enters. Nothing is seen beneath a prism. With
+    ``ignore_self_occlusion`` a prism does not hide the columns it stands on. The soft form of the
+    same cut is :func:`plan_cut`.
     """
     leaves, entry = _plan_crossings(terms, dx, dy)
     exit_ = jnp.maximum(leaves, 1.0)
@@ -150,7 +172,10 @@ def shadow_ceiling(
 def _plan_crossings(
     terms: ShadowTerms, dx: Float[Array, " L"], dy: Float[Array, " L"]
 ) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """(1/t₁, 1/t₀) of each sight line; 1/t₁ is less than 1 where the line ends inside."""
+    """(1/t₁, 1/t₀) of each sight line, with t₁ not clipped: 1/t₁ < 1 where the line ends inside.
+
+    The line misses where 1/t₁ ≥ 1/t₀ or 1/t₀ ≤ 1. :func:`plan_cut` has t₀ and t₁ themselves.
+    """
     ex, ey = terms.cos * dx + terms.sin * dy, terms.cos * dy - terms.sin * dx
     x_exit, x_entry = _crossings(ex * terms.x_near, ex * terms.x_far, terms.x_inside)
     y_exit, y_entry = _crossings(ey * terms.y_near, ey * terms.y_far, terms.y_inside)
@@ -160,13 +185,13 @@ def _plan_crossings(
 def _crossings(
     u: Float[Array, " L"], v: Float[Array, " L"], inside: Bool[Array, ""]
 ) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """(1/exit, 1/entry) of a slab; from inside, the entry lies behind the sensor, at 1/0."""
+    """(1/exit, 1/entry) of a slab; for a sensor inside it, entry is at t = 0 and 1/entry is FAR."""
     low, high = jnp.minimum(u, v), jnp.maximum(u, v)
     return jnp.where(inside, high, low), jnp.where(inside, FAR, high)
 
 
 class Line(NamedTuple):
-    """Sight lines in plan, in a rectangle's own frame: from (x, y) by (ex, ey) [m]."""
+    """Sight lines in plan, in a rectangle's own frame: from (x, y) to (x + ex, y + ey) [m]."""
 
     x: Float[Array, "*n"]
     y: Float[Array, "*n"]
@@ -175,18 +200,18 @@ class Line(NamedTuple):
 
 
 Half = tuple[Float[Array, "*n"], Float[Array, "*n"]]
-"""Half a rectangle's sides [m]."""
+"""Half of a rectangle's length and width [m]."""
 
 
 def plan_margin(line: Line, half: Half) -> Float[Array, "*n"]:
-    """How deep a sight line cuts a rectangle in plan [m]; negative by how far it misses.
+    """How deep a sight line cuts into a rectangle in plan [m]; negative by how far it misses.
 
-    Separating axes of a segment and a rectangle: the rectangle's two, and the line's normal.
+    The separating axes of a segment and a rectangle are the rectangle's two and the line's normal.
     """
     (x, y, ex, ey), (a, b) = line, half
     length = jnp.sqrt(jnp.maximum(ex * ex + ey * ey, 1e-12))
     support = a * jnp.abs(ey) + b * jnp.abs(ex)
-    # A line without length, straight down, has no normal; the other two axes decide.
+    # A line straight down has no length in plan and no normal: the other two axes decide.
     beside = jnp.where(length < 1e-5, a + b, (support - jnp.abs(x * ey - y * ex)) / length)
     ahead = a + jnp.abs(ex) / 2 - jnp.abs(x + ex / 2)
     across = b + jnp.abs(ey) / 2 - jnp.abs(y + ey / 2)
@@ -194,9 +219,10 @@ def plan_margin(line: Line, half: Half) -> Float[Array, "*n"]:
 
 
 class Cut(NamedTuple):
-    """Where sight lines meet a prism in plan, made by :func:`plan_cut`.
+    """Where sight lines cut a prism in plan, made by :func:`plan_cut`.
 
-    ``beside``: how deep they cut in sideways [m]; ``enters``, ``leaves``: t₀ and t₁ along them.
+    ``beside``: how deep a line cuts in sideways [m], negative where it misses. ``enters`` and
+    ``leaves``: t₀ and t₁ along the line, from 0 at the sensor to 1 at the column.
     """
 
     beside: Float[Array, "*n"]
@@ -205,9 +231,10 @@ class Cut(NamedTuple):
 
 
 def plan_cut(line: Line, half: Half) -> Cut:
-    """How sight lines cut a rectangle in plan.
+    """How sight lines cut a rectangle in plan, in the rectangle's frame.
 
-    A line that misses has no t₀ and t₁: then they are held to its :func:`stretch`.
+    t₀ and t₁ are clipped to the rectangle's :func:`stretch` along the line, because a line that
+    misses has none of its own. The exact form of the same cut is :func:`shadow_ceiling`.
     """
     first, last = stretch(line, half)
     x_in, x_out = _slab(line.x, line.ex, half[0])
@@ -220,7 +247,10 @@ def plan_cut(line: Line, half: Half) -> Cut:
 
 
 def stretch(line: Line, half: Half) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """From where to where along sight lines a rectangle lies, beside them or on them, in t."""
+    """The first and last t at which a rectangle lies beside a sight line or on it, in 0 … 1.
+
+    These are the projections of the rectangle's outermost corners onto the line.
+    """
     (x, y, ex, ey), (a, b) = line, half
     squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
     middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
@@ -228,12 +258,12 @@ def stretch(line: Line, half: Half) -> tuple[Float[Array, "*n"], Float[Array, "*
 
 
 def below_top(cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """How far sight lines pass below a prism's top [m].
+    """How far sight lines pass below a prism's top [m]; negative where they pass above.
 
-    ``rise`` is the top and ``drop`` the target seen from the sensor, upwards and downwards. The
+    ``rise`` is the top's height above the sensor, ``drop`` the target's depth below it [m]. The
     line z_s + t·(z − z_s) is lowest where it leaves the prism, at t₁, if it falls, and where it
-    enters, at t₀, if it rises. Measured at the prism, in metres between line and top, this does not
-    grow without bound as a prism comes near the sensor, as the height of its shadow does.
+    enters, at t₀, if it rises. The margin is measured at the prism, between line and top. So it
+    stays bounded as a prism comes near the sensor, where the height of the shadow does not.
     """
     return rise + jnp.maximum(drop * cut.enters, drop * cut.leaves)
 
@@ -241,7 +271,7 @@ def below_top(cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]) -> F
 def _slab(
     start: Float[Array, "*n"], along: Float[Array, "*n"], half: Float[Array, "*n"]
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """Where start + t·along enters and leaves −half … half; from far to far along the slab."""
+    """The t at which start + t·along enters and leaves −half … half; far out if parallel to it."""
     along = nonzero(along)
     middle, spread = -start / along, half / jnp.abs(along)
     return middle - spread, middle + spread
@@ -255,7 +285,7 @@ def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:
 
 
 def top_over(prism: Prism, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Top [m] of a prism where it stands on a point in plan, else :data:`NEVER`."""
+    """Top [m] of a prism at the points (x, y) that it stands on, else :data:`NEVER`."""
     dx, dy = x - prism.center[..., 0], y - prism.center[..., 1]
     cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
     x, y = jnp.abs(cos * dx + sin * dy), jnp.abs(cos * dy - sin * dx)

@@ -1,8 +1,8 @@
-"""Reading signed margins: the only place that knows hard from soft.
+"""Reading signed margins, hard or soft; and numerics that need care.
 
-Geometry returns margins in metres, positive where the statement holds.
-:func:`step` reads one; readings are combined afterwards, as chances: with three
-margins well inside, thresholding their product would give a weak maybe.
+Geometry returns margins in metres, positive where the statement holds. :func:`step` reads one
+margin as a chance. Chances are combined after reading. The product of three margins well
+inside, 0.7 m each, is 0.34, and its reading would be far from certain.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ REACH = 3.0
 """Widths from the threshold at which a soft reading is certain."""
 
 Width = float | Float[Array, ""] | None
-"""Width of a soft reading [m]; None, or a Python 0, is the exact one."""
+"""Width of a soft reading [m]; None or a Python 0 means the exact reading."""
 
 
 def exact(width: Width) -> bool:
@@ -28,11 +28,11 @@ def exact(width: Width) -> bool:
 
 
 def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
-    """1 where ``margin`` [m] is positive, 0 elsewhere; softly, a cubic from 0 to 1 in between.
+    """1 where ``margin`` [m] is positive and 0 elsewhere; read softly, a cubic rises in between.
 
-    It rises as a logistic of that width does, 1/4 in a width, and is 0 and 1 from :data:`REACH`
-    widths on: what is further off than that has neither value nor slope. Read exactly, a margin of
-    0 counts as a miss.
+    With w = ``width`` and u = 1/2 + margin / (2·REACH·w), clipped to 0 … 1, the soft reading is
+    u²(3 − 2u). At 0 its slope is 1/(4w), that of the logistic function of width w. It is exactly 0
+    or 1 beyond :data:`REACH` widths, where it has no slope. Read exactly, a margin of 0 gives 0.
     """
     if exact(width):
         return (margin > 0).astype(margin.dtype)
@@ -41,10 +41,10 @@ def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
 
 
 class Softness(NamedTuple):
-    """How softly each kind of margin is read, widths in metres; None is exactly.
+    """The width [m] with which each kind of margin is read; None reads it exactly.
 
-    ``field``: the edge of a field of view and the end of its reach. ``ray``: whether one of the
-    rays in there meets a voxel. ``shadow``: how far a sight line passes beside or above a vehicle.
+    ``field``: from the edges of a field of view and the end of its reach. ``ray``: from the nearest
+    ray to a voxel. ``shadow``: from a sight line to the sides and the top of a vehicle.
     """
 
     field: Width = None
@@ -53,19 +53,19 @@ class Softness(NamedTuple):
 
     @classmethod
     def of(cls, value: Any) -> "Softness":
-        """From one width [m], traced or not, or a Softness as it is; 0 is exact.
+        """A Softness from one width [m], traced or not, or from a Softness; 0 is exact.
 
-        One width is that of fields and shadows; which voxels in a field the rays meet is read
-        exactly. As a sensor moves, its rays leave voxels and enter others, which all but cancels:
-        the slopes of single rays are many times that of the score, and noise to a search.
-        Raises InspeError where a width is negative or not a finite number.
+        One width is used for fields and shadows; rays are read exactly. As a sensor moves, its rays
+        leave some voxels and enter others, and the two nearly cancel. The slopes of single rays are
+        many times that of the score, and are noise to a search. Raises InspeError where a width is
+        negative or not a finite number.
         """
         given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
         widths = []
         for width in given:
             if width is not None and not isinstance(width, jax.core.Tracer):
                 try:
-                    width = float(width + 0)  # not of a text
+                    width = float(width + 0)  # + 0 refuses text
                 except (TypeError, ValueError):
                     raise InspeError(f"softness {width!r}: a number of metres, 0 or more") from None
                 if not 0 <= width < float("inf"):
@@ -84,19 +84,19 @@ EXACT = Softness()
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:
-    """Chance that some reading holds, 1 − ∏(1 − p): exactly 0 or 1 when every p is.
+    """Chance that some reading holds, 1 − ∏(1 − p): exactly 0 or 1 if every p is 0 or 1.
 
-    Unlike a clipped sum it keeps a gradient.
+    Unlike a clipped sum, it keeps a gradient where the sum exceeds 1.
     """
     return 1.0 - jnp.prod(1.0 - p, axis=0)
 
 
 class Groups(NamedTuple):
-    """Groups of rows that are left out in turn, as arrays: what is compiled serves any of them.
+    """Groups of rows that are left out in turn, as arrays: one program serves any groups.
 
-    Each row is in one group at most. ``order`` (S,) lists the rows group by group, ``of`` (S,) is
-    the number of each row's group; in that order group g stands from ``first`` to before ``end``
-    (G,). Of a group that there is only room for, nothing is left out.
+    Each row is in one group at most. ``order`` (S,) lists the rows group by group. ``of`` (S,) is
+    the number of each row's group. In ``order``, group g begins at ``first`` (G,) and stops before
+    ``end`` (G,). A spare group is empty: nothing is left out.
     """
 
     order: Int[Array | np.ndarray, " S"]
@@ -108,7 +108,10 @@ class Groups(NamedTuple):
     def of_rows(
         cls, groups: Sequence[Sequence[int]], rows: int, room: int | None = None
     ) -> "Groups | None":
-        """Groups of some of so many rows, with ``room`` for that many; None of no groups."""
+        """``groups`` of row numbers, of ``rows`` rows, with spare groups up to ``room``.
+
+        None if there are no groups.
+        """
         if not groups:
             return None
         listed = [row for group in groups for row in group]
@@ -131,28 +134,28 @@ def without_each(
     both: Callable[[Array, Array], Array],
     nothing: Shaped[Array, "..."],
 ) -> Shaped[Array, "1+G ..."]:
-    """All rows put together, and all but those of each group.
+    """All rows combined by ``both``, and for each group all rows outside it.
 
-    Rows are put together from both ends, so that leaving some out takes nothing back: it is what
-    comes before a group with what comes after it.
+    ``nothing`` is the neutral element of ``both``. Rows are combined from both ends: leaving a
+    group out combines what comes before it with what comes after it, and needs no inverse.
     """
 
-    def add(total: Array, row: Array) -> tuple[Array, Array]:
+    def combine(total: Array, row: Array) -> tuple[Array, Array]:
         total = both(total, row)
         return total, total
 
     rows = rows[groups.order]
-    whole, before = jax.lax.scan(add, nothing, rows)
-    after = jax.lax.scan(add, nothing, rows, reverse=True)[1]
+    whole, before = jax.lax.scan(combine, nothing, rows)
+    after = jax.lax.scan(combine, nothing, rows, reverse=True)[1]
     before = jnp.concatenate([nothing[None], before])
     after = jnp.concatenate([after, nothing[None]])
     return jnp.concatenate([whole[None], both(before[groups.first], after[groups.end])])
 
 
 def leave_one_out(p: Float[Array, "S ..."], groups: Groups | None) -> Float[Array, "1+G ..."]:
-    """Chance that some reading holds: of all in row 0, of all but group g in row 1 + g.
+    """Chance that some reading holds: of all rows in row 0, of all but group g in row 1 + g.
 
-    Leaving one out needs no division, which a certain reading would make 0/0.
+    It does not divide by 1 − p, which is 0 for a certain reading.
     """
     if groups is None:
         return any_of(p)[None]
@@ -162,9 +165,8 @@ def leave_one_out(p: Float[Array, "S ..."], groups: Groups | None) -> Float[Arra
 def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
     """Σ x·y along the last axis, in three levels of partial sums.
 
-    Adding a million numbers one after another in single precision loses 1e-4 of
-    the sum; in levels of about a hundred it keeps 1e-6. The barriers keep XLA from making the
-    three sums one again.
+    A sum of a million numbers, one after another in single precision, has a relative error of 1e-4;
+    in levels of about a hundred it is 1e-6. The barriers keep XLA from merging the three sums.
     """
     n = y.shape[-1]
     block = max(1, round(n ** (1 / 3)))
@@ -179,7 +181,7 @@ def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
 
 
 def nonzero(x: Float[Array, "*n"], least: float = 1e-6) -> Float[Array, "*n"]:
-    """``x`` kept at least ``least`` away from zero, on its own side: a safe denominator."""
+    """``x`` moved to at least ``least`` from zero, with its sign: a safe denominator."""
     return jnp.where(jnp.abs(x) < least, jnp.where(x < 0, -least, least), x)
 
 
@@ -197,14 +199,14 @@ _ARCTAN = (
 
 
 def arctan2(y: Float[Array, "*n"], x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Angle of (x, y) [rad] to 2e-7; 0 at the origin, where it has a derivative, of 0.
+    """Angle of (x, y) [rad], to 2e-7. At the origin both it and its derivative are 0.
 
-    Abramowitz and Stegun, 4.4.49, |error| ≤ 2e-8 before rounding. Some forty times faster than the
-    C library's, which XLA calls point by point on a CPU.
+    Abramowitz and Stegun, 4.4.49, |error| ≤ 2e-8 before rounding. It is some forty times faster
+    than the C library's, which XLA calls point by point on a CPU.
     """
     a, b = jnp.abs(x), jnp.abs(y)
-    longer = jnp.maximum(a, b)
-    t = jnp.minimum(a, b) / jnp.where(longer > 0, longer, 1.0)
+    larger = jnp.maximum(a, b)
+    t = jnp.minimum(a, b) / jnp.where(larger > 0, larger, 1.0)
     series = jnp.full_like(t, _ARCTAN[-1])
     for coefficient in _ARCTAN[-2::-1]:
         series = series * (t * t) + coefficient

@@ -1,5 +1,7 @@
-"""What one sensor has in view and sees in each frame at many poses: what candidates are chosen
-by."""
+"""What one sensor has in view, and sees in each frame, from many poses.
+
+Searches choose among candidate poses by it.
+"""
 
 from functools import partial
 
@@ -9,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.parallel import Job, parts_of, run
-from inspe_jax.scoring.accumulate import sees
+from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.exact import BITS
 from inspe_jax.scoring.reading import Asked, Frames
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
@@ -19,7 +21,7 @@ from inspe_jax.visibility.tiles import Tile
 from inspe_jax.visibility.view_masks import view_masks
 
 TOGETHER = 8
-"""Poses in one compiled call: one shape for any number of them, and the same bits."""
+"""Poses in one compiled call. With one shape for any number of poses, results are the same bits."""
 
 
 def view_from_poses(
@@ -27,13 +29,14 @@ def view_from_poses(
 ) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
     """What one sensor has in view, and what it sees in each frame, from each of K poses.
 
-    ``half`` is half the edge of a voxel [m]. Of a scene in one chunk.
+    ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
+    scene in one chunk. Gives f for each pose and voxel, and f and line of sight for each frame.
     """
     (chunk,) = tiled.chunks
-    assert chunk.solid is not None  # it is not bare
+    assert chunk.solid is not None  # the scene has masks
     rays = grid.rays
     lengths = rays.table.rows.shape + rays.table.nearest.shape
-    # Metrics make no difference to what is seen.
+    # Metrics do not change what is seen: without them fewer programs are compiled.
     asked = asked._replace(metrics=())
     key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, asked)
     jobs: list[Job] = [
@@ -53,22 +56,22 @@ def _view(
     *,
     asked: Asked,
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
-    def one(pose: Array) -> tuple[Array, Array]:
+    def view_from(pose: Array) -> tuple[Array, Array]:
         views = view_masks(rays, pose, chunk.tile, half)
         shadows = jax.tree.map(lambda leaf: leaf[0], BITS.shadows(pose[None, :3], chunk.prisms))
 
-        def look(part: tuple[Tile, Array, Array]) -> Array:
+        def see_tile(part: tuple[Tile, Array, Array]) -> Array:
             tile, view, solid = part
             row = pose[:3], shadows, view
-            return sees(BITS, row, tile, Frames(chunk.prisms, solid), asked)[0]
+            return seen_by_sensor(BITS, row, tile, Frames(chunk.prisms, solid), asked)[0]
 
-        def blind(part: tuple[Tile, Array, Array]) -> Array:
+        def see_nothing(part: tuple[Tile, Array, Array]) -> Array:
             return jnp.zeros((len(chunk.prisms.top), len(part[1])), part[1].dtype)
 
         seen = jax.lax.map(
-            lambda part: jax.lax.cond((part[1] != 0).any(), look, blind, part),
+            lambda part: jax.lax.cond((part[1] != 0).any(), see_tile, see_nothing, part),
             (chunk.tile, views, chunk.solid),
         )
         return views, seen.swapaxes(0, 1)
 
-    return jax.lax.map(one, poses)
+    return jax.lax.map(view_from, poses)

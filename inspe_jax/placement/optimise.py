@@ -192,7 +192,7 @@ def compare(
 def warming(problem: Problem) -> float:
     """A budget in which any method comes to each of its parts [evaluations]."""
     drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
-    return max(WARMING, WARMING_SAMPLES * problem.share(drawn))
+    return max(WARMING, WARMING_SAMPLES * problem.sample_cost(drawn))
 
 
 # ── One search ──────────────────────────────────────────────────────────────
@@ -360,7 +360,7 @@ def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
         return problem.space.random(np.random.default_rng([seed, 11]), 1)[0], ()
     placed, given = strategy(problem.cases[0].scene, start), problem.layout
     poses, taken = np.array(given.poses, float), np.zeros(len(given), int)
-    for kind in dict.fromkeys(x.spec.kind for of in (placed, given) for x in of.sensors):
+    for kind in dict.fromkeys(x.spec.kind for of in (given, placed) for x in of.sensors):
         theirs, ours = ([s for s, x in enumerate(of.sensors) if x.spec.kind == kind]
                         for of in (placed, given))  # fmt: skip
         if len(theirs) != len(ours):

@@ -1,8 +1,8 @@
 """What a search maximises: the objective of a layout's coordinates, exact, rough or soft.
 
-Three readings of one number. *Exact*: every voxel and frame, margins read hard; what a
-result reports. *Rough*: hard too, on a sample of columns and frames; what baselines
-rank candidates by. *Soft*: margins read softly on a sample; what gradients are of.
+These are three readings of one number. *Exact*: on every voxel and frame, with margins read hard;
+results report it. *Rough*: also read hard, but on a sample of columns and frames; methods without
+gradients rank candidates by it. *Soft*: margins are read softly, on a sample; it has gradients.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -45,22 +45,21 @@ from inspe_jax.visibility.centered_scene import CenteredScene, about_center, pos
 from inspe_jax.visibility.queries import check_layout
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
-"""What a rough score costs beside an exact one: always, times the share of columns, and times that
-of columns and of frames. As measured on 150,000 voxels and 100 frames with 8 cameras, 4 LiDARs and
-both, samples of 384 to 3072 columns and 3 to 24 frames (0.04 to 0.21); the exact score works on
-two cores, and most of a small sample's is fixed."""
+"""The cost of a rough score in exact scores is a + b·columns + c·columns·frames, of the shares of
+the columns and of the frames that are in the sample. It was measured on 150,000 voxels and 100
+frames, with 8 cameras, 4 LiDARs and both, on samples of 384 to 3072 columns and 3 to 24 frames:
+0.04 to 0.21. The exact score worked on two cores. Most of a small sample's cost is fixed."""
 
 
 @dataclass(frozen=True)
 class Objective:
-    """What is maximised: a mean or a worst case of P_sm, less what the sensors cost.
+    """What is maximised: the mean or the worst P_sm of some scenes, less a price for the sensors.
 
-    ``weights`` of the metrics by name; ``occlusion_reference`` and ``visibility`` as in
-    :func:`inspe_jax.evaluate`, those of the scenes' profile if not given; ``over`` several scenes,
-    "mean" or "worst"; with ``failures`` the score is N−1: the mean over the units of the score
-    without that unit. ``price_weight`` is how much score a thousand US dollars must bring;
-    ``budget`` the most the layout may cost [US dollars]; ``prices`` of devices [US dollars], before
-    the catalogue's.
+    ``weights``, ``occlusion_reference`` and ``visibility`` are as in :func:`inspe_jax.evaluate`.
+    ``over`` says how the scores of several scenes are combined, "mean" or "worst". With
+    ``failures`` a score is N−1: the mean over the units of the score without that unit.
+    ``price_weight`` is how much score a thousand US dollars must bring. ``budget`` is the most that
+    the layout may cost [US dollars]. ``prices`` of devices [US dollars] replace the catalogue's.
     """
 
     weights: metrics.Weights = None
@@ -74,7 +73,8 @@ class Objective:
 
     @property
     def weights_by_name(self) -> dict[str, float]:
-        """The weight of every metric. Raises InspeError as :func:`metrics.weights_of` does."""
+        """The weight of every metric in P_sm. Raises InspeError as :func:`metrics.weights_of`
+        does."""
         return metrics.weights_of(self.weights)
 
     def check(self) -> None:
@@ -107,7 +107,8 @@ class Objective:
         return total_price({name: self.price_of(name) for name in count}, count)
 
     def price(self, layout: Layout) -> float:
-        """What the cost takes off the score. Raises InspeError where the budget is exceeded."""
+        """What is taken off the score for the cost. Raises InspeError where it exceeds the
+        budget."""
         if self.budget is None and not self.price_weight:
             return 0.0
         cost = self.cost(layout)
@@ -120,20 +121,20 @@ class Objective:
 
 
 def total_price(price: Mapping[str, float], count: Mapping[str, int]) -> float:
-    """What so many of each device cost [US dollars], to the cent."""
+    """What ``count`` of each device cost at ``price`` [US dollars], to the cent."""
     return round(sum(price[name] * n for name, n in count.items()), 2)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One scene to score on, and the light and weather that the sensors work in there."""
+    """A scene to score on, and the light and weather that the sensors work in."""
 
     scene: Scene
     conditions: Conditions = FAIR
 
 
 def cases_of(scenes: Scene | Case | Sequence[Scene | Case]) -> tuple[Case, ...]:
-    """One or several scenes as cases. Raises InspeError where there is none."""
+    """One or several scenes as cases. Raises InspeError where the list is empty."""
     listed = [scenes] if isinstance(scenes, Scene | Case) else list(scenes)
     if not listed:
         raise InspeError("no scene to search on: give at least one")
@@ -141,26 +142,29 @@ def cases_of(scenes: Scene | Case | Sequence[Scene | Case]) -> tuple[Case, ...]:
 
 
 Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
-"""Columns and frames of every case."""
+"""The numbers of the drawn columns and frames of every case."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some columns and frames of every case; ``share`` is its cost beside an exact score's."""
+    """Some columns and frames of every case.
 
-    fields: tuple[SceneArrays, ...]
-    share: float
+    ``cost`` is that of a score on the sample, in exact scores.
+    """
+
+    arrays: tuple[SceneArrays, ...]
+    cost: float
 
     @cached_property
     def scenes(self) -> tuple[TiledScene, ...]:
-        """The same in tiles, with masks."""
-        return tuple(tiled_sample(part) for part in self.fields)
+        """The sample in tiles, with masks of solid voxels."""
+        return tuple(tiled_sample(part) for part in self.arrays)
 
 
 class VoxelWeights(NamedTuple):
-    """What each voxel of a sample counts for.
+    """What each voxel of a sample counts for in the paper's metrics.
 
-    ``weight`` (V,), ``free`` (T, V) and ``entropy`` (V,) are the shares of C, O and IG that each
+    ``weight`` (V,), ``free`` (T, V) and ``entropy`` (V,) are the parts of C, O and IG that each
     voxel carries; each sums to 1. Several cases stand one after another.
     """
 
@@ -181,7 +185,7 @@ class Problem:
     ) -> None:
         """Raises InspeError where scenes do not fit together or an option is out of range.
 
-        Constraints are looked at where something is to move: see :attr:`space`.
+        Constraints are not checked here, but when :attr:`space` is first used.
         """
         self.cases = cases_of(scenes)
         self.layout = layout
@@ -212,19 +216,19 @@ class Problem:
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self.crews = tuple(
+        self.sensor_sets = tuple(
             SensorSet.of(perceiving(case.scene, layout, case.conditions), failures)
             for case in self.cases
         )
         self.terms = ScoreTerms(
-            tuple(sensor_array(crew) for crew in self.crews),
+            tuple(sensor_array(sensor_set) for sensor_set in self.sensor_sets),
             tuple(case.scene.voxels.size for case in self.cases),
             {name: np.array(weight) for name, weight in self.objective.weights_by_name.items()},
             np.array(len(failures), np.int32),
         )
         self._constraints = constraints or Constraints()
-        self.compiled: dict[Callable[[Problem], Any], Any] = {}
-        self.known: set[Hashable] = set()
+        self.compiled: dict[Callable[[Problem], Any], Any] = {}  # see per_problem
+        self.known: set[Hashable] = set()  # what is compiled already, for methods to note
 
     @cached_property
     def space(self) -> Space:
@@ -233,8 +237,11 @@ class Problem:
         return Space(self.cases[0].scene, self.layout, self._constraints)
 
     @cached_property
-    def fields(self) -> tuple[SceneArrays, ...]:
-        """Every case's arrays in full."""
+    def arrays(self) -> tuple[SceneArrays, ...]:
+        """Every case's arrays, of all columns and frames.
+
+        Raises InspeError where a case has no entropy and information gain has weight.
+        """
         found = []
         for case in self.cases:
             tiled = tiled_scene_of(case.scene)
@@ -247,18 +254,18 @@ class Problem:
         return tuple(found)
 
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
-        """The exact objective of the layout that coordinates give."""
+        """The exact objective of the layout at coordinates ``x``."""
         return self.exact_of(self.space.layout(np.asarray(x)))
 
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors."""
         poses = poses_about_center(self.cases[0].scene, layout)
         measures = []
-        for case, crew in zip(self.cases, self.crews, strict=True):
+        for case, sensor_set in zip(self.cases, self.sensor_sets, strict=True):
             found = measure_exactly(
                 tiled_scene_of(case.scene),
                 poses,
-                crew,
+                sensor_set,
                 case.scene.voxels.size,
                 self.asked,
             )
@@ -268,56 +275,56 @@ class Problem:
         return self._combined(scores(measures, self.terms.weights, self.terms.failures))
 
     def _combined(self, each: Float[Array, " N"]) -> float:
-        """The objective of P_sm in every case."""
+        """The objective, from P_sm of every case."""
         combine = COMBINATIONS[self.objective.over][1]
         return float(combine(np.asarray(each, float))) - self.price
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
-        """Evenly spread columns and frames of each case from a random first one; all if fewer.
+        """Evenly spread columns and frames of each case, from a random first one; all if fewer.
 
-        The same sizes give the same shapes. Shares of all voxels are estimated without bias, and
-        with less noise than by columns drawn one by one.
+        The same sizes give arrays of the same shapes. Estimates of scores have no bias, and less
+        noise than with columns drawn one by one.
         """
         return tuple(
             (
-                _spread(rng, len(part.ground.columns), columns),
-                _spread(rng, len(part.ground.prisms.top), frames),
+                _spread(rng, len(part.centered.columns), columns),
+                _spread(rng, len(part.centered.prisms.top), frames),
             )
-            for part in self.fields
+            for part in self.arrays
         )
 
-    def share(self, drawn: Drawn) -> float:
-        """The cost of a sample beside an exact score's."""
-        always, by_column, by_sight = _SAMPLE_COST
-        looked = watched = whole = 0.0
-        for part, (at, when) in zip(self.fields, drawn, strict=True):
-            looked += len(at)
-            watched += len(at) * len(when) / len(part.ground.prisms.top)
-            whole += len(part.ground.columns)
-        return always + (by_column * looked + by_sight * watched) / whole
+    def sample_cost(self, drawn: Drawn) -> float:
+        """The cost of a score on a sample, in exact scores."""
+        fixed, by_column, by_sight = _SAMPLE_COST
+        columns = sights = whole = 0.0
+        for part, (at, when) in zip(self.arrays, drawn, strict=True):
+            columns += len(at)
+            sights += len(at) * len(when) / len(part.centered.prisms.top)
+            whole += len(part.centered.columns)
+        return fixed + (by_column * columns + by_sight * sights) / whole
 
     def sample(self, rng: np.random.Generator, columns: int = 2048, frames: int = 8) -> Sample:
         """A sample of every case; see :meth:`draw`."""
         drawn = self.draw(rng, columns, frames)
-        return Sample(jax.device_put(self.take(drawn)), self.share(drawn))
+        return Sample(jax.device_put(self.take(drawn)), self.sample_cost(drawn))
 
     def take(self, drawn: Drawn) -> tuple[SceneArrays, ...]:
-        """Some columns and frames of every case's arrays, in NumPy."""
+        """The drawn columns and frames of every case's arrays, in NumPy."""
         return take(self._on_host, drawn)
 
     @cached_property
     def _on_host(self) -> tuple[SceneArrays, ...]:
-        return jax.tree.map(np.asarray, self.fields)
+        return jax.tree.map(np.asarray, self.arrays)
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """The objective of many layouts, read hard on a sample; layouts side by side."""
+        """The objective of M layouts at coordinates ``x``, read hard on a sample, in parallel."""
         scenes = tuple(tiled.bucketed for tiled in sample.scenes)
         shapes = tuple(leaf.shape for leaf in jax.tree.leaves((scenes, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
         key = (hard_scores, self.asked, kinds, shapes)
-        filled = [self.terms.sensors[0].filled(row) for row in on_host(poses(self.space, x), float)]
+        padded = [self.terms.sensors[0].padded(row) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(hard_scores, row, scenes, self.terms, asked=self.asked)) for row in filled
+            (key, partial(hard_scores, row, scenes, self.terms, asked=self.asked)) for row in padded
         ]
         return np.array([self._combined(row) for row in run(jobs)])
 
@@ -327,9 +334,12 @@ class Problem:
         on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
         softness: Float[Array, ""],
     ) -> tuple[float, Float[np.ndarray, "S 6"]]:
-        """The objective of poses about the centre, read softly [m], and its slope in them."""
+        """The objective of poses about the centre, read with ``softness`` [m], and its gradient.
+
+        ``on`` are the samples or the scenes that it is computed on.
+        """
         value, slope = soft_slope(
-            self.terms.sensors[0].filled(on_host(poses, float)),
+            self.terms.sensors[0].padded(on_host(poses, float)),
             on,
             self.terms,
             softness,
@@ -340,15 +350,15 @@ class Problem:
 
     # ── Candidates one by one, for greedy and integer programs ──
 
-    def shares(self, sample: Sample) -> VoxelWeights:
-        """What each voxel of a sample counts for."""
+    def voxel_weights(self, sample: Sample) -> VoxelWeights:
+        """What each voxel of a sample counts for in C, O and IG."""
         parts = []
-        for part in sample.fields:
+        for part in sample.arrays:
             free = np.asarray(_free(part, self.options["occlusion_reference"]), float)
             weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
             entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
-            filled = np.maximum((free.sum(1) > 0).sum(), 1)
-            free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / filled
+            frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts
+            free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / frames
             parts.append((weight / weight.sum(), free, entropy / max(entropy.sum(), 1e-9)))
         n = len(parts)
         weight, free, entropy = (np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True))
@@ -357,15 +367,18 @@ class Problem:
     def views(
         self, s: int, poses: Float[np.ndarray, "K 6"], sample: Sample
     ) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
-        """What sensor ``s`` of the layout would have in view, and see, at each of K poses.
+        """What sensor ``s`` of the layout has in view, and sees in each frame, at each of K poses.
 
-        Poses are about the scene's centre. With :meth:`shares`, for a set of sensors: C is the sum
-        of ``weight`` over voxels in view of some, O that of ``free`` over voxels and frames seen by
-        some, IG that of ``entropy``·(1 − ∏(1 − reliability·view)), where visibility is ``in_view``.
+        Poses are about the scene's centre. With :meth:`voxel_weights`, the metrics of a set of
+        sensors are sums: C of ``weight`` over the voxels that some sensor has in view, O of
+        ``free`` over the voxels and frames that some sensor sees, and, where visibility is
+        ``in_view``, IG of ``entropy``·(1 − ∏(1 − reliability·view)).
         """
         views, seen = [], []
-        for case, tiled, crew in zip(self.cases, sample.scenes, self.crews, strict=True):
-            grid = next(grid for grid, index in crew.groups if s in index)
+        for case, tiled, sensor_set in zip(
+            self.cases, sample.scenes, self.sensor_sets, strict=True
+        ):
+            grid = next(grid for grid, index in sensor_set.groups if s in index)
             half = case.scene.voxels.size / 2
             f, v = view_from_poses(grid, half, jnp.asarray(poses, float), tiled, self.asked)
             views.append(f)
@@ -374,29 +387,29 @@ class Problem:
 
 
 def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]":
-    """Built once for each problem, and for as long as it lives: functions compiled for it."""
+    """``build`` run once for each problem: its result is kept as long as the problem."""
 
     @wraps(build)
-    def kept(problem: Problem) -> Any:
+    def built_once(problem: Problem) -> Any:
         if build not in problem.compiled:
             problem.compiled[build] = build(problem)
         return problem.compiled[build]
 
-    return kept
+    return built_once
 
 
-def take(fields: tuple[SceneArrays, ...], drawn: Drawn) -> tuple[SceneArrays, ...]:
-    """Some columns and frames of every case's arrays."""
+def take(arrays: tuple[SceneArrays, ...], drawn: Drawn) -> tuple[SceneArrays, ...]:
+    """The drawn columns and frames of every case's arrays."""
     parts = []
-    for part, (at, when) in zip(fields, drawn, strict=True):
-        ground = part.ground
-        levels = ground.heights.shape[1]
+    for part, (at, when) in zip(arrays, drawn, strict=True):
+        centered = part.centered
+        levels = centered.heights.shape[1]
         leaves = (part.weight, part.occupancy)
         weight, occupancy = (x.reshape(-1, levels)[at].reshape(-1) for x in leaves)  # type: ignore[union-attr]
-        prisms = jax.tree.map(lambda leaf: leaf[when], ground.prisms)  # noqa: B023
+        prisms = jax.tree.map(lambda leaf: leaf[when], centered.prisms)  # noqa: B023
         parts.append(
             SceneArrays(
-                CenteredScene(ground.columns[at], ground.heights[at], prisms), weight, occupancy
+                CenteredScene(centered.columns[at], centered.heights[at], prisms), weight, occupancy
             )
         )
     return tuple(parts)
@@ -410,10 +423,10 @@ def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:
 
 @partial(jax.jit, static_argnames="reference")
 def _free(part: SceneArrays, reference: str) -> Float[Array, "T V"]:
-    """The voxels that occlusion counts in each frame: those outside vehicles, or inside."""
+    """1 for the voxels that occlusion counts in each frame: those outside vehicles, or inside."""
 
-    def one(prisms: Prism) -> Array:
-        solid = step(solid_top(part.ground.columns, prisms)[:, None] - part.ground.heights)
+    def of_frame(prisms: Prism) -> Array:
+        solid = step(solid_top(part.centered.columns, prisms)[:, None] - part.centered.heights)
         return (solid if reference == "targets" else 1.0 - solid).reshape(-1)
 
-    return jax.lax.map(one, part.ground.prisms)
+    return jax.lax.map(of_frame, part.centered.prisms)

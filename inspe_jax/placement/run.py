@@ -162,7 +162,7 @@ class Run:
         return score
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on a sample. Charges M · ``sample.share``.
+        """Hard scores of layouts on a sample. Charges M · ``sample.cost``.
 
         Raises BudgetSpent, also after the first :data:`AT_ONCE` layouts or some more: what those
         scored is lost then.
@@ -170,7 +170,7 @@ class Run:
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):
             part = np.asarray(x[first : first + AT_ONCE], float)
-            self.charge(len(part) * sample.share)
+            self.charge(len(part) * sample.cost)
             scores.append(self.problem.rough(part, sample))
         return np.concatenate(scores)
 

@@ -1,6 +1,6 @@
-"""The score of poses on samples, as searches ask for it: compiled once for all their problems.
+"""The score of poses on samples, for searches.
 
-What differs from one problem to the next are arrays: the sensors, the weights, the samples.
+Sensors, weights and samples are arrays here, so programs compiled for one problem serve others.
 """
 
 from functools import partial
@@ -25,10 +25,10 @@ COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, 
 
 
 class ScoreTerms(NamedTuple):
-    """What a score is made of, but for the poses and the sample.
+    """What a score depends on besides the poses and the sample.
 
-    ``sensors`` and ``voxel`` [m] of every case; ``weights`` of every metric by name; ``failures``,
-    the number of units that are left out in turn, 0 for none.
+    ``sensors`` and ``voxel``, a voxel's edge [m], of every case; ``weights`` of every metric by
+    name; ``failures``, the number of units that are left out in turn, or 0.
     """
 
     sensors: tuple[SensorArray, ...]
@@ -41,7 +41,7 @@ class ScoreTerms(NamedTuple):
 def scores(
     measures: list[MetricValues], weights: dict[str, Any], failures: Int[Any, ""]
 ) -> Float[Array, " N"]:
-    """P_sm of every case; with failures the mean of those without each unit."""
+    """P_sm of N cases; with failures, the mean of P_sm without each unit in turn."""
     found = []
     for m in measures:
         kind = m.column_coverage.dtype
@@ -62,7 +62,7 @@ def hard_scores(
     *,
     asked: Asked,
 ) -> Float[Array, " N"]:
-    """P_sm of every case, read hard, of poses about the centre that are filled up."""
+    """P_sm of N cases, read hard; ``poses`` are about the scene's centre and padded."""
     measures = [
         count_exactly(tiled, poses, sensors, voxel, asked)
         for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
@@ -80,7 +80,11 @@ def soft_slope(
     asked: Asked,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
-    """The score of all cases, read softly [m], and its slope in the poses; on samples or scenes."""
+    """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
+
+    ``on`` are samples, or whole scenes in tiles; ``over`` is one of :data:`COMBINATIONS`. ``poses``
+    are about the scene's centre and padded.
+    """
     width = Softness.of(softness)
     scenes = [sample_in_one_tile(part) if isinstance(part, SceneArrays) else part for part in on]
 

@@ -1,7 +1,7 @@
-"""What sensors see of a tile, frame by frame: the one place that goes through traffic.
+"""What sensors see of a tile in each frame: the one pass over traffic.
 
-Over the sets of :mod:`inspe_jax.scoring.reading`, so that an exact score, a soft one and a picture
-are of the same lines of code.
+It is written over the sets of :mod:`inspe_jax.scoring.reading`, so exact scores, soft scores and
+pictures run the same lines of code.
 """
 
 from typing import Any
@@ -10,14 +10,17 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import Groups
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.reading import Asked, Counts, Frames, Reading, Row
+from inspe_jax.scoring.reading import Asked, Counts, Frames, Reading, SensorRow
 from inspe_jax.visibility.tiles import Tile
 
 
-def sees(reading: Reading, row: Row, tile: Tile, frames: Frames, asked: Asked) -> tuple[Any, Any]:
-    """The sets of voxels that one sensor sees in each frame: f and in line of sight.
+def seen_by_sensor(
+    reading: Reading, row: SensorRow, tile: Tile, frames: Frames, asked: Asked
+) -> tuple[Any, Any]:
+    """The voxels that one sensor sees in each frame: those in view (f = 1) and in line of sight.
 
-    For occlusion, and for information gain, which may count what is inside a vehicle otherwise.
+    Two sets: one for occlusion, one for information gain. They differ in which voxels inside
+    vehicles count.
     """
     sensor, shadows, view = row
     clear, in_sight = reading.line_of_sight(sensor, shadows, tile, frames, asked)
@@ -26,21 +29,27 @@ def sees(reading: Reading, row: Row, tile: Tile, frames: Frames, asked: Asked) -
 
 
 def seen_in_tile(
-    reading: Reading, rows: Row, tile: Tile, frames: Frames, failures: Groups | None, asked: Asked
+    reading: Reading,
+    rows: SensorRow,
+    tile: Tile,
+    frames: Frames,
+    failures: Groups | None,
+    asked: Asked,
 ) -> tuple[Any, Any]:
-    """What some sensor sees in each frame, a union that can be counted; and, where it is asked for,
-    in how many frames each sensor sees each voxel (S, C, Z).
+    """What some sensor sees in each frame, and how often each sensor sees each voxel.
 
-    ``rows`` of all sensors: positions (S, 3), their shadows, and views, a set each.
+    The first is a union that can be counted, of all sensors and without each group of
+    ``failures``. The second is the number of frames (S, C, Z), or None unless it is asked for.
+    ``rows`` are of all sensors: positions (S, 3), shadows, and one set in view each.
     """
 
-    def look(row: Row) -> tuple[Any, Any]:
-        visible, in_sight = sees(reading, row, tile, frames, asked)
+    def see_from(row: SensorRow) -> tuple[Any, Any]:
+        visible, in_sight = seen_by_sensor(reading, row, tile, frames, asked)
         if not asked.counts_sight:
             return visible, None
         return visible, reading.level_sums(in_sight, frames, len(tile.heights))
 
-    return reading.over_sensors(look, rows, frames, failures)
+    return reading.over_sensors(see_from, rows, frames, failures)
 
 
 def count_tile(
@@ -53,9 +62,10 @@ def count_tile(
     failures: Groups | None,
     asked: Asked,
 ) -> Counts:
-    """Count what sensors at positions ``sensors`` see of one tile in some frames.
+    """Count what sensors at positions ``sensors`` [m] see of one tile in F frames.
 
-    ``views`` are the sets that each has in view, ``shadows`` what ``reading.shadows`` gives.
+    ``views`` are the sets of voxels that each sensor has in view; ``shadows`` is the result of
+    ``reading.shadows``.
     """
     covered = reading.any_of(views, failures)
 

@@ -1,4 +1,4 @@
-"""Score a layout on a scene: visibility in, the four metrics out."""
+"""Score a layout on a scene: every metric, and their weighted sum P_sm."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,8 +20,8 @@ from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import (
     TiledScene,
-    bare_tiled_scene_of,
     tiled_scene_of,
+    tiled_scene_without_masks,
     whole_tiled_scene_of,
 )
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
@@ -30,13 +30,13 @@ from inspe_jax.visibility.centered_scene import from_center, poses_about_center
 from inspe_jax.visibility.queries import check_layout
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
-"""What information gain calls visible. ``in_view``: f, as in the paper; ``line_of_sight``: f × the
-share of frames in which no vehicle hides the voxel; ``past_others``: the same, but for the vehicle
-that the voxel is inside, which does not hide it."""
+"""What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
+× the share of frames in which no vehicle hides the voxel. ``past_others``: the same, but a vehicle
+does not hide the voxels inside it."""
 
 
 class PaperMetrics:
-    """The paper's three metrics as attributes of a record of all ``metrics`` by name."""
+    """Gives a record of all ``metrics`` by name the paper's three metrics as attributes."""
 
     metrics: dict[str, Any]
     surrogate: Any
@@ -47,12 +47,12 @@ class PaperMetrics:
 
     @property
     def coverage(self) -> Any:
-        """C, the weighted share of voxels in view."""
+        """C, the share of voxels in view, weighted by region."""
         return self.metrics["coverage"]
 
     @property
     def occlusion(self) -> Any:
-        """O, the share that stays visible behind traffic."""
+        """O, the share of voxels that stays visible behind traffic."""
         return self.metrics["occlusion"]
 
     @property
@@ -63,7 +63,7 @@ class PaperMetrics:
 
 @dataclass(frozen=True)
 class Contribution(PaperMetrics):
-    """What the layout loses when one sensor is left out, metric by metric and in P_sm."""
+    """What the layout loses without one sensor, in every metric and in P_sm."""
 
     sensor: str
     metrics: dict[str, float]
@@ -74,13 +74,14 @@ class Contribution(PaperMetrics):
 class Scores(PaperMetrics):
     """The scores of one layout on one scene, each between 0 and 1, higher is better.
 
-    ``metrics`` by name, and ``surrogate``, their weighted sum. Numbers; or JAX arrays, where the
-    layout's poses are traced. ``region_coverage`` and ``level_coverage`` are unweighted shares of
-    the voxels of one region and of one level (lowest first); ``contributions`` has one row a
-    sensor, in the layout's order, none where poses are traced, and can be negative only for
-    occlusion with the reference ``covered``, whose voxels change with the sensors; ``seen_share``
-    (L,) is the share of frames and levels in which each column is seen, for pictures: it has no
-    gradient; ``settings`` are the options used.
+    ``metrics`` are by name, and ``surrogate`` is their weighted sum P_sm. They are numbers, or JAX
+    arrays where the layout's poses are traced. ``region_coverage`` and ``level_coverage`` are the
+    shares in view, unweighted, of the voxels of each region and of each level (lowest first).
+
+    ``contributions`` has one row a sensor, in the layout's order; none where poses are traced. One
+    can be negative only for occlusion with the reference ``covered``, whose voxels change with the
+    sensors. ``seen_share`` (L,) is the share of frames and levels in which each column is seen. It
+    is for pictures and has no gradient. ``settings`` are the options used.
     """
 
     metrics: dict[str, float]
@@ -93,12 +94,12 @@ class Scores(PaperMetrics):
 
     @property
     def information_gain_literal(self) -> float:
-        """IG to the letter of the paper, which falls as sensors see more: for comparison only."""
+        """IG as the paper prints it, for comparison only: it falls as sensors see more."""
         return 1.0 - self.information_gain
 
     @property
     def conditions(self) -> Conditions:
-        """The light and weather that they are of."""
+        """The light and weather that the scores are for."""
         return Conditions.of(
             **{key: self.settings.get(key, FAIR.record[key]) for key in FAIR.record}
         )
@@ -116,21 +117,21 @@ def evaluate(
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
-    ``weights`` of the metrics in P_sm, by name or as three numbers of C, O and IG;
-    ``occlusion_reference`` as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`; ``visibility``
-    for information gain, one of :data:`VISIBILITIES`; those two are the scene's profile's where
-    they are not given. ``softness`` [m] is 0 for the exact scores, or the width that fields of view
-    and shadows are read with, or a :class:`~inspe_jax.core.numerics.Softness`. With poses P (S, 6)
-    traced, ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is differentiable in
-    P; read exactly it is a step function, with gradient 0. Such a gradient needs no ``jax.jit``
-    about it: without, what is compiled serves other scenes and layouts of similar size; within, the
-    scene is a part of the program. ``conditions`` are the light and the weather that the sensors
-    work in.
+    ``weights`` of the metrics in P_sm are given by name, or as three numbers for C, O and IG.
+    ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and
+    ``visibility`` for information gain is one of :data:`VISIBILITIES`; without them, the scene's
+    profile decides. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
+    view and shadows are read; or a :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are
+    the light and the weather that the sensors work in.
 
-    Raises InspeError where a sensor is in the
-    ground or out of reach of the scene, an option is unknown, the arrays would not
-    fit in memory, or there is no traffic and so no entropy to resolve; unless
-    information gain has weight 0, and then it is 0.
+    With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
+    differentiable in P. The exact score is a step function, with gradient 0. The
+    gradient needs no ``jax.jit`` around it: without it, the compiled programs serve other scenes
+    and layouts of similar size; with it, the scene becomes a part of the program.
+
+    Raises InspeError where a sensor is in the ground or out of reach of the scene, an option is
+    unknown, or the arrays would not fit in memory. It is also raised where there is no traffic and
+    so no entropy to resolve, unless information gain has weight 0; then information gain is 0.
     """
     options = options_of(scene, occlusion_reference, visibility)
     check_options(weights, **options, conditions=conditions)
@@ -145,13 +146,13 @@ def evaluate(
     given = layout.poses
     if width.exact and traced:  # a step function of the poses
         given = jax.lax.stop_gradient(given)
-    filled = from_center(scene, sensors.filled(given))
+    padded = from_center(scene, sensors.padded(given))
     if width.exact:
         tiled = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
-        found = count_exactly(tiled, filled, sensors, voxel, asked)
+        found = count_exactly(tiled, padded, sensors, voxel, asked)
     else:
-        tiled = bare_tiled_scene_of(scene)
-        found = read_softly(tiled.bucketed, filled, sensors, voxel, width, asked=asked)
+        tiled = tiled_scene_without_masks(scene)
+        found = read_softly(tiled.bucketed, padded, sensors, voxel, width, asked=asked)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
@@ -186,7 +187,7 @@ def _contribution(sensor: str, lost: list[float]) -> Contribution:
 
 @dataclass(frozen=True)
 class ManyScores(PaperMetrics):
-    """The exact scores of M layouts, (M,) each: ``metrics`` by name, and P_sm."""
+    """The exact scores of M layouts: ``metrics`` by name and ``surrogate``, P_sm, each (M,)."""
 
     metrics: dict[str, Float[np.ndarray, " M"]]
     surrogate: Float[np.ndarray, " M"]
@@ -202,12 +203,12 @@ def evaluate_many(
     visibility: str | None = None,
     conditions: Conditions = FAIR,
 ) -> ManyScores:
-    """Exact scores of one layout's sensors at M times S tiled poses.
+    """Exact scores of one layout's sensors at M sets of S poses: the metrics and P_sm only.
 
-    Layouts are worked on side by side, on all cores or devices, and nothing else is found.
-    They are those of :func:`evaluate`, from the same counts, though sums may be rounded otherwise.
-    ``poses`` are x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`.
-    Raises InspeError as that does, and where ``poses`` has another shape or is traced.
+    Layouts are scored in parallel, on all cores or devices. The scores are those of
+    :func:`evaluate`, from the same counts; only the last digits of sums may differ. ``poses`` are
+    x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`. Raises
+    InspeError as that does, and where ``poses`` has another shape or is traced.
     """
     options = options_of(scene, occlusion_reference, visibility)
     check_options(weights, **options, conditions=conditions)
@@ -247,7 +248,7 @@ def evaluate_many(
 def _by_region(
     scene: Scene, tiled: TiledScene, columns: Float[Array, " MC"]
 ) -> dict[str, Float[Array | np.ndarray, ""]]:
-    """The mean over the columns of each region that there is."""
+    """The mean of a value per column over each region that the scene has."""
     place, label = np.asarray(tiled.tiles.place), scene.voxels.region
     there = [region for region in Region if (label == region).any()]
     if not isinstance(columns, jax.core.Tracer):
@@ -262,18 +263,18 @@ def _by_region(
 
 @jax.jit
 def _means(x: Float[Array, " n"], rows: Bool[Array, "R n"]) -> Float[Array, " R"]:
-    """The mean of ``x`` where each row says so; 0 of nothing."""
+    """The mean of ``x`` over the true entries of each row; 0 where there are none."""
     counted = rows.astype(x.dtype)
     return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1.0)
 
 
 def _array(x: Array) -> Any:
-    """In NumPy, unless it is traced."""
+    """An array in NumPy, unless it is traced."""
     return x if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
 def _numbers(x: Any) -> Any:
-    """Python numbers, nested as the array is; a traced array stays one, split along axis 0."""
+    """Python numbers, nested as the array is; a traced array becomes scalars in nested lists."""
     if not isinstance(x, jax.core.Tracer):
         return np.asarray(x, float).tolist()
     return [_numbers(row) for row in x] if x.ndim else x
@@ -282,7 +283,7 @@ def _numbers(x: Any) -> Any:
 def options_of(
     scene: Scene, occlusion_reference: str | None = None, visibility: str | None = None
 ) -> dict[str, str]:
-    """The two options by name, as the scene's profile has what is not given."""
+    """The two options by name; the scene's profile gives those that are None."""
     return dict(
         occlusion_reference=occlusion_reference or scene.profile.occlusion_reference,
         visibility=visibility or scene.profile.visibility,
@@ -308,12 +309,13 @@ def check_options(
 
 
 def check_entropy(scene: Scene, entropy: Float[Array, ""]) -> None:
-    """Raise InspeError unless there is entropy H(Ω) to resolve; a traced one passes."""
+    """Raise InspeError unless the entropy H(Ω) is more than 0; a traced one passes."""
     if isinstance(entropy, jax.core.Tracer):
         return
     if not float(entropy) > 0:
         raise InspeError(
             f"{scene.name}: information gain needs traffic: no voxel of the scene is occupied in "
             "some frames and free in others, so there is no entropy to resolve; build the scene "
-            "with a density of low, medium or high and at least 2 frames, or give it no weight"
+            "with a density of low, medium or high and at least 2 frames, or give information gain "
+            "weight 0"
         )

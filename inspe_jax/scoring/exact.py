@@ -1,8 +1,8 @@
-"""Exact scores: tiles and frames shared out among the cores, voxels counted as bits.
+"""Exact scores: voxels are counted as bits, and the cores divide the tiles and frames.
 
-What is counted, and how it becomes metrics, is :mod:`inspe_jax.scoring.accumulate` and
-:mod:`inspe_jax.scoring.summary`; here is who counts which part. Counts are exact in any order, so
-the scores are the same to the last bit on any number of cores and devices.
+:mod:`inspe_jax.scoring.accumulate` says what is counted, and :mod:`inspe_jax.scoring.summary` how
+counts become metrics; this module gives each core or device its part. Counts are exact in any
+order, so the scores are the same to the last bit on any number of cores and devices.
 """
 
 from collections.abc import Callable
@@ -24,15 +24,16 @@ from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.reading import Asked, Bits, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.summary import MetricValues, summarise
-from inspe_jax.scoring.tiled_scene import UNSURE, TiledScene, dealt
+from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order
 from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import Tile, unless_empty
 from inspe_jax.visibility.view_masks import view_masks
 
 ONE_MORE = 1
-"""Sensors more that there is always room for: here they cost next to nothing."""
+"""Spare places in an array of sensors. Here they cost next to nothing."""
 BITS = Bits()
+"""The exact reading: sets of voxels as bits."""
 
 
 def measure_exactly(
@@ -44,11 +45,11 @@ def measure_exactly(
 ) -> MetricValues:
     """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
 
-    ``voxel`` is the edge of a voxel [m]. Works on all cores; traced, on one, and then the chunks of
-    ``tiled`` must have all tiles.
+    ``voxel`` is the edge of a voxel [m]. All cores work on it. With traced poses one core does, and
+    then every chunk of ``tiled`` must have all tiles.
     """
     sensors = sensor_array(sensor_set, ONE_MORE)
-    measured = count_exactly(tiled, sensors.filled(poses), sensors, voxel, asked or Asked.of())
+    measured = count_exactly(tiled, sensors.padded(poses), sensors, voxel, asked or Asked.of())
     return measured.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
@@ -59,12 +60,14 @@ def count_exactly(
     voxel: float | Array,
     asked: Asked,
 ) -> MetricValues:
-    """:func:`measure_exactly` of arrays that are filled up: of the tiles' columns, and with a row
-    for each group of failures that there is room for."""
+    """:func:`measure_exactly` of padded arrays.
+
+    The result has the tiles' columns, and a row for each group of failures that there is room for.
+    """
     views = in_view_of(tiled, poses, sensors, voxel / 2)
     counts = count_all(tiled, views, poses[:, :3], sensors.failures, asked)
-    bare = replace(tiled.bucketed, chunks=())
-    given = bare, views, counts, sensors.reliability, sensors.failures
+    columns_only = replace(tiled.bucketed, chunks=())
+    given = columns_only, views, counts, sensors.reliability, sensors.failures
     return _summarise(*given, metrics=asked.metrics)
 
 
@@ -74,7 +77,7 @@ def in_view_of(
     sensors: SensorArray,
     half: float | Array,
 ) -> UInt[Array | np.ndarray, "S N C"]:
-    """Masks of what each sensor has in view."""
+    """Masks of what each sensor has in view. ``half`` is half a voxel's edge [m]."""
     tile = tiled.tiles.tile
     if isinstance(poses, jax.core.Tracer):
         return _traced_views(tile, poses, sensors, half)
@@ -84,13 +87,13 @@ def in_view_of(
         kind = sensors.kinds[sensors.kind[s]]
         rays = kind.rays(jax.tree.map(lambda numbers: numbers[s], sensors.table))  # noqa: B023
         lengths = rays.table.rows.shape + rays.table.nearest.shape
-        if tiled.split is None:
+        if tiled.device_tiles is None:
             work = partial(view_masks, rays, poses[s], tile, half)
         else:
-            work = partial(_split_view(), rays, poses[s], tiled.split, half)
+            work = partial(_split_view(), rays, poses[s], tiled.device_tiles, half)
         jobs.append(((view_masks, kind, lengths, tile.heights.shape), work))
     views = np.zeros((len(poses), *tile.there.shape), tile.there.dtype)
-    order = slice(None) if tiled.split is None else dealt(views.shape[1])
+    order = slice(None) if tiled.device_tiles is None else device_order(views.shape[1])
     for s, view in zip(present, run(jobs), strict=True):
         views[s, order] = view
     return views
@@ -99,15 +102,17 @@ def in_view_of(
 def _traced_views(
     tile: Tile, poses: Float[Array, "S 6"], sensors: SensorArray, half: float | Array
 ) -> UInt[Array, "S N C"]:
-    def look(kind: Kind, table: RayTable, pose: Array) -> Array:
+    """:func:`in_view_of` with traced poses: one sensor after the other."""
+
+    def view(kind: Kind, table: RayTable, pose: Array) -> Array:
         return view_masks(kind.rays(table), pose, tile, half)
 
-    def nothing(table: RayTable, pose: Array) -> Array:
+    def no_sensor(table: RayTable, pose: Array) -> Array:
         return jnp.zeros_like(tile.there)
 
-    branches: list[Any] = [*(partial(look, kind) for kind in sensors.kinds), nothing]
+    branches: list[Any] = [*(partial(view, kind) for kind in sensors.kinds), no_sensor]
     return jax.lax.map(
-        lambda one: jax.lax.switch(one[0], branches, *one[1:]),
+        lambda sensor: jax.lax.switch(sensor[0], branches, *sensor[1:]),
         (jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses),
     )
 
@@ -126,9 +131,12 @@ def count_all(
     failures: Groups | None,
     asked: Asked,
 ) -> Counts:
-    """Count what the sensors see of all tiles in all frames."""
+    """Count what sensors at positions ``sensors`` see of all tiles in all frames.
+
+    ``views`` are masks of what each has in view (:func:`in_view_of`).
+    """
     if isinstance(views, jax.core.Tracer):
-        return joined(
+        return join_frames(
             [
                 _count(chunk.tile, views, chunk.solid, chunk.prisms, sensors, failures, asked=asked)
                 for chunk in tiled.chunks
@@ -149,31 +157,33 @@ def count_all(
     sights = np.zeros((*views.shape, levels), kind)
     for chunk, part in zip(tiled.chunks, run(jobs), strict=True):
         seen[:, :, chunk.frames] += np.stack([part.seen, part.original])
-        _add(columns[chunk.tiles], part.columns)
+        _add_counts(columns[chunk.tiles], part.columns)
         if asked.counts_sight:
-            _add(sights[:, chunk.tiles], part.sights)
+            _add_counts(sights[:, chunk.tiles], part.sights)
     found: Any = seen[0], seen[1], columns, sights if asked.counts_sight else None
     return Counts(*found)
 
 
-def joined(parts: list[Counts]) -> Counts:
-    """What is counted in one run of frames after the other."""
+def join_frames(parts: list[Counts]) -> Counts:
+    """The counts of consecutive runs of frames as those of all their frames."""
     seen, original, columns, sights = zip(*parts, strict=True)
     return Counts(
         jnp.concatenate(seen, 1),
         jnp.concatenate(original, 1),
         sum(columns[1:], columns[0]),
-        None if sights[0] is None else sum((_wide(part) for part in sights[1:]), _wide(sights[0])),
+        None
+        if sights[0] is None
+        else sum((_widened(part) for part in sights[1:]), _widened(sights[0])),
     )
 
 
-def _wide(counts: Array) -> Array:
-    """Counts with room for more of them; sums of chances as they are."""
+def _widened(counts: Array) -> Array:
+    """Counts as wider integers, so that sums do not overflow; sums of chances as they are."""
     return counts.astype(int) if jnp.issubdtype(counts.dtype, jnp.integer) else counts
 
 
-def _add(total: np.ndarray, counts: Any) -> None:
-    """Add counts to a total; those of several devices stand one after another."""
+def _add_counts(total: np.ndarray, counts: Any) -> None:
+    """Add counts to a total. Counts of several devices stand one after another."""
     total += np.asarray(counts).reshape(-1, *total.shape).sum(0, dtype=total.dtype)
 
 
@@ -197,7 +207,7 @@ def _count(
     *,
     asked: Asked,
 ) -> Counts:
-    """Count some of the tiles in some of the frames, tile by tile."""
+    """Count n tiles in F frames, tile by tile."""
     shadows = BITS.shadows(sensors, prisms)
 
     @unless_empty
@@ -222,7 +232,7 @@ def _summarise(
     *,
     metrics: tuple[metrics.Metric, ...],
 ) -> MetricValues:
-    """From masks and counts to the metrics."""
+    """The metrics, from masks of what is in view and from counts."""
     slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
     covered = BITS.any_of(views, failures)
     columns = bitmask.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
@@ -244,7 +254,7 @@ def _tile_terms(
     views: UInt[Array, "S N C"],
     failures: Groups | None,
 ) -> dict[str, Any]:
-    """What metrics ask for beside the evidence of all, summed over the tiles."""
+    """The further terms that metrics ask for, by metric, summed over the tiles."""
     if all(metric.terms is None for metric in asked):
         return {}
 
@@ -264,17 +274,17 @@ def _entropy_terms(
     reliability: Float[Array, " S"],
     failures: Groups | None,
 ) -> tuple[Float[Array, " 1+G"], Float[Array, ""]]:
-    """:func:`~inspe_jax.scoring.metrics.entropy_terms` of all voxels.
+    """:func:`~inspe_jax.scoring.metrics.entropy_terms` of all voxels: H(Ω|P) and H(Ω).
 
-    In as many parts as there are some in, not as many as there is room for.
+    They are summed in parts; parts of nothing but padding are left out.
     """
     sensors, number = len(views), len(tiled.occupancy)
-    together = UNSURE if number and number % UNSURE == 0 else number
+    together = ENTROPIC if number and number % ENTROPIC == 0 else number
     last = jnp.where(tiled.occupancy > 0, jnp.arange(number), -1).max(initial=-1)
     words = views.reshape(sensors, -1)
     counts = None if sights is None else sights.reshape(sensors, -1, sights.shape[-1])
 
-    def add(part: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+    def add_part(part: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
         column, level, occupancy = (
             jax.lax.dynamic_slice_in_dim(of_voxels, part * together, together)
             for of_voxels in (tiled.column, tiled.level, tiled.occupancy)
@@ -290,7 +300,7 @@ def _entropy_terms(
 
     groups = 0 if failures is None else len(failures.first)
     nothing = jnp.zeros(1 + groups), jnp.zeros(())
-    return jax.lax.fori_loop(0, last // max(together, 1) + 1, add, nothing)
+    return jax.lax.fori_loop(0, last // max(together, 1) + 1, add_part, nothing)
 
 
 def measure_many(
@@ -300,17 +310,17 @@ def measure_many(
     voxel: float,
     asked: Asked,
 ) -> dict[str, Float[np.ndarray, " M"]]:
-    """Every metric of M layouts, on a scene whose chunks have all tiles: layouts side by side.
+    """Every metric of M layouts of the same sensors; every chunk of ``tiled`` has all tiles.
 
-    On several devices each works on a layout of its own, on one each core.
+    Each device works on a layout of its own, or on one device each core.
     """
     sensors = sensor_array(sensor_set, ONE_MORE)
     data = tiled.bucketed, sensors, voxel
     shapes = tuple(leaf.shape for leaf in jax.tree.leaves(data[:2]))
     each = sharding.devices()
-    work = partial(_one, asked=asked) if each == 1 else _one_each(asked)
-    # A layout for a core, or one for every device: the first ones again where some would be idle.
-    whole = np.stack([sensors.filled(row) for row in poses])
+    work = partial(_one_layout, asked=asked) if each == 1 else _layout_each(asked)
+    # A layout for a core, or one for every device: devices that would be idle repeat the first.
+    whole = np.stack([sensors.padded(row) for row in poses])
     rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
     jobs: list[Job] = [
         (
@@ -324,7 +334,7 @@ def measure_many(
 
 
 @partial(jax.jit, static_argnames="asked")
-def _one(
+def _one_layout(
     poses: Float[Array, "S 6"],
     tiled: TiledScene,
     sensors: SensorArray,
@@ -332,16 +342,17 @@ def _one(
     *,
     asked: Asked,
 ) -> Float[Array, " K"]:
+    """Every metric of one layout."""
     found = count_exactly(tiled, poses, sensors, voxel, asked).values
     return jnp.stack([found[metric.name][0] for metric in asked.metrics])
 
 
 @cache
-def _one_each(asked: Asked) -> Callable[..., Array]:
-    """:func:`_one`, every device for a layout."""
+def _layout_each(asked: Asked) -> Callable[..., Array]:
+    """:func:`_one_layout`, every device for a layout."""
     whole, first = sharding.along(None), sharding.along(0)
     return sharding.split(
-        lambda poses, *data: _one(poses[0], *data, asked=asked)[None],
+        lambda poses, *data: _one_layout(poses[0], *data, asked=asked)[None],
         (first, whole, whole, whole),
         first,
     )

@@ -1,8 +1,16 @@
 """The surrogate metrics of InSPE (arXiv 2504.08240), in the paper's order, and their registry.
 
-Every score goes through these functions: exact or soft, of a scene or a sample of it. Sensors are
-fused before a metric sees them, all of them and with each group of failures left out in turn; every
-function keeps that leading axis of 1 + G rows.
+Every score uses these functions: exact or soft, of a scene or of a sample of it. Symbols are the
+paper's. V_i is a voxel of the region of interest Ω, w_i the weight of its region, and f(V_i) = 1 if
+some sensor ray passes through it, else 0:
+
+- coverage C = Σ w_i f(V_i) / Σ w_i: :func:`coverage`;
+- occlusion O = mean over frames of 1 − |V_occ| / |V_orig|: :func:`occlusion`;
+- information gain IG = 1 − H(Ω|P) / H(Ω), of a placement P: :func:`information_gain`;
+- the surrogate P_sm = 0.3 C + 0.5 O + 0.2 IG: :func:`surrogate`.
+
+The sensors are fused before a metric is computed: once all of them, and once without each of G
+groups of failures. So arrays have a leading axis of 1 + G rows, and functions keep it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,13 +25,13 @@ from inspe_jax.core.numerics import Groups, dot, leave_one_out
 from inspe_jax.visibility.tiles import Tile
 
 OCCLUSION_REFERENCES = ("roi", "covered", "targets")
-"""Readings of V_orig, the voxels that occlusion is a share of; see :func:`occlusion_terms`."""
+"""The three readings of V_orig, the denominator of occlusion; see :func:`occlusion_terms`."""
 
 
 class Sets(Protocol):
-    """Sets of a tile's voxels, exact or soft, as metrics count them.
+    """The operations on sets of a tile's voxels that metrics use.
 
-    See :mod:`inspe_jax.scoring.reading`, which has both kinds and more operations.
+    :mod:`inspe_jax.scoring.reading` has both implementations, exact and soft.
     """
 
     def voxels(self, tile: Tile) -> Any:
@@ -33,7 +41,7 @@ class Sets(Protocol):
         """Intersection of two sets."""
 
     def outside(self, a: Any, b: Any) -> Any:
-        """The voxels of ``a`` that are not in ``b``, a part of ``a``."""
+        """The voxels of ``a`` that are not in ``b``, a subset of ``a``."""
 
     def any_of(self, rows: Any, failures: Groups | None) -> Any:
         """Union of all rows (S, …), and of all but each group's: (1 + G, …)."""
@@ -46,13 +54,13 @@ class Sets(Protocol):
 
 
 class Evidence(NamedTuple):
-    """What metrics are of: what is counted of a scene with T frames, L columns and V voxels.
+    """What metrics are computed from: the counts of a scene with T frames and L columns.
 
-    ``covered``: f, as the share of each column's levels that some sensor has in view; ``weight`` of
-    the columns' regions. ``seen`` and ``original``: |V_orig| − |V_occ| and |V_orig| in each frame
-    (:func:`occlusion_terms`). ``remaining`` and ``entropy``: H(Ω|P) and H(Ω)
-    (:func:`entropy_terms`). ``terms``: what else the metrics of the registry ask for, by name,
-    summed over the tiles.
+    ``covered`` is f, as the share of each column's levels that some sensor has in view; ``weight``
+    is that of the columns' regions. ``seen`` and ``original`` are |V_orig| − |V_occ| and |V_orig|
+    in each frame (:func:`occlusion_terms`). ``remaining`` and ``entropy`` are H(Ω|P) and H(Ω) in
+    nats (:func:`entropy_terms`). ``terms`` holds the further terms of the registry's metrics by
+    name, summed over the tiles.
     """
 
     covered: Float[Array, "1+G L"]
@@ -65,10 +73,10 @@ class Evidence(NamedTuple):
 
 
 def coverage(covered: Float[Array, "... L"], weight: Float[Array, " L"]) -> Float[Array, "..."]:
-    """C = Σ w f / Σ w: the weighted share of voxels that some sensor ray passes through.
+    """C = Σ w_i f(V_i) / Σ w_i: the weighted share of voxels that some sensor ray passes through.
 
-    ``covered`` is f fused over the sensors, of voxels or as a share of each column's; ``weight`` is
-    that of their regions.
+    ``covered`` is f of all sensors together, for each of L voxels, or its mean over each of L
+    columns. ``weight`` is the weight w of their regions.
     """
     return dot(covered, weight) / dot(jnp.ones_like(covered), weight)
 
@@ -78,13 +86,17 @@ def occlusion_terms(
 ) -> tuple[Num[Array, "1+G F"], Num[Array, "1+G F"]]:
     """(|V_orig| − |V_occ|, |V_orig|) of one tile in F frames.
 
-    ``union`` is what is in view of some sensor and in its line of sight, ``covered`` what is in
-    view of some sensor; ``free`` are the voxels outside every vehicle, ``solid`` those inside one:
-    sets of ``reading``. The paper leaves V_orig open. ``roi``: every voxel of the region of
-    interest, occluded unless some sensor sees it; the only reading that puts O below C throughout,
-    as Table 2 has it. ``covered``: those that some sensor has in view. ``targets``: the vehicles'
-    own voxels, which their own vehicle does not hide. Under the first two the solid voxels belong
-    to neither set.
+    Arguments are sets of ``reading``: ``union`` is what some sensor has in view and in line of
+    sight, ``covered`` what some sensor has in view, ``free`` the voxels outside every vehicle, and
+    ``solid`` those inside one. The paper leaves V_orig open. ``reference`` says which voxels it
+    has:
+
+    - ``roi``: every voxel of the region of interest. A voxel is occluded unless some sensor sees
+      it. Only this reading puts O below C throughout, as in the paper's Table 2.
+    - ``covered``: the voxels that some sensor has in view.
+    - ``targets``: the voxels inside vehicles. A vehicle does not hide its own voxels.
+
+    Under ``roi`` and ``covered``, voxels inside vehicles belong neither to V_orig nor to V_occ.
     """
     counted = solid if reference == "targets" else free
     seen = union.count(counted)
@@ -103,8 +115,8 @@ def unknown_reference(reference: str) -> InspeError:
 def occlusion(seen: Float[Array, "T ..."], original: Float[Array, "T ..."]) -> Float[Array, "..."]:
     """O = mean over frames of 1 − |V_occ| / |V_orig|; higher is better.
 
-    Takes the terms of :func:`occlusion_terms`, a row a frame. A frame with no
-    target has no share and is left out of the mean; with none at all O is 0.
+    ``seen`` and ``original`` are the terms of :func:`occlusion_terms`, one row a frame. A frame in
+    which V_orig is empty is left out of the mean; if it is empty in all frames, O is 0.
     """
     has = original > 0
     share = jnp.where(has, seen / jnp.where(has, original, 1.0), 0.0)
@@ -112,21 +124,22 @@ def occlusion(seen: Float[Array, "T ..."], original: Float[Array, "T ..."]) -> F
 
 
 def entropy(p: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Binary entropy H(p) in nats; 0 at p = 0 and p = 1."""
+    """Binary entropy H(p) = −p ln p − (1 − p) ln(1 − p) in nats; 0 at p = 0 and p = 1."""
     return -_x_log_x(p) - _x_log_x(1.0 - p)
 
 
 def _x_log_x(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """x ln x, 0 at 0; the inner choice keeps the logarithm from ever seeing a 0."""
+    """x ln x, and 0 at 0. The inner choice keeps ln 0 out of the gradient."""
     return x * jnp.log(jnp.where(x > 0, x, 1.0))
 
 
 def resolved(
     visible: Float[Array, "S V"], reliability: Float[Array, " S"], failures: Groups | None
 ) -> Float[Array, "1+G V"]:
-    """q_i, the chance that the sensors resolve a voxel: 1 − ∏ (1 − reliability · visibility).
+    """q_i = 1 − ∏_s (1 − ρ_s v_si), the chance that some sensor resolves voxel i.
 
-    ``visible`` is f, or the share of frames in which a sensor sees the voxel.
+    ``reliability`` is ρ. ``visible`` is v: f, or the share of frames in which sensor s sees voxel
+    i.
     """
     each = jnp.reshape(reliability, (-1,) + (1,) * (visible.ndim - 1))
     return leave_one_out(visible * each, failures)
@@ -135,11 +148,12 @@ def resolved(
 def entropy_terms(
     resolved: Float[Array, "... V"], occupancy: Float[Array, " V"]
 ) -> tuple[Float[Array, "..."], Float[Array, ""]]:
-    """(H(Ω|P), H(Ω)) of some voxels: what of their entropy remains, and all of it.
+    """(H(Ω|P), H(Ω)) of some voxels in nats: the entropy that remains, and all of it.
 
-    ``resolved`` is q_i of :func:`resolved`; ``occupancy`` is p̂_i, the share of frames in which a
-    voxel is occupied. H(Ω|P) is read as what remains, Σ (1 − q_i) H_i: for an erasure channel this
-    makes IG the mutual information.
+    H(Ω) = Σ H(p̂_i) and H(Ω|P) = Σ (1 − q_i) H(p̂_i). ``occupancy`` is p̂_i, the share of frames in
+    which voxel i is occupied; ``resolved`` is q_i of :func:`resolved`. The paper's H(Ω|P) is read
+    here as the entropy that remains. For an erasure channel, IG is then the mutual information
+    divided by H(Ω).
     """
     h = entropy(occupancy)
     return dot(1.0 - resolved, h), dot(jnp.ones_like(h), h)
@@ -148,11 +162,11 @@ def entropy_terms(
 def information_gain(
     remaining: Float[Array, "..."], total: Float[Array, ""]
 ) -> Float[Array, "..."]:
-    """IG = 1 − H(Ω|P)/H(Ω), the share of the occupancy entropy that the sensors resolve.
+    """IG = 1 − H(Ω|P) / H(Ω), the share of the occupancy's entropy that the sensors resolve.
 
-    Takes the terms of :func:`entropy_terms`, summed over all voxels; 0 without entropy.
-    As printed, with H(Ω|P) summed over the visible voxels, it would be 1 − IG, and fall
-    as sensors see more.
+    ``remaining`` and ``total`` are the terms of :func:`entropy_terms`, summed over all voxels. IG
+    is 0 where there is no entropy. The paper prints H(Ω|P) as a sum over the visible voxels. That
+    would give 1 − IG, which falls as sensors see more, against Table 2.
     """
     some = total > 0  # without entropy nothing is resolved: 0, not NaN
     return jnp.where(some, 1.0 - remaining / jnp.where(some, total, 1.0), 0.0)
@@ -165,11 +179,11 @@ def information_gain(
 class Metric:
     """A row of the registry: a metric between 0 and 1, higher is better.
 
-    ``name`` in records and options, ``symbol`` in tables, its usual ``weight`` in P_sm, and a
-    line that says what it is. ``value`` takes the :class:`Evidence` of a scene and gives the metric
-    (1 + G,). ``terms``, where it needs more than the evidence has: a function of a reading, a tile,
-    what each sensor has in view of it and the failures, whose arrays are summed over the tiles and
-    handed on as ``evidence.terms[name]``.
+    ``name`` is used in records and options, ``symbol`` in tables. ``weight`` is the usual one in
+    P_sm. ``summary`` says in one line what the metric is. ``value`` gives the metric (1 + G,) from
+    the :class:`Evidence` of a scene. ``terms`` is for a metric that needs more than the evidence
+    has: a function of (reading, tile, the sets that each sensor has in view, failures) that gives
+    arrays. They are summed over the tiles and are then ``evidence.terms[name]``.
     """
 
     name: str
@@ -211,14 +225,14 @@ METRICS: dict[str, Metric] = {
         ),
     )
 }
-"""The metrics by name, in the paper's order. A further row is scored, listed, saved and searched
-for wherever these are."""
+"""The metrics by name, in the paper's order. A further row appears in scores, tables and saved
+results, and can have weight in P_sm, with no other change."""
 
 
 def tile_terms(
     metrics: Sequence[Metric], reading: Sets, tile: Tile, views: Any, failures: Groups | None
 ) -> dict[str, Any]:
-    """What metrics ask for beside the evidence of all, of one tile, by name."""
+    """The further terms that metrics ask for, of one tile, by the metric's name."""
     return {
         metric.name: metric.terms(reading, tile, views, failures)
         for metric in metrics
@@ -227,9 +241,10 @@ def tile_terms(
 
 
 def surrogate(scores: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
-    """P_sm = 0.3 C + 0.5 O + 0.2 IG: the weighted sum of metrics by name.
+    """P_sm = Σ weight · metric; with the paper's weights, 0.3 C + 0.5 O + 0.2 IG.
 
-    ``weights`` as :func:`weights_of` gives them; they may be traced.
+    Both arguments are by the metric's name. ``weights`` have every metric, as :func:`weights_of`
+    gives them; they may be traced.
     """
     terms = [weights[name] * scores[name] for name in METRICS]
     return sum(terms[1:], terms[0])
@@ -238,22 +253,23 @@ def surrogate(scores: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
 SURROGATE = Metric(
     "surrogate", "P_sm", 0.0, "the weighted sum of the metrics", lambda found: jnp.zeros(())
 )
-"""P_sm as a row of tables; :func:`surrogate` is what it is."""
+"""P_sm as a row of tables. Its value is that of :func:`surrogate`, not of the row."""
 
 
 def listed() -> tuple[Metric, ...]:
-    """What tables of scores list: every metric, and P_sm after them."""
+    """The rows of a table of scores: every metric, then P_sm."""
     return (*METRICS.values(), SURROGATE)
 
 
 Weights = Mapping[str, float] | Sequence[float] | None
-"""Weights by name of the metric; or numbers, those of the paper's three in their order."""
+"""Weights by the metric's name; or three numbers, for C, O and IG."""
 
 
 def weights_of(given: Weights = None) -> dict[str, float]:
-    """The weight of every metric in P_sm: the usual ones, or those given and else 0.
+    """The weight of every metric in P_sm.
 
-    Raises InspeError where one is of no metric or negative, or they do not sum to 1.
+    None gives the usual weights; otherwise a metric that is not given has weight 0. Raises
+    InspeError where a name is of no metric, a weight is negative, or they do not sum to 1.
     """
     if given is None:
         return {name: metric.weight for name, metric in METRICS.items()}
@@ -261,7 +277,8 @@ def weights_of(given: Weights = None) -> dict[str, float]:
         paper = tuple(METRICS)[:3]
         if len(given) != len(paper):
             raise InspeError(
-                f"weights {tuple(given)}: {len(paper)} numbers, of {', '.join(paper)}; or by name"
+                f"weights {tuple(given)}: give {len(paper)} numbers, for {', '.join(paper)}; or "
+                "weights by name"
             )
         given = dict(zip(paper, given, strict=True))
     for name in given:
@@ -273,5 +290,5 @@ def weights_of(given: Weights = None) -> dict[str, float]:
     weights = {name: float(given.get(name, 0.0)) for name in METRICS}
     if not abs(sum(weights.values()) - 1.0) < 1e-6 or min(weights.values()) < 0:
         words = ", ".join(f"{name} {value:g}" for name, value in weights.items())
-        raise InspeError(f"weights {words}: none may be negative, and they must sum to 1")
+        raise InspeError(f"weights {words}: no weight may be negative, and they must sum to 1")
     return weights

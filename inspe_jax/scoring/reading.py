@@ -1,15 +1,15 @@
-"""The two readings of what sensors see: exactly, as bits, or softly, as numbers.
+"""The two readings of what sensors see: exact, as bits, or soft, as numbers.
 
 Scores are counts of sets of voxels. :mod:`inspe_jax.scoring.accumulate` and
-:mod:`inspe_jax.scoring.metrics` say which sets, once, over the operations of this module; only
-this module knows how a set is kept. With F frames, C columns and Z levels in a tile:
+:mod:`inspe_jax.scoring.metrics` say which sets, once for both readings. Only this module knows how
+a set is stored. With F frames, C columns and Z levels in a tile:
 
 - :class:`Bits`: a mask for each column with a bit for each level, (C,), and (F, C) in F frames.
   Exact in any order, 32 voxels in one operation.
 - :class:`Numbers`: the chance of each voxel, (Z, C), and (Z, F, C) in F frames. Differentiable.
 
-Both have the same methods. ``rows`` are one set for each sensor, (S, …); what is without each
-group of failures has 1 + G rows, the first of all sensors.
+Both have the same methods. ``rows`` are one set for each sensor, (S, …). A result for G groups of
+failures has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
 """
 
 from collections.abc import Callable
@@ -30,14 +30,14 @@ from inspe_jax.visibility.shadows import WON, clear_masks, may_shade, shadow_bou
 from inspe_jax.visibility.tiles import Tile, solid_in
 
 TOGETHER = 20
-"""Frames that are read softly together: what a tile needs of them stays in a core's cache."""
+"""Frames that are read softly at once: what a tile needs of so many stays in a core's cache."""
 
 
 class Frames(NamedTuple):
     """F frames of one tile.
 
-    ``prisms`` (F, B); ``solid`` (F, C), masks of the voxels inside a vehicle; ``real`` (F,), 1 for
-    every frame and 0 for padding, or None where there is no padding.
+    ``prisms`` (F, B) are the road users. ``solid`` (F, C) are masks of the voxels inside a vehicle.
+    ``real`` (F,) is 1 for a frame and 0 for padding; None means that there is no padding.
     """
 
     prisms: Prism
@@ -46,9 +46,9 @@ class Frames(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """What is asked for: the two readings that the paper leaves open, and which metrics.
+    """What is asked of a score: the two options that the paper leaves open, and which metrics.
 
-    Static in what is compiled.
+    Options as in :func:`inspe_jax.evaluate`. Static: another value compiles another program.
     """
 
     occlusion_reference: str = "roi"
@@ -57,22 +57,22 @@ class Asked(NamedTuple):
 
     @classmethod
     def of(cls, occlusion_reference: str = "roi", visibility: str = "in_view") -> "Asked":
-        """These readings, and all metrics of the registry."""
+        """These options and all metrics of the registry."""
         return cls(occlusion_reference, visibility, tuple(METRICS.values()))
 
     @property
     def counts_sight(self) -> bool:
-        """Whether it is asked in how many frames each sensor sees each voxel."""
+        """Whether the number of frames in which each sensor sees each voxel is needed."""
         return self.visibility != "in_view"
 
     @property
     def ignores_self_occlusion(self) -> bool:
-        """Whether other vehicles alone hide what is inside one."""
+        """Whether a voxel inside a vehicle is hidden by other vehicles only."""
         return self.occlusion_reference == "targets" or self.visibility == "past_others"
 
     @property
     def sight_apart(self) -> bool:
-        """Whether that holds for occlusion, but not for information gain."""
+        """Whether occlusion ignores self-occlusion, but information gain does not."""
         return self.ignores_self_occlusion and self.visibility == "line_of_sight"
 
 
@@ -80,9 +80,9 @@ class Counts(NamedTuple):
     """What is counted over the voxels of tiles: whole numbers, or softly sums of chances.
 
     ``seen`` and ``original``: |V_orig| − |V_occ| and |V_orig| of occlusion in each frame, of all
-    sensors in row 0 and without group g in row 1 + g. ``columns``: in how many frames the voxels of
-    a column are seen, outside vehicles, added up over the column. ``sights``: in how many frames
-    each sensor sees each voxel, or None where nobody asks.
+    sensors in row 0 and without group g in row 1 + g. ``columns``: for each column, the number of
+    pairs of a voxel and a frame in which the voxel is outside vehicles and seen. ``sights``: in how
+    many frames each sensor sees each voxel, or None where that is not needed.
     """
 
     seen: Num[Array, "1+G F"]
@@ -91,11 +91,11 @@ class Counts(NamedTuple):
     sights: Num[Array, "S *N C Z"] | None
 
 
-Row = tuple[Float[Array, "3"], Any, Any]
-"""One sensor's position, what its shadows need, and what it has in view."""
-Look = Callable[[Row], tuple[Any, Any]]
-"""From a sensor's row to the set that it sees in each frame, and in how many frames it sees each
-voxel, or None."""
+SensorRow = tuple[Float[Array, "3"], Any, Any]
+"""One sensor: its position, what its shadows need, and the set that it has in view."""
+SeeFrom = Callable[[SensorRow], tuple[Any, Any]]
+"""Gives, for one sensor, the set that it sees in each frame, and the number of frames in which it
+sees each voxel, or None."""
 
 
 # ── Exactly ─────────────────────────────────────────────────────────────────
@@ -103,13 +103,16 @@ voxel, or None."""
 
 @dataclass(frozen=True)
 class BitUnion:
-    """What some sensor sees in each frame, and what one group of sensors alone sees."""
+    """What some sensor sees in each frame.
+
+    ``alone`` counts, for each group, the voxels of a set that no other sensor sees.
+    """
 
     all: UInt[Array, "F C"]
     alone: Callable[[UInt[Array, "F C"]], Int[Array, "G F"]]
 
     def count(self, of: UInt[Array, "F C"]) -> Int[Array, "1+G F"]:
-        """How many voxels of a set are seen: by all sensors, and without each group."""
+        """How many voxels of a set some sensor sees: of all sensors, and without each group."""
         seen = bitmask.count(self.all & of).sum(1)
         return jnp.concatenate([seen[None], seen[None] - self.alone(of)])
 
@@ -149,11 +152,11 @@ class Bits:
     def count_both(
         self, rows: UInt[Array, "1+G C"], found: UInt[Array, "F C"]
     ) -> Int[Array, "1+G F"]:
-        """How many voxels of each row are in a set, in each frame: row by row."""
+        """How many voxels of each row are in a set, in each frame."""
         return jax.lax.map(lambda row: self.count(row[None] & found), rows)
 
     def column_sums(self, found: UInt[Array, "F C"], frames: Frames) -> Int[Array, " C"]:
-        """Voxels of a set in each column, added up over the frames."""
+        """How many voxels of a set each column has, summed over the frames."""
         return bitmask.count(found).sum(0)
 
     def level_sums(
@@ -163,7 +166,7 @@ class Bits:
         return bitmask.count_levels(found, levels)
 
     def shadows(self, sensors: Float[Array, "S 3"], prisms: Prism) -> Any:
-        """What each sensor's shadows need, for all tiles."""
+        """What each sensor's shadows need, the same for all tiles."""
         return jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
 
     def line_of_sight(
@@ -175,13 +178,13 @@ class Bits:
         return clear, clear if asked.visibility == "past_others" else clear & ~frames.solid
 
     def over_sensors(
-        self, look: Look, rows: Row, frames: Frames, failures: Groups | None
+        self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
     ) -> tuple[BitUnion, Any]:
-        """The union of what the sensors see, and each one's number of frames in sight.
+        """The union of what the sensors see, and in how many frames each sees each voxel.
 
-        Only sensors that have some of the tile in view are gone through, one group after the other.
-        What ``once`` has is seen by a sensor, what ``twice`` has by two groups: so what a group
-        sees that is not in ``twice``, it alone sees, and that is lost without it.
+        The loop takes only the sensors that have some of the tile in view, one group after the
+        other. ``once`` holds what some sensor sees, ``twice`` what two groups or more see. What a
+        group sees outside ``twice``, it alone sees: without the group, that is lost.
         """
         views = rows[2]
         groups = 0 if failures is None else len(failures.first)
@@ -195,31 +198,31 @@ class Bits:
             """Whether the sensor is the first of its group."""
             return (i == 0) | (group[listed[i]] != group[listed[i - 1]])
 
-        def add(i: Array, state: tuple) -> tuple:
-            once, twice, before, kept, sights = state
-            visible, sight = look(jax.tree.map(lambda leaf: leaf[listed[i]], rows))
-            before = jnp.where(opens(i), once, before)
+        def add_sensor(i: Array, state: tuple) -> tuple:
+            once, twice, before, each, sights = state
+            visible, sight = see_from(jax.tree.map(lambda leaf: leaf[listed[i]], rows))
+            before = jnp.where(opens(i), once, before)  # what the groups before this one see
             if groups:
-                kept = kept.at[i].set(visible)
+                each = each.at[i].set(visible)
             sights = jax.tree.map(lambda all_, one: all_.at[listed[i]].set(one), sights, sight)
-            return once | visible, twice | (before & visible), before, kept, sights
+            return once | visible, twice | (before & visible), before, each, sights
 
-        visible, sight = jax.eval_shape(look, jax.tree.map(lambda leaf: leaf[0], rows))
+        visible, sight = jax.eval_shape(see_from, jax.tree.map(lambda leaf: leaf[0], rows))
         none = jnp.zeros(visible.shape, visible.dtype)
-        kept = jnp.zeros((len(views) if groups else 0, *none.shape), none.dtype)
+        each = jnp.zeros((len(views) if groups else 0, *none.shape), none.dtype)
         sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sight)
-        start = none, none, none, kept, sights
-        once, twice, _, kept, sights = jax.lax.fori_loop(0, number, add, start)
+        start = none, none, none, each, sights
+        once, twice, _, each, sights = jax.lax.fori_loop(0, number, add_sensor, start)
 
         def alone(of: UInt[Array, "F C"]) -> Int[Array, "G F"]:
-            def lose(i: Array, state: tuple) -> tuple:
+            def add_lost(i: Array, state: tuple) -> tuple:
                 lost, taken = state
                 taken = jnp.where(opens(i), jnp.zeros_like(taken), taken)
-                own = kept[i] & ~twice & of & ~taken
+                own = each[i] & ~twice & of & ~taken
                 return lost.at[group[listed[i]]].add(self.count(own)), taken | own
 
             lost = jnp.zeros((groups, len(none)), int)
-            return jax.lax.fori_loop(0, number, lose, (lost, none))[0] if groups else lost
+            return jax.lax.fori_loop(0, number, add_lost, (lost, none))[0] if groups else lost
 
         return BitUnion(once, alone), sights
 
@@ -233,17 +236,20 @@ class Bits:
 
 @dataclass(frozen=True)
 class NumberUnion:
-    """The chance that some sensor sees a voxel in a frame: all sensors, and all but each group."""
+    """The chance that some sensor sees a voxel in a frame.
+
+    Row 0 is of all sensors, row 1 + g of all but group g.
+    """
 
     rows: Float[Array, "1+G Z F C"]
 
     @property
     def all(self) -> Float[Array, "Z F C"]:
-        """Of all sensors."""
+        """What some sensor sees, of all sensors."""
         return self.rows[0]
 
     def count(self, of: Float[Array, "Z F C"]) -> Float[Array, "1+G F"]:
-        """How many voxels of a set are seen: by all sensors, and without each group."""
+        """How many voxels of a set some sensor sees: of all sensors, and without each group."""
         return (self.rows * of[None]).sum(1).sum(-1)
 
 
@@ -251,8 +257,8 @@ class NumberUnion:
 class Numbers:
     """Margins read with a softness; a set is a chance for each voxel.
 
-    Kept for the gradient, every frame's sight lines would not fit in memory: what is cheap to find
-    again is found again. ``softness`` itself has no gradient.
+    The sight lines of all frames would not fit in memory, so for the gradient what is cheap is
+    computed again. ``softness`` itself has no gradient.
     """
 
     softness: Softness
@@ -266,7 +272,7 @@ class Numbers:
         return found[..., None, :]
 
     def solid(self, frames: Frames, levels: int) -> Float[Array, "Z F C"]:
-        """The voxels inside a vehicle, which do not depend on sensors: read exactly."""
+        """The voxels inside a vehicle. They do not depend on sensors and are read exactly."""
         return self._chances(frames.solid, levels)
 
     def both(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -274,7 +280,7 @@ class Numbers:
         return a * b
 
     def outside(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The voxels of set ``a`` that are not in ``b``, a part of ``a``."""
+        """The voxels of set ``a`` that are not in ``b``, a subset of ``a``."""
         return a - b
 
     def any_of(
@@ -294,7 +300,7 @@ class Numbers:
         return (rows[:, :, None] * found[None]).sum(1).sum(-1)
 
     def column_sums(self, found: Float[Array, "Z F C"], frames: Frames) -> Float[Array, " C"]:
-        """Voxels of a set in each column, added up over the frames."""
+        """How many voxels of a set each column has, summed over the frames."""
         return (found.sum(0) * self._real(frames)[:, None]).sum(0)
 
     def level_sums(
@@ -304,12 +310,13 @@ class Numbers:
         return (found * self._real(frames)[None, :, None]).sum(1).T
 
     def shadows(self, sensors: Float[Array, "S 3"], prisms: Prism) -> Any:
-        """Nothing: what shadows need is found tile by tile, to be found again for the gradient."""
+        """None: what shadows need is found tile by tile, and again for the gradient."""
 
     def line_of_sight(
         self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
     ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
-        """The chance of line of sight to a sensor: for occlusion, and for information gain."""
+        """The chance that each voxel is in line of sight: for occlusion, and for information
+        gain."""
         width = self.softness.shadow
         reach = 0.0 if width is None else REACH * width
         spared = self.solid(frames, len(tile.heights)) > 0
@@ -327,22 +334,23 @@ class Numbers:
         return read(sensor)
 
     def over_sensors(
-        self, look: Look, rows: Row, frames: Frames, failures: Groups | None
+        self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
     ) -> tuple[NumberUnion, Any]:
-        """The union of what the sensors see, and each one's number of frames in sight.
+        """The union of what the sensors see, and in how many frames each sees each voxel.
 
-        A sensor that has nothing of the tile in view sees nothing, at no cost.
+        A sensor that has nothing of the tile in view is skipped.
         """
 
-        def unless_blind(row: Row) -> tuple[Any, Any]:
-            nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(look, row))
-            return jax.lax.cond((row[2] > 0).any(), look, lambda _: nothing, row)
+        def see_unless_blind(row: SensorRow) -> tuple[Any, Any]:
+            shapes = jax.eval_shape(see_from, row)
+            nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+            return jax.lax.cond((row[2] > 0).any(), see_from, lambda _: nothing, row)
 
-        visible, sights = jax.lax.map(unless_blind, rows)
+        visible, sights = jax.lax.map(see_unless_blind, rows)
         return NumberUnion(leave_one_out(visible, failures)), sights
 
     def in_parts(self, work: Callable[[Frames], Counts], frames: Frames) -> Counts:
-        """``work`` on :data:`TOGETHER` frames after another, found again for the gradient."""
+        """``work`` on :data:`TOGETHER` frames at a time, computed again for the gradient."""
         total = len(frames.prisms.top)
         parts = -(-total // TOGETHER)
         each = -(-total // parts)
@@ -353,6 +361,7 @@ class Numbers:
             return x.reshape(parts, each, *x.shape[1:])
 
         def joined(x: Array) -> Array:
+            """(parts, 1 + G, each) as (1 + G, F), without the padding."""
             return x.swapaxes(0, 1).reshape(x.shape[1], -1)[:, :total]
 
         found = jax.lax.map(
@@ -368,17 +377,17 @@ class Numbers:
     def views(
         self, tile: Tile, poses: Float[Array, "S 6"], sensors: Any, half: float | Array
     ) -> Float[Array, "S Z C"]:
-        """The chance that each sensor has each voxel of a tile in view."""
+        """The chance that each sensor has each voxel of a tile in view; ``half`` an edge [m]."""
 
-        def look(one: tuple[Array, Any, Array]) -> Array:
-            kind, table, pose = one
+        def view(sensor: tuple[Array, Any, Array]) -> Array:
+            kind, table, pose = sensor
             return soft_view(sensors.kinds, kind, table, half, self.softness, pose, tile)
 
         each = jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses
-        return jax.lax.map(look, each)
+        return jax.lax.map(view, each)
 
     def frames(self, tile: Tile, prisms: Prism) -> Frames:
-        """Frames of a tile, from their prisms."""
+        """Frames of a tile, with the masks of its solid voxels found from the prisms."""
         return Frames(prisms, solid_in(tile, prisms))
 
     @staticmethod
@@ -389,6 +398,7 @@ class Numbers:
 
     @staticmethod
     def _real(frames: Frames) -> Float[Array, " F"]:
+        """1 for every frame, 0 for padding."""
         return jnp.ones(len(frames.prisms.top)) if frames.real is None else frames.real
 
 

@@ -1,5 +1,7 @@
-"""The sensors of a layout as arrays, their kinds apart: one compiled program serves many
-layouts."""
+"""The sensors of a layout as arrays.
+
+Only the kinds of their ray grids are fixed, so one compiled program serves many layouts.
+"""
 
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -14,12 +16,15 @@ from inspe_jax.core.arrays import bucket, on_device
 from inspe_jax.core.numerics import Groups
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.rays import Kind, RayTable
-from inspe_jax.sensing.sensors import RayGrid, longer
+from inspe_jax.sensing.sensors import RayGrid, repeat_last
 
 
 class SensorSet(NamedTuple):
-    """The sensors' fixed side: ``groups`` of one ray grid, ``reliability`` (S,), and the
-    ``failures``, groups of sensors that are left out in turn."""
+    """What is fixed of a layout's sensors as their poses change.
+
+    ``groups`` are the sensors of each ray grid, by number; ``reliability`` (S,) is each sensor's;
+    ``failures`` are groups of sensors that are left out in turn.
+    """
 
     groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]
     reliability: tuple[float, ...]
@@ -32,17 +37,17 @@ class SensorSet(NamedTuple):
 
 
 SENSORS = 4
-"""Sensors that there is room for, at least."""
+"""Least number of places for sensors."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SensorArray:
-    """The sensors' fixed side as arrays: what is compiled serves other sensors of these kinds.
+    """A :class:`SensorSet` as arrays: a compiled program serves other sensors of these kinds.
 
-    There is room for S sensors, the first ones being those of a :class:`SensorSet`. ``kind`` (S,)
-    is the number of each one's kind among ``kinds``; where it is none of them, there is no sensor.
-    ``table`` are the numbers of each one's grid of rays.
+    There are S places for sensors, and the first ones are taken. ``kind`` (S,) is the number of
+    each sensor's kind among ``kinds``, or their count where the place is empty. ``table`` holds the
+    numbers of each sensor's ray grid.
     """
 
     table: RayTable
@@ -51,17 +56,17 @@ class SensorArray:
     failures: Groups | None
     kinds: tuple[Kind, ...] = field(metadata={"static": True})
 
-    def filled(self, poses: Float[Array | np.ndarray, "s 6"]) -> Any:
-        """Poses of the sensors, and the first one's again where there is none; traced or not."""
-        return filled_up(poses, len(self.kind))
+    def padded(self, poses: Float[Array | np.ndarray, "s 6"]) -> Any:
+        """The sensors' poses, with the first one repeated for every empty place; traced or not."""
+        return pad_rows(poses, len(self.kind))
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(1,))
-def filled_up(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
-    """So many rows, the first one repeated at the end.
+def pad_rows(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
+    """``count`` rows: those given, then the first one repeated.
 
-    A function of its own, with a slope of its own, to be worked out in NumPy unless it is traced:
-    else a program would be compiled for every number of rows.
+    It works in NumPy unless ``rows`` is traced, and so does its gradient: JAX would compile a
+    program for every number of rows.
     """
     if isinstance(rows, jax.core.Tracer):
         return jnp.concatenate([rows, jnp.repeat(rows[:1], count - len(rows), 0)])
@@ -69,12 +74,12 @@ def filled_up(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
     return np.concatenate([rows, np.repeat(rows[:1], count - len(rows), 0)])
 
 
-def _filled_up_forward(rows: Any, count: int) -> tuple[Any, Any]:
-    return filled_up(rows, count), np.zeros(len(rows), bool)
+def _pad_rows_forward(rows: Any, count: int) -> tuple[Any, Any]:
+    return pad_rows(rows, count), np.zeros(len(rows), bool)
 
 
-def _filled_up_backward(count: int, kept: Any, slope: Any) -> tuple[Any]:
-    number = len(kept)
+def _pad_rows_backward(count: int, rows: Any, slope: Any) -> tuple[Any]:
+    number = len(rows)
     if isinstance(slope, jax.core.Tracer):
         return (slope[:number].at[0].add(slope[number:].sum(0)),)
     slope = np.array(slope)
@@ -82,31 +87,31 @@ def _filled_up_backward(count: int, kept: Any, slope: Any) -> tuple[Any]:
     return (on_device(slope[:number]),)
 
 
-filled_up.defvjp(_filled_up_forward, _filled_up_backward)
+pad_rows.defvjp(_pad_rows_forward, _pad_rows_backward)
 
 
 @lru_cache(maxsize=64)
-def sensor_array(crew: SensorSet, spare: int = 0) -> SensorArray:
-    """The arrays of a crew, with room for ``spare`` sensors more at least."""
-    kinds = tuple(sorted({grid.kind for grid, _ in crew.groups}, key=lambda kind: kind.name))
-    grids = {s: grid for grid, index in crew.groups for s in index}
+def sensor_array(sensor_set: SensorSet, spare: int = 0) -> SensorArray:
+    """A sensor set as arrays, with at least ``spare`` empty places."""
+    kinds = tuple(sorted({grid.kind for grid, _ in sensor_set.groups}, key=lambda kind: kind.name))
+    grids = {s: grid for grid, index in sensor_set.groups for s in index}
     count, room = len(grids), bucket(len(grids) + spare, SENSORS)
     tables = [grids[min(s, count - 1)].table for s in range(room)]
     lengths = [max(len(table[k]) for table in tables) for k in range(2)]
     tables = [
         table._replace(
-            rows=longer(table.rows, lengths[0]), nearest=longer(table.nearest, lengths[1])
+            rows=repeat_last(table.rows, lengths[0]), nearest=repeat_last(table.nearest, lengths[1])
         )
         for table in tables
     ]
     kind = [kinds.index(grids[s].kind) for s in range(count)] + [len(kinds)] * (room - count)
-    reliability = np.pad(np.array(crew.reliability, float), (0, room - count))
-    each = len(crew.failures) == count
-    groups = room if each else bucket(len(crew.failures), SENSORS)
+    reliability = np.pad(np.array(sensor_set.reliability, float), (0, room - count))
+    each = len(sensor_set.failures) == count
+    groups = room if each else bucket(len(sensor_set.failures), SENSORS)
     return SensorArray(
         RayTable(*(np.stack(column) for column in zip(*tables, strict=True))),
         np.array(kind, np.int32),
         reliability,
-        Groups.of_rows(crew.failures, room, groups),
+        Groups.of_rows(sensor_set.failures, room, groups),
         kinds,
     )

@@ -1,9 +1,9 @@
-"""Soft scores, tile by tile: what gradients are of.
+"""Soft scores, tile by tile: the scores that have gradients.
 
-A soft reading is certain beyond its width (:func:`inspe_jax.core.numerics.step`), so whole tiles
-are told apart from most fields of view and most shadows, and nothing is left out. (Where there are
-more levels than bits in a word, the vehicles that hide most are found for each slab of them, not
-for all.)
+A soft reading is exactly 0 or 1 beyond a few widths (:func:`inspe_jax.core.numerics.step`). So a
+tile that is far from a field of view or a shadow can skip it, and the result is the same. (Where
+there are more levels than bits in a word, the vehicles that hide most are found for each slab of
+levels, not for the whole column.)
 """
 
 from functools import partial
@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile
-from inspe_jax.scoring.exact import joined
+from inspe_jax.scoring.exact import join_frames
 from inspe_jax.scoring.reading import Asked, Counts, Numbers
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.summary import MetricValues, summarise
@@ -25,7 +25,7 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility.tiles import Tile, unless_empty
 
 SIGHTS = "sights"
-"""Name of how often each sensor sees each voxel."""
+"""Name of an array kept for the gradient: in how many frames each sensor sees each voxel."""
 
 
 def measure_softly(
@@ -38,13 +38,13 @@ def measure_softly(
 ) -> MetricValues:
     """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
 
-    ``voxel`` is the edge of a voxel [m]. The chunks of ``tiled`` must have all tiles; masks of
-    solid voxels are not asked for, but found tile by tile. Differentiable in the poses, in reverse
-    mode; not in the softness.
+    ``voxel`` is the edge of a voxel [m]. Every chunk of ``tiled`` must have all tiles; it needs no
+    masks of solid voxels, which are found tile by tile. Differentiable in the poses, in reverse
+    mode, but not in the softness.
     """
     sensors = sensor_array(sensor_set)
     measured = read_softly(
-        tiled.bucketed, sensors.filled(poses), sensors, voxel, softness, asked=asked or Asked.of()
+        tiled.bucketed, sensors.padded(poses), sensors, voxel, softness, asked=asked or Asked.of()
     )
     return measured.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
@@ -59,21 +59,23 @@ def read_softly(
     *,
     asked: Asked,
 ) -> MetricValues:
-    """:func:`measure_softly` of arrays that are filled up: of the tiles' columns, and with a row
-    for each group of failures that there is room for."""
+    """:func:`measure_softly` of padded arrays.
+
+    The result has the tiles' columns, and a row for each group of failures that there is room for.
+    """
     numbers = Numbers(jax.lax.stop_gradient(softness))
     failures = sensors.failures
 
-    # Kept for the gradient, what every tile needs would be gigabytes; but for what would else have
-    # to be found by going through all frames once more.
+    # What every tile needs for the gradient would be gigabytes, so it is found again. Only the
+    # sights are kept: finding them again would take one more pass over all frames.
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SIGHTS))
-    def look(tile: Tile) -> tuple[Array, Array, Array, Counts, dict[str, Any]]:
+    def read_tile(tile: Tile) -> tuple[Array, Array, Array, Counts, dict[str, Any]]:
         f = numbers.views(tile, poses, sensors, voxel / 2)
         parts = []
         for chunk in tiled.chunks:
             frames = numbers.frames(tile, chunk.prisms)
             parts.append(count_tile(numbers, tile, f, poses[:, :3], None, frames, failures, asked))
-        counts, visible = joined(parts), f
+        counts, visible = join_frames(parts), f
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)
             visible = sights.swapaxes(1, 2) / tiled.frame_count  # (S, Z, C)
@@ -87,7 +89,7 @@ def read_softly(
         )
 
     tiles = tiled.tiles
-    columns, by_level, resolved, counts, terms = jax.lax.map(unless_empty(look), tiles.tile)
+    columns, by_level, resolved, counts, terms = jax.lax.map(unless_empty(read_tile), tiles.tile)
     columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
     by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])

@@ -1,4 +1,4 @@
-"""From what is counted tile by tile to the metrics of a scene."""
+"""The metrics of a scene, from the counts of its tiles."""
 
 from typing import Any, NamedTuple
 
@@ -13,11 +13,11 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 
 
 class MetricValues(NamedTuple):
-    """Every metric by name: of all sensors in row 0, of all but failure g in row 1 + g.
+    """Every metric by name: of all sensors in row 0, without group g of the failures in row 1 + g.
 
-    ``column_coverage`` and ``level_coverage`` are the shares in view of each column's and of each
-    level's voxels; ``seen_share`` is the share of frames and levels in which each column is seen;
-    ``entropy`` is H(Ω), what there is to gain.
+    ``column_coverage`` and ``level_coverage`` are the shares of each column's and of each level's
+    voxels that are in view. ``seen_share`` is the share of frames and levels in which each column
+    is seen. ``entropy`` is H(Ω) in nats, the entropy that sensors can resolve.
     """
 
     values: dict[str, Float[Array, " 1+G"]]
@@ -27,7 +27,8 @@ class MetricValues(NamedTuple):
     seen_share: Float[Array, " L"]
 
     def of_scene(self, place: Any, failures: int) -> "MetricValues":
-        """These of arrays that are filled up, as they are of a scene: its columns, so many rows."""
+        """The values of padded arrays as those of a scene: its columns at ``place``, and the rows
+        of so many failures."""
         if not isinstance(self.column_coverage, jax.core.Tracer):
             place, self = jax.tree.map(np.asarray, (place, self))
         rows = slice(1 + failures)
@@ -47,11 +48,11 @@ def summarise(
     terms: dict[str, Any],
     metrics: tuple[Metric, ...],
 ) -> MetricValues:
-    """The metrics of a scene, and what pictures show beside them.
+    """The metrics of a scene, and the shares that pictures show.
 
-    ``shares`` in view of each tile column's levels; ``by_level``, columns in view at each level;
-    ``entropy`` that remains and all of it; ``counts`` over all tiles; ``terms`` that metrics ask
-    for themselves. Columns stay those of the tiles.
+    ``shares`` are the shares of each column's levels in view; ``by_level`` is how many columns are
+    in view at each level; ``entropy`` is (H(Ω|P), H(Ω)); ``counts`` are those of all tiles;
+    ``terms`` are the further terms that metrics ask for. Columns are in the tiles' order.
     """
     slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
     seen = counts.columns.reshape(slabs, -1).sum(0)

@@ -1,6 +1,6 @@
-"""A scene as scores go through it: tiles of columns, runs of frames, masks of solid voxels.
+"""A scene as scores need it: tiles of columns, runs of frames, masks of solid voxels.
 
-Made once for a scene or a sample of one, the same for every layout.
+It is made once for a scene, or for a sample of one, and serves every layout.
 """
 
 from collections.abc import Callable
@@ -22,26 +22,27 @@ from inspe_jax.core.parallel import cores, untraced
 from inspe_jax.scene.scene import Scene
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center
-from inspe_jax.visibility.tiles import SHARES, Tile, Tiles, one_tile, solid, tiles_of
+from inspe_jax.visibility.tiles import CHUNKS, Tile, Tiles, one_tile, solid, tiles_of
 
 FRAMES = 128
-"""Frames that are gone through together: what a tile needs of them stays in a core's cache."""
+"""Frames in one chunk: what a tile needs of so many stays in a core's cache."""
 
-UNSURE = 4096
-"""Voxels that may have entropy that there is room for, at least, and that are gone through
-together."""
-MANY = 2**18
-"""Such voxels up to which three of four may be padding: gradients have numbers for each."""
+ENTROPIC = 4096
+"""Least length of the arrays of voxels that may have entropy; longer arrays are summed in parts of
+this length."""
+MANY_ENTROPIC = 2**18
+"""Up to this length three of four such voxels may be padding. Longer arrays are padded less: a
+gradient keeps numbers for every entry."""
 
 
 class SceneArrays(NamedTuple):
-    """What is scored: the scene's arrays, or a sample of them.
+    """The arrays of a scene, or of a sample of its columns and frames.
 
-    ``weight`` (V,) of the voxels' regions; ``occupancy`` (V,) is p̂, or None to take it from the
-    frames of ``ground``.
+    ``weight`` (V,) is the weight of each voxel's region. ``occupancy`` (V,) is p̂, the share of
+    frames in which a voxel is occupied; None means the share in the frames of ``centered``.
     """
 
-    ground: CenteredScene
+    centered: CenteredScene
     weight: Float[Array, " V"]
     occupancy: Float[Array, " V"] | None = None
 
@@ -49,11 +50,12 @@ class SceneArrays(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class WorkChunk:
-    """Some of the tiles and some of the frames: what one core goes through.
+    """Some of the tiles in some of the frames: the work of one core.
 
-    ``prisms`` (F, B); ``solid`` (n, F, C) are masks of the voxels inside a vehicle, None in a bare
-    world. The tiles are every ``step``-th from the ``first``, the frames those from ``begin``.
-    Where it is ``split``, every device has some of the frames.
+    ``prisms`` (F, B) are the road users of the frames. ``solid`` (n, F, C) are masks of the voxels
+    inside a vehicle, or None in a scene without masks. The tiles are every ``step``-th one from
+    ``first`` on; the frames start at ``begin``. If ``split``, the frames are divided among the
+    devices.
     """
 
     tile: Tile
@@ -66,24 +68,25 @@ class WorkChunk:
 
     @property
     def tiles(self) -> slice:
-        """The share's tiles among all."""
+        """Which of all tiles are in the chunk."""
         return slice(self.first, None, self.step)
 
     @property
     def frames(self) -> slice:
-        """The share's frames among all."""
+        """Which of all frames are in the chunk."""
         return slice(self.begin, self.begin + len(self.prisms.top))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TiledScene:
-    """What scores need of a scene, or of a sample of one, the same for every layout.
+    """What scores need of a scene or of a sample of one. It is the same for every layout.
 
-    ``weight`` (M·C,) is the weight of the tiles' columns, 0 for padding. ``occupancy`` (U,) is p̂
-    of the voxels that may have entropy, and 0 in the end, to fill it up; ``column`` and ``level``
-    (U,) say which they are: column among the tiles' columns, level in the slab. ``split`` are the
-    tiles as they are :func:`dealt` to the devices; None where there is one device.
+    ``weight`` (M·C,) is the region weight of the columns of the M tiles of a slab, 0 for padding.
+    ``occupancy`` (U,) is p̂ of the voxels that may have entropy, padded with 0 at the end.
+    ``column`` and ``level`` (U,) say which voxels these are: the column's number among the tiles'
+    columns, and the level in its slab. ``device_tiles`` are the tiles in :func:`device_order`,
+    divided among the devices; None where there is one device.
     """
 
     tiles: Tiles
@@ -93,91 +96,102 @@ class TiledScene:
     column: Int[Array, " U"]
     level: Int[Array, " U"]
     frame_count: int = field(metadata={"static": True})
-    split: Tile | None = None
+    device_tiles: Tile | None = None
 
     @property
     def voxel_occupancy(self) -> Float[np.ndarray, " V"]:
-        """p̂ of the voxels as the scene has them; 0 where it is 1, which has no entropy either."""
+        """p̂ in the scene's order of voxels. It is 0 also where p̂ = 1: neither has entropy."""
         there = self.tiles.tile.there
         found = np.zeros((there.size, self.tiles.tile.heights.shape[-2]))
         share = np.asarray(self.occupancy, float)
-        unsure = share > 0  # the others fill it up
-        column, level = (np.asarray(at)[unsure] for at in (self.column, self.level))
-        found[column, level] = share[unsure]
+        real = share > 0  # the others are padding
+        column, level = (np.asarray(at)[real] for at in (self.column, self.level))
+        found[column, level] = share[real]
         return self.tiles.of_voxels(found.reshape(*there.shape, -1))
 
     @property
     def bucketed(self) -> "TiledScene":
-        """The world without what has a length of its own in every scene: what is compiled for it
-        serves others too."""
-        return replace(self, tiles=replace(self.tiles, place=None), split=None)
+        """This without the arrays that have another length in every scene.
+
+        The other arrays have one of a few lengths, so a program compiled for one scene serves
+        other scenes of similar size.
+        """
+        return replace(self, tiles=replace(self.tiles, place=None), device_tiles=None)
 
 
-_worlds: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], TiledScene]]" = WeakKeyDictionary()
+_kept_scenes: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], TiledScene]]" = (
+    WeakKeyDictionary()
+)
 
 
 def tiled_scene_of(scene: Scene) -> TiledScene:
-    """A scene's :class:`TiledScene`, made when it is first asked for and kept as long as the scene.
+    """A scene's :class:`TiledScene`, its tiles and frames divided into chunks for all cores.
 
-    One for each precision that JAX is set to.
+    It is made at the first call and kept as long as the scene, one for each floating-point
+    precision that JAX is set to.
     """
-    return _kept(scene, "shared out", _make_world)
+    return _kept(scene, "in chunks", _tile_scene)
 
 
 def whole_tiled_scene_of(scene: Scene) -> TiledScene:
-    """A scene's :class:`TiledScene` with all tiles in every share: for one core, or one device."""
-    return _kept(scene, "whole", _make_whole)
+    """A scene's :class:`TiledScene` with all tiles in every chunk: for one core or one device."""
+    return _kept(scene, "whole", _tile_whole)
 
 
-def bare_tiled_scene_of(scene: Scene) -> TiledScene:
-    """The same without the masks of solid voxels, for soft scores: as constants of what is
-    compiled for a gradient they would be there several times over."""
-    return _kept(scene, "bare", lambda scene: _make_whole(scene, bare=True))
+def tiled_scene_without_masks(scene: Scene) -> TiledScene:
+    """:func:`whole_tiled_scene_of` without the masks of solid voxels, for soft scores.
+
+    A compiled gradient would hold several copies of the masks as constants.
+    """
+    return _kept(scene, "without masks", lambda scene: _tile_whole(scene, masks=False))
 
 
 def _kept(scene: Scene, kind: str, make: Callable[[Scene], TiledScene]) -> TiledScene:
-    kept = _worlds.setdefault(scene, {})
+    """A scene's tiled scene of one ``kind``, made if it is not kept yet."""
+    kept = _kept_scenes.setdefault(scene, {})
     key = kind, jnp.zeros((), float).dtype
     if key not in kept:
         kept[key] = untraced(lambda: make(scene))
     return kept[key]
 
 
-def _make_whole(scene: Scene, bare: bool = False) -> TiledScene:
-    world, prisms = tiled_scene_of(scene), about_center(scene).prisms
-    chunks, tile = [], world.tiles.tile
-    for begin in range(0, world.frame_count, FRAMES):
-        part = _some(prisms, slice(begin, begin + FRAMES))
-        chunks.append(WorkChunk(tile, part, None if bare else solid(tile, part), begin=begin))
-    return replace(world, chunks=tuple(chunks), split=None)
+def _tile_whole(scene: Scene, masks: bool = True) -> TiledScene:
+    """:func:`whole_tiled_scene_of`, with or without masks of solid voxels."""
+    tiled, prisms = tiled_scene_of(scene), about_center(scene).prisms
+    chunks, tile = [], tiled.tiles.tile
+    for begin in range(0, tiled.frame_count, FRAMES):
+        part = _rows(prisms, slice(begin, begin + FRAMES))
+        chunks.append(WorkChunk(tile, part, solid(tile, part) if masks else None, begin=begin))
+    return replace(tiled, chunks=tuple(chunks), device_tiles=None)
 
 
-def _some(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
-    """Some rows of arrays: taken in NumPy, which has nothing to compile for another shape."""
+def _rows(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
+    """Some rows of arrays. NumPy takes them: JAX would compile a program for every shape."""
     return jax.tree.map(lambda leaf: on_device(np.asarray(leaf)[rows]), arrays)
 
 
-def _make_world(scene: Scene) -> TiledScene:
-    ground = about_center(scene)
-    tiles = tiles_of(ground)
-    total = len(ground.prisms.top)
+def _tile_scene(scene: Scene) -> TiledScene:
+    """:func:`tiled_scene_of`, made anew."""
+    centered = about_center(scene)
+    tiles = tiles_of(centered)
+    total = len(centered.prisms.top)
     chunks, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
     everywhere = sharding.put(tiles.tile, None) if sharding.devices() > 1 else tiles.tile
-    for begin, end, split in _runs(total):
-        prisms = _some(ground.prisms, slice(begin, end))
+    for begin, end, split in _frame_runs(total):
+        prisms = _rows(centered.prisms, slice(begin, end))
         inside = solid(tiles.tile, prisms)
         counts += np.asarray(by_level(inside, counts.shape[-1]))
         if split:
             parts = sharding.put(prisms, 0), sharding.put(inside, 1)
             chunks.append(WorkChunk(everywhere, *parts, begin=begin, split=True))
             continue
-        step = min(cores(), SHARES)
+        step = min(cores(), CHUNKS)
         for first in range(step):
-            tile, own = _some((tiles.tile, inside), slice(first, None, step))
+            tile, own = _rows((tiles.tile, inside), slice(first, None, step))
             chunks.append(WorkChunk(tile, prisms, own, first, step, begin))
     counts = counts.reshape(-1, counts.shape[-1])
     column, level = np.nonzero((counts > 0) & (counts < total))
-    spare = wide_bucket(len(column), UNSURE, MANY) - len(column)
+    spare = wide_bucket(len(column), ENTROPIC, MANY_ENTROPIC) - len(column)
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
     return TiledScene(
@@ -188,25 +202,29 @@ def _make_world(scene: Scene) -> TiledScene:
         on_device(column),
         on_device(level),
         total,
-        _split(tiles.tile) if sharding.divides(len(tiles.tile.there)) else None,
+        _on_devices(tiles.tile) if sharding.divides(len(tiles.tile.there)) else None,
     )
 
 
-def _split(tile: Tile) -> Tile:
-    return sharding.put(_some(tile, dealt(len(tile.there))), 0)
+def _on_devices(tile: Tile) -> Tile:
+    """The tiles in :func:`device_order`, each device holding its own."""
+    return sharding.put(_rows(tile, device_order(len(tile.there))), 0)
 
 
-def dealt(tiles: int) -> Int[np.ndarray, " N"]:
-    """Tiles by their numbers, those of one device after those of another: dealt out one by one, so
-    that the padding at the end is shared too."""
+def device_order(tiles: int) -> Int[np.ndarray, " N"]:
+    """Numbers of the tiles, those of one device after those of another.
+
+    Of D devices, device d has every D-th tile from d on: so each has some of the padding at the
+    end.
+    """
     return np.arange(tiles).reshape(-1, sharding.devices()).T.ravel()
 
 
-def _runs(total: int) -> list[tuple[int, int, bool]]:
-    """(from, to, whether it is split among the devices) of each run of frames.
+def _frame_runs(total: int) -> list[tuple[int, int, bool]]:
+    """(first frame, end, whether the devices divide it) of each run of frames.
 
-    A device goes through at most :data:`FRAMES` together. The last few, where the number of
-    devices does not divide them, are for one device.
+    A device takes at most :data:`FRAMES` at once. The last few frames, which the number of devices
+    does not divide, are for one device.
     """
     number, runs = sharding.devices(), []
     whole = total // number * number if number > 1 else 0
@@ -219,30 +237,31 @@ def _runs(total: int) -> list[tuple[int, int, bool]]:
 
 
 def tiled_sample(sample: SceneArrays) -> TiledScene:
-    """The :class:`TiledScene` of some columns and frames, in one share.
+    """The :class:`TiledScene` of some columns and frames, in one chunk.
 
-    Samples of one size make worlds of one shape.
+    Samples of one size give tiled scenes of one shape.
     """
-    tiles = tiles_of(sample.ground)
+    tiles = tiles_of(sample.centered)
     weight = np.asarray(sample.weight[:: tiles.level_count])
-    return _in_one_share(sample, tiles, _column_weight(tiles, weight))
+    return _in_one_chunk(sample, tiles, _column_weight(tiles, weight))
 
 
 def sample_in_one_tile(sample: SceneArrays) -> TiledScene:
-    """The same in one tile, traced or not, and bare."""
-    tiles = one_tile(sample.ground)
-    return _in_one_share(sample, tiles, sample.weight[:: tiles.level_count], bare=True)
+    """The :class:`TiledScene` of a sample in one tile, without masks; traced or not."""
+    tiles = one_tile(sample.centered)
+    return _in_one_chunk(sample, tiles, sample.weight[:: tiles.level_count], masks=False)
 
 
-def _in_one_share(
-    sample: SceneArrays, tiles: Tiles, weight: Float[Array, " MC"], bare: bool = False
+def _in_one_chunk(
+    sample: SceneArrays, tiles: Tiles, weight: Float[Array, " MC"], masks: bool = True
 ) -> TiledScene:
-    assert sample.occupancy is not None  # that of all frames
-    ground = sample.ground
+    """The tiles of a sample as one chunk of all its frames."""
+    assert sample.occupancy is not None  # p̂ over all frames, not over the sample's
+    prisms = sample.centered.prisms
     levels, height = tiles.level_count, tiles.tile.heights.shape[1]
-    inside = None if bare else solid(tiles.tile, ground.prisms)
-    chunk = WorkChunk(tiles.tile, ground.prisms, inside)
-    assert tiles.place is not None  # they are just made
+    inside = solid(tiles.tile, prisms) if masks else None
+    chunk = WorkChunk(tiles.tile, prisms, inside)
+    assert tiles.place is not None  # only TiledScene.bucketed drops it
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
     column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
@@ -253,11 +272,12 @@ def _in_one_share(
         sample.occupancy,
         on_device(column.reshape(-1)),
         on_device(np.tile(level % height, len(column))),
-        len(ground.prisms.top),
+        len(prisms.top),
     )
 
 
 def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:
+    """The columns' weights in the tiles' order, 0 for padding."""
     found = np.zeros(tiles.tile.there.size // tiles.slabs)
     found[np.asarray(tiles.place)] = weight
     return on_device(found, float)

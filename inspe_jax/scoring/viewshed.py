@@ -1,7 +1,7 @@
-"""What is seen where, voxel by voxel: by how many sensors, how often, in which frame.
+"""Viewsheds: for each voxel, how many sensors have it in view and in which frames it is seen.
 
-The cumulative viewsheds of geographic information systems, from the same masks that exact scores
-are counted from. For pictures: scores need no more than their sums.
+They are the cumulative viewsheds of geographic information systems, from the masks that exact
+scores count. They are for pictures: scores need only their sums.
 """
 
 from dataclasses import dataclass
@@ -39,11 +39,12 @@ class Visibility(IntEnum):
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Viewshed:
-    """How well each voxel of a scene is watched by a layout.
+    """How well a layout sees each voxel of a scene.
 
-    ``sensors`` (V,) have it in view; in ``seen`` (V,) of ``frame_count`` frames some sensor sees
-    it; in ``occupied`` (V,) it is inside a road user. ``resolved`` (V,) is q_i, the chance that its
-    occupancy is resolved, as information gain has it with the visibility of the scene's profile.
+    ``sensors`` (V,) is how many sensors have the voxel in view. Of ``frame_count`` frames, some
+    sensor sees it in ``seen`` (V,), and it is inside a road user in ``occupied`` (V,). ``resolved``
+    (V,) is q_i of information gain, the chance that its occupancy is resolved, with the visibility
+    of the scene's profile.
     """
 
     sensors: Int[np.ndarray, " V"]
@@ -60,17 +61,18 @@ class Viewshed:
 
 
 def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> Viewshed:
-    """How well each voxel is watched, over all frames.
+    """How well a layout sees each voxel, over all frames.
 
-    Raises InspeError as :func:`inspe_jax.evaluate` does, but for want of traffic.
+    Raises InspeError as :func:`inspe_jax.evaluate` does, except that a scene without traffic is
+    allowed.
     """
     layout, tiles, views, sensors = _views(scene, layout, conditions)
     levels = tiles.tile.heights.shape[1]
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
     for chunk in whole_tiled_scene_of(scene).chunks:
-        assert chunk.solid is not None  # it is not bare
-        found = _look(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
+        assert chunk.solid is not None  # the scene has masks
+        found = _seen_masks(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
         seen += np.asarray(by_level(found, levels))
         occupied += np.asarray(by_level(chunk.solid, levels))
     flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
@@ -91,14 +93,17 @@ def _visible(
     views: UInt[np.ndarray, "s N C"],
     sensors: Float[np.ndarray, "s 3"],
 ) -> Float[np.ndarray, "S V"]:
-    """Visibility of each voxel from each sensor, as information gain has it: whether it is in view,
-    or in what share of the frames in sight. By what is compiled for a score."""
+    """The visibility of each voxel from each sensor in information gain.
+
+    It is 1 for a voxel in view, or the share of frames in which the voxel is seen. The programs
+    that a score compiles count it.
+    """
     asked = Asked.of(**options_of(scene))
     if not asked.counts_sight:
         return flags.astype(float)
     tiled = tiled_scene_of(scene)
     sights = count_all(tiled, views, sensors, None, asked).sights
-    assert sights is not None  # they are counted unless only views are asked for
+    assert sights is not None  # asked.counts_sight
     shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
     return np.stack(shares) / tiled.frame_count
 
@@ -106,19 +111,19 @@ def _visible(
 def sight_in(
     scene: Scene, layout: Layout, frame: int, *, conditions: Conditions = FAIR
 ) -> UInt[np.ndarray, " V"]:
-    """What each voxel is to a layout in one frame: a :class:`Visibility` for each.
+    """What each voxel is to a layout in one frame: a :class:`Visibility` for each voxel.
 
-    Raises InspeError as :func:`viewshed` does, or where there is no such frame.
+    Raises InspeError as :func:`viewshed` does, and where there is no such frame.
     """
     frame = check_frame(scene, frame)
     layout, tiles, views, sensors = _views(scene, layout, conditions)
     tiled = whole_tiled_scene_of(scene)
     (chunk,) = (c for c in tiled.chunks if c.begin <= frame < c.begin + len(c.prisms.top))
-    assert chunk.solid is not None  # it is not bare
+    assert chunk.solid is not None  # the scene has masks
     at = slice(frame - chunk.begin, frame - chunk.begin + 1)
     prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[at], chunk.prisms)
     solid = np.asarray(chunk.solid)[:, at]
-    seen = np.asarray(_look(tiles.tile, views, solid, prisms, sensors))
+    seen = np.asarray(_seen_masks(tiles.tile, views, solid, prisms, sensors))
     found = np.where(tiles.by_voxel(views).any(0), Visibility.HIDDEN, Visibility.OUT_OF_VIEW)
     found[tiles.by_voxel(seen[:, 0])] = Visibility.SEEN
     found[tiles.by_voxel(solid[:, 0])] = Visibility.OCCUPIED
@@ -128,18 +133,18 @@ def sight_in(
 def _views(
     scene: Scene, layout: Layout, conditions: Conditions
 ) -> tuple[Layout, Tiles, UInt[np.ndarray, "S N C"], Float[np.ndarray, "S 3"]]:
-    """The layout as it is in the conditions, the tiles, what each sensor has in view, and where it
-    is; with room for some more sensors."""
+    """The layout under the conditions, the tiles, masks of what each sensor has in view, and the
+    sensors' positions about the scene's centre [m]; the arrays end in empty places."""
     check_layout(scene, layout)
     layout, tiled = perceiving(scene, layout, conditions), whole_tiled_scene_of(scene)
     sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
-    poses = sensors.filled(poses_about_center(scene, layout))
+    poses = sensors.padded(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
     return layout, tiled.tiles, views, poses[:, :3]
 
 
 @jax.jit
-def _look(
+def _seen_masks(
     tiles: Tile,
     views: UInt[Array, "S N C"],
     solid: UInt[Array, "N T C"],
@@ -150,8 +155,8 @@ def _look(
     shadows = BITS.shadows(sensors, prisms)
 
     @unless_empty
-    def look(tile: Tile, views: Array, solid: Array) -> Array:
+    def see_tile(tile: Tile, views: Array, solid: Array) -> Array:
         rows = sensors, shadows, views
         return seen_in_tile(BITS, rows, tile, Frames(prisms, solid), None, Asked())[0].all
 
-    return jax.lax.map(lambda part: look(*part), (tiles, views.swapaxes(0, 1), solid))
+    return jax.lax.map(lambda part: see_tile(*part), (tiles, views.swapaxes(0, 1), solid))

@@ -1,8 +1,9 @@
-"""Grids of rays in compiled code: their numbers are arrays, and only their kind is fixed.
+"""Grids of rays inside compiled programs: their numbers are arrays, only their kind is fixed.
 
-A camera's grid is in the plane of tangents, a LiDAR's on the sphere. Both have one interface, and
-visibility knows nothing else of a sensor: where a point lies among the rows and columns, and the
-direction of ray (i, j). All is in the body frame: x forward, y left, z up.
+A camera's grid is regular in tangents of angles, a LiDAR's in angles. Both kinds have one
+interface, :class:`Rays`, which is all that visibility knows of a sensor: where a point lies among
+the rows and columns, and which way the ray of a row and a column points. Points and directions are
+in the body frame: x forward, y left, z up.
 """
 
 from collections.abc import Callable
@@ -17,18 +18,19 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax.core.geometry import FAR, Point
 from inspe_jax.core.numerics import arctan2
 
-_LEAST = 1e-6  # keeps a point off the axis where its angle has no derivative [m]
-_ANGLE = 1e-6  # error of an angle in single precision [rad]
+_MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
+_ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
 
 
 class RayTable(NamedTuple):
     """The numbers of a grid of rays as arrays, so that one compiled program serves every grid.
 
-    ``rows`` (R,) ascend, padded with copies of the last. ``nearest`` (K,) is the row nearest to
-    each of many even steps from the first row on, with ``steps`` steps to the unit. ``row_edges``
-    and ``column_edges`` (2,) are the coordinates of the first and the last. ``row_turn`` and
-    ``column_turn`` (2, 2) are the cosines and sines of their angles; if coordinates are tangents,
-    of the angles that they are tangents of. ``wide``: columns span more than half a turn.
+    ``rows`` (R,) are the coordinates of the rows, ascending and padded with the last one.
+    ``nearest`` (K,) is the number of the nearest row at each of K even steps from the first row on;
+    there are ``steps`` of them to a unit. ``reach`` is in metres. ``row_edges`` and
+    ``column_edges`` (2,) are the coordinates of the first and the last row and column.
+    ``row_turn`` and ``column_turn`` (2, 2) are the cosines and the sines of the edges' angles.
+    ``wide``: the columns take up more than half a turn.
     """
 
     rows: Float[Array | np.ndarray, "*S R"]
@@ -47,14 +49,14 @@ class RayTable(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """The kind of a grid: its class of rays, and whether its columns wrap round."""
+    """Kind of a grid: its class of rays, and whether the columns go all the way round."""
 
     of: "type[Rays]"
     wraps: bool
 
     @property
     def name(self) -> str:
-        """A name to sort by."""
+        """A name to sort kinds by."""
         return f"{self.of.__name__} {self.wraps}"
 
     def rays(self, table: RayTable) -> "Rays":
@@ -64,9 +66,10 @@ class Kind(NamedTuple):
 
 @dataclass(frozen=True)
 class Rays:
-    """A grid of rays in compiled code: its numbers are arrays, traced or not.
+    """A grid of rays inside a compiled program: its numbers are arrays, traced or not.
 
-    Each kind has its own coordinates of rows and columns, and defines the methods below.
+    Each kind has its own coordinates of rows and columns, and overrides the methods that depend on
+    them.
     """
 
     table: RayTable
@@ -75,7 +78,7 @@ class Rays:
     def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
         """Index of the row nearest to a row coordinate; an end row beyond the ends.
 
-        It is read from a table with eight steps between the closest rows. A point midway
+        It is from a table with steps of an eighth of the least row spacing, so a point about midway
         between two rows may get either.
         """
         index = jnp.round((row - self.table.row_edges[0]) * self.table.steps)
@@ -84,7 +87,7 @@ class Rays:
         return found.astype(jnp.int32)
 
     def row_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of row ``index``; beyond the last, that of the last row."""
+        """Coordinate of row ``index``; that of the last row beyond it."""
         return jnp.asarray(self.table.rows, float)[index]
 
     def column_index(self, column: Float[Array, "*n"]) -> Int[Array, "*n"]:
@@ -93,11 +96,8 @@ class Rays:
         return jnp.floor((column - first) * self.table.columns_per_unit).astype(jnp.int32)
 
     def column_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of column ``index``.
-
-        An index outside the grid gives the edge column. If columns wrap round, an index less than a
-        turn outside is wrapped.
-        """
+        """Coordinate of column ``index``: clipped to the edge columns; or, if the columns wrap
+        round, wrapped once."""
         count = self.table.column_count
         if self.wraps:
             index = jnp.where(index < 0, index + count, index)
@@ -109,25 +109,25 @@ class Rays:
     def field_margin(self, q: Point) -> Float[Array, "*n"]:
         """How deep points lie in the field of view [m]; negative outside.
 
-        This is the distance to the nearest edge row, edge column or the end of the reach.
+        It is the least distance to an edge row, an edge column and the end of the reach.
         """
         table = self.table
-        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _LEAST**2))
+        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _MIN_DISTANCE**2))
         above, below = (self.square_row(q, k) for k in range(2))
         margin = jnp.minimum(jnp.minimum(table.reach - distance, above), -below)
         if self.wraps:
             return margin
         after, before = (self.square_column(q, k) for k in range(2))
-        # A field of more than half a turn is the union of the two sides, otherwise their overlap.
+        # A field of more than half a turn is the union of the two half-spaces, else their overlap.
         both = jnp.minimum(after, -before)
         if not self.slants:
             both = jnp.where(table.wide, jnp.maximum(after, -before), both)
         return jnp.minimum(margin, both)
 
-    # Each kind defines the following for its own coordinates.
+    # Each kind defines the following in its own coordinates.
 
     slants: ClassVar[bool] = False
-    """Whether coordinates are tangents, so that :meth:`beyond_row` measures along an axis."""
+    """Whether coordinates are tangents; then :meth:`beyond_row` measures along an axis."""
 
     @staticmethod
     def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
@@ -143,19 +143,19 @@ class Rays:
         raise NotImplementedError
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
-        """How far points lie beyond a row [m], measured across it; linear or nearly so."""
+        """How far points lie beyond a row [m]; linear in the point, or nearly so."""
         raise NotImplementedError
 
     def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first (0) or last (1) row, at right angles to it [m]."""
+        """Perpendicular distance of points beyond the first row (0) or the last (1) [m]."""
         raise NotImplementedError
 
     def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first (0) or last (1) column [m], measured across it."""
+        """How far points lie beyond the first column (0) or the last (1) [m]; linear."""
         raise NotImplementedError
 
     def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """The same at right angles to the column [m]."""
+        """Perpendicular distance of points beyond the first column (0) or the last (1) [m]."""
         raise NotImplementedError
 
     def row_normal(self, q: Point) -> Point:
@@ -169,23 +169,23 @@ class Rays:
     # For most voxels the ray nearest to the centre decides whether any ray passes through.
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """The vector from each point to a point on a near ray, and the possible error of it [m].
+        """(vectors from points to a point on a ray near each, its largest error [m]).
 
-        The error is very large if there is no ray.
+        The error is :data:`~inspe_jax.core.geometry.FAR` where there is no such ray.
         """
         raise NotImplementedError
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Whether cubes about points surely touch no ray; False decides nothing.
+        """Whether cubes around points surely lie between two neighbouring rows or columns, or
+        beyond an end row, and touch neither. False means that it is not known.
 
-        Such a cube lies between two neighbouring rows or columns, or beyond an end row, without
-        touching them. ``half`` is half a cube's edge [m]. ``extent`` gives how far the cube reaches
-        along a direction, times the direction's length.
+        ``half`` is half a cube's edge [m]. ``extent`` gives how far a cube reaches along a
+        direction, times the direction's length.
         """
         raise NotImplementedError
 
     def _neighbour(self, row: Float[Array, "*n"]) -> tuple[Any, Any, Any]:
-        """(the nearest row, the next row on the point's other side, whether there is one)."""
+        """(the nearest row, the nearest one on the other side of ``row``, whether that exists)."""
         index = self.nearest_row(row)
         nearest = self.row_at(index)
         index = index + jnp.where(row > nearest, 1, -1)
@@ -193,7 +193,7 @@ class Rays:
         return nearest, self.row_at(jnp.clip(index, 0, self.table.row_count - 1)), exists
 
     def _nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Coordinate of the nearest column, not wrapped round."""
+        """Coordinate of the nearest column, not wrapped."""
         table = self.table
         first, count = table.column_edges[0], jnp.asarray(table.column_count)
         index = jnp.round((column - first) * table.columns_per_unit)
@@ -247,10 +247,10 @@ class SphericalRays(Rays):
         return -q[1], q[0], jnp.zeros_like(q[0])
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Along the meridian to the nearest row and along the parallel to the nearest column.
+        """Along the meridian to the nearest row, and along the parallel to the nearest column.
 
-        Both are taken as straight. The error is at most half the square of the angle, times the
-        range. Right above and below the sensor there is no meridian.
+        Both arcs are taken as straight. The error is at most half the squared angle times the
+        range. Right above and below the sensor there is no meridian, and so no ray.
         """
         elevation, azimuth = self.row(q), self.column(q)
         up = self.row_at(self.nearest_row(elevation)) - elevation
@@ -259,13 +259,13 @@ class SphericalRays(Rays):
         inward = up * q[2] / plan
         bend = (jnp.abs(up) + jnp.abs(left)) ** 2 / 2
         to = -inward * q[0] - left * q[1], -inward * q[1] + left * q[0], up * plan
-        return to, jnp.where(plan > 2 * _LEAST, distance * (bend + _ANGLE), FAR)
+        return to, jnp.where(plan > 2 * _MIN_DISTANCE, distance * (bend + _ANGLE_ERROR), FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Between two cones.
+        """Whether cubes lie between the cones of two rows.
 
-        A cube's extent across a cone is its extent across the tangent plane, plus the distance by
-        which the cone bends away from that plane.
+        A cube's extent across a cone is that across its tangent plane, plus how far the cone bends
+        away from the plane.
         """
         plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
         elevation, span = self.row(q), 3.0**0.5 * half
@@ -275,7 +275,7 @@ class SphericalRays(Rays):
         def clear(row: Any) -> Bool[Array, "*n"]:
             away = jnp.abs(elevation - row)
             turned = across + away * span + bend * (jnp.abs(q[2]) / distance + away)
-            return distance * (away - away**3 / 6 - _ANGLE) > turned
+            return distance * (away - away**3 / 6 - _ANGLE_ERROR) > turned
 
         nearest, other, exists = self._neighbour(elevation)
         opposite = (elevation - nearest) * (elevation - other) < 0
@@ -296,12 +296,12 @@ class PinholeRays(Rays):
         return scale, column * scale, row * scale
 
     def row(self, q: Point) -> Float[Array, "*n"]:
-        """Tangent of the angle above the optical axis; very large behind the camera."""
-        return q[2] / jnp.maximum(q[0], _LEAST)
+        """z/x, the tangent of the angle above the optical axis; very large behind the sensor."""
+        return q[2] / jnp.maximum(q[0], _MIN_DISTANCE)
 
     def column(self, q: Point) -> Float[Array, "*n"]:
-        """Tangent of the angle to the left of the optical axis."""
-        return q[1] / jnp.maximum(q[0], _LEAST)
+        """y/x, the tangent of the angle to the left of the optical axis."""
+        return q[1] / jnp.maximum(q[0], _MIN_DISTANCE)
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """Height above the plane through row ``row``, along z."""
@@ -321,21 +321,21 @@ class PinholeRays(Rays):
 
     def row_normal(self, q: Point) -> Point:
         """Gradient of z/x, times x²."""
-        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _LEAST)
+        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _MIN_DISTANCE)
 
     def column_normal(self, q: Point) -> Point:
         """Gradient of y/x, times x²."""
-        return -q[1], jnp.maximum(q[0], _LEAST), jnp.zeros_like(q[0])
+        return -q[1], jnp.maximum(q[0], _MIN_DISTANCE), jnp.zeros_like(q[0])
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Within the plane at the point's distance ahead; there is no ray behind the camera."""
+        """Within the plane x = const through the point; behind the sensor there is no ray."""
         row = self.row_at(self.nearest_row(self.row(q)))
         column = self._nearest_column(self.column(q))
         to = jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]
         return to, jnp.where(q[0] > 0, 0.0, FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Between two planes."""
+        """Whether cubes lie between the planes of two rows, or of two columns."""
         x, y, z = q
         zero, one = jnp.zeros_like(x), jnp.ones_like(x)
 
@@ -359,4 +359,5 @@ class PinholeRays(Rays):
 
 
 def _plan(q: Point) -> Float[Array, "*n"]:
-    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _LEAST**2))
+    """Distance from the z axis [m], at least :data:`_MIN_DISTANCE`."""
+    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _MIN_DISTANCE**2))

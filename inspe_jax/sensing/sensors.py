@@ -116,10 +116,10 @@ class RayGrid:
 
 def _filled(x: np.ndarray, least: int) -> np.ndarray:
     """A table padded to one of a few lengths: ``least`` × (1, 4, 16, …)."""
-    return longer(x, wide_bucket(len(x), least))
+    return repeat_last(x, wide_bucket(len(x), least))
 
 
-def longer(x: Any, length: int) -> np.ndarray:
+def repeat_last(x: Any, length: int) -> np.ndarray:
     """A table with its last entry repeated up to a length."""
     return np.concatenate([x, np.repeat(x[-1:], length - len(x))])
 

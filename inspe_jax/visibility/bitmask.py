@@ -1,9 +1,8 @@
 """Bit masks: many yes-or-no answers in one integer.
 
-The levels of a column fit in the bits of one word, and then what a sensor has in
-view is a mask, what a shadow leaves of it is a mask without its low bits, a union
-of sensors is OR, and a count of voxels is a count of bits; each is one operation
-for 32 voxels, exact in any order.
+A column's levels are the bits of one word. What a sensor has in view is a mask. A shadow clears the
+low bits of it. The union of sensors is OR, and a count of voxels is a count of bits. Each is one
+operation for up to 32 voxels, and exact in any order.
 """
 
 from collections.abc import Callable
@@ -17,16 +16,16 @@ from jaxtyping import Array, Bool, Int, UInt
 from inspe_jax.core.numerics import Groups, without_each
 
 WORD = 32
-"""Bits of the longest word."""
+"""Bits of the longest word, and so the most levels in one mask."""
 
 
 def word(bits: int) -> Any:
-    """The shortest unsigned integer of at least so many bits, up to :data:`WORD`."""
+    """The shortest unsigned integer type of at least ``bits`` bits, at most :data:`WORD`."""
     return next(t for t in (jnp.uint8, jnp.uint16, jnp.uint32) if bits <= jnp.iinfo(t).bits)
 
 
 def pack(flags: Bool[np.ndarray, "... n"]) -> UInt[np.ndarray, "... w"]:
-    """Flags as the bits of words, lowest first; a last word that is not full ends in zeros."""
+    """Flags along the last axis as the bits of words, lowest bit first; padded with zeros."""
     n = flags.shape[-1]
     kind = np.dtype(word(min(n, WORD)))
     size = kind.itemsize * 8
@@ -34,8 +33,8 @@ def pack(flags: Bool[np.ndarray, "... n"]) -> UInt[np.ndarray, "... w"]:
     return np.packbits(flags, axis=-1, bitorder="little").view(kind.newbyteorder("<")).astype(kind)
 
 
-def bits(masks: UInt[np.ndarray, "... w"], n: int) -> Bool[np.ndarray, "... n"]:
-    """The first ``n`` bits of words: what :func:`pack` packed."""
+def unpack(masks: UInt[np.ndarray, "... w"], n: int) -> Bool[np.ndarray, "... n"]:
+    """The first ``n`` bits of words as flags: the inverse of :func:`pack`."""
     masks = np.ascontiguousarray(masks, masks.dtype.newbyteorder("<"))
     return np.unpackbits(masks.view(np.uint8), axis=-1, count=n, bitorder="little").astype(bool)
 
@@ -46,20 +45,20 @@ def count(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
 
 
 def without_one(masks: UInt[Array, "S ..."], groups: Groups | None) -> UInt[Array, "1+G ..."]:
-    """The union of all rows, and of all but those of each group."""
+    """The union of all rows, and for each group the union of all rows outside it."""
     if groups is None:
         return jax.lax.reduce(masks, masks.dtype.type(0), jax.lax.bitwise_or, (0,))[None]
     return without_each(masks, groups, jax.lax.bitwise_or, jnp.zeros_like(masks[0]))
 
 
 BYTE = 255
-"""Masks of which a byte can count the bits."""
+"""Most masks whose bits a byte can count."""
 
 
 def count_levels(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
-    """In how many of F masks each of the first ``n`` bits is set; in bytes, where they fit.
+    """In how many of F masks each of the first ``n`` bits is set; as bytes if F ≤ :data:`BYTE`.
 
-    Four bits are spread over the four bytes of a word, so that one sum counts all of them.
+    Four bits are spread over the four bytes of a word, so that one sum counts all four.
     """
     masks, count = jax.lax.optimization_barrier(masks), len(masks)
     parts = max(-(-count // BYTE), 1)
@@ -79,7 +78,7 @@ def count_levels(masks: UInt[Array, "F ..."], n: int) -> Int[Array, "... Z"]:
 
 
 def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:
-    """Flags as the bits of words along the first axis, W = ⌈B/32⌉."""
+    """B flags along the first axis as the bits of W = ⌈B/32⌉ words. A mark is a bit that is set."""
     number, rest = len(flags), flags.shape[1:]
     words = -(-number // WORD)
     flags = jnp.pad(flags, [(0, words * WORD - number)] + [(0, 0)] * len(rest))
@@ -89,19 +88,20 @@ def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:
     return jnp.where(flags, bit, jnp.uint32(0)).sum(1, dtype=jnp.uint32)
 
 
-def lowest(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """Number of the lowest bit that is set; of no meaning where none is."""
+def lowest_bit(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+    """Number of the lowest bit that is set; meaningless where none is."""
     return jnp.minimum(count((masks & (~masks + 1)) - 1), WORD - 1)
 
 
 def first_mark(marked: UInt[Array, "W ..."]) -> tuple[Int[Array, "..."], UInt[Array, "W ..."]]:
-    """The first flag of :func:`marks` that is set, −1 where none is, and the marks without it."""
+    """The number of the first mark of :func:`marks`, −1 where there is none; and the other
+    marks."""
     found = jnp.full(marked.shape[1:], -1)
     rest = []
     for w in range(len(marked)):
         mask = marked[w]
         here = (found < 0) & (mask != 0)
-        found = jnp.where(here, w * WORD + lowest(mask), found)
+        found = jnp.where(here, w * WORD + lowest_bit(mask), found)
         rest.append(jnp.where(here, mask & (mask - 1), mask))
     return found, jnp.stack(rest)
 
@@ -111,12 +111,13 @@ def fold_marked(
     add: Callable[[Any, Int[Array, " T"], Bool[Array, " T"]], Any],
     start: Any,
 ) -> Any:
-    """``add(sum, index, some)`` for one mark after another, in all T rows at once.
+    """``total = add(total, index, some)`` for one mark after another, in all T rows at once.
 
-    Takes as many rounds as the fullest row has marks; ``some`` tells the rows that still had one.
+    ``index`` is the number of each row's mark; ``some`` is false for the rows that have no marks
+    left. There are as many steps as the row with the most marks has marks.
     """
 
-    if not len(marked):  # nothing to mark at all
+    if not len(marked):  # no flags
         return start
 
     def step(state: tuple[Any, Array]) -> tuple[Any, Array]:

@@ -1,4 +1,4 @@
-"""What sensing works on: a scene's arrays, about its centre."""
+"""A scene's arrays relative to its centre, which visibility works on."""
 
 from typing import Any, NamedTuple
 
@@ -13,13 +13,14 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 
 PRISMS = 16
-"""Prisms of a frame that there is room for, at least."""
+"""Least number of places for prisms in a frame."""
 
 
 class CenteredScene(NamedTuple):
-    """A scene's arrays about its centre, where single precision is finest.
+    """A scene's arrays relative to its centre, where single precision is finest.
 
-    ``columns`` (L, 2), ``heights`` (L, Z) of the voxel centres, ``prisms`` (T, B).
+    ``columns`` (L, 2) are x and y of the columns, ``heights`` (L, Z) those of the voxel centres
+    [m], ``prisms`` (T, B) the road users in T frames.
     """
 
     columns: Float[Array, "L 2"]
@@ -36,25 +37,25 @@ class CenteredScene(NamedTuple):
 def about_center(scene: Scene) -> CenteredScene:
     """The scene's columns, heights and prisms, relative to its centre.
 
-    Of the prisms of each frame some more at the end are not valid, for scenes of similar traffic to
-    have arrays of one shape.
+    Each frame ends in some prisms that are not valid, so that scenes of similar traffic have arrays
+    of one shape.
     """
     grid, traffic = scene.voxels, scene.traffic
     x, y, z = grid.center
     spare = bucket(traffic.valid.shape[1], PRISMS) - traffic.valid.shape[1]
 
-    def filled(values: np.ndarray) -> np.ndarray:
+    def padded(values: np.ndarray) -> np.ndarray:
         return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
 
     return CenteredScene(
         columns=on_device(grid.columns - [x, y], float),
         heights=on_device(grid.ground[:, None] - z + grid.levels, float),
         prisms=Prism(
-            center=on_device(filled(traffic.center[..., :2] - [x, y]), float),
-            yaw=on_device(filled(traffic.yaw), float),
-            half=on_device(filled(traffic.size[..., :2] / 2), float),
-            top=on_device(filled(traffic.center[..., 2] + traffic.size[..., 2] / 2 - z), float),
-            valid=on_device(filled(traffic.valid)),
+            center=on_device(padded(traffic.center[..., :2] - [x, y]), float),
+            yaw=on_device(padded(traffic.yaw), float),
+            half=on_device(padded(traffic.size[..., :2] / 2), float),
+            top=on_device(padded(traffic.center[..., 2] + traffic.size[..., 2] / 2 - z), float),
+            valid=on_device(padded(traffic.valid)),
         ),
     )
 

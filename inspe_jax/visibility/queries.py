@@ -1,9 +1,8 @@
-"""Which voxels each sensor has in view, and which of them traffic leaves visible.
+"""Which voxels each sensor has in view, and which voxels vehicles leave in line of sight.
 
-Two questions, kept apart: does a ray of the sensor pass through the voxel (the
-frame does not matter: :mod:`~inspe_jax.visibility.in_view`), and does a vehicle cut
-the line of sight to its centre (the rays do not matter:
-:mod:`~inspe_jax.visibility.shadows`).
+These are two separate questions. Does a ray of the sensor pass through the voxel? Traffic does not
+matter (:mod:`~inspe_jax.visibility.in_view`). Does a vehicle cut the line from the sensor to the
+voxel's centre? The rays do not matter (:mod:`~inspe_jax.visibility.shadows`).
 """
 
 import operator
@@ -23,7 +22,10 @@ from inspe_jax.visibility.view_masks import in_view_masks
 
 
 def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
-    """Whether some ray of each sensor passes through each voxel; traffic does not matter."""
+    """Whether some ray of each sensor passes through each voxel; traffic does not matter.
+
+    Raises InspeError as :func:`check_layout` does.
+    """
     check_layout(scene, layout)
     tiles, poses = tiles_of(about_center(scene)), poses_about_center(scene, layout)
     half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
@@ -34,16 +36,16 @@ def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
 
 
 def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:
-    """Whether the segment from each sensor to each voxel's centre clears one frame's traffic.
+    """Whether no vehicle of one frame cuts the line from each sensor to each voxel's centre.
 
-    The rays and the reach do not matter. A voxel inside a vehicle is not in line
-    of sight. Raises InspeError where there is no such frame.
+    The rays and the reach do not matter. A voxel inside a vehicle is not in line of sight. Raises
+    InspeError where there is no such frame, and as :func:`check_layout` does.
     """
     check_layout(scene, layout)
     frame = check_frame(scene, frame)
-    ground = about_center(scene)
-    tiles, poses = tiles_of(ground), poses_about_center(scene, layout)
-    prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], ground.prisms)
+    centered = about_center(scene)
+    tiles, poses = tiles_of(centered), poses_about_center(scene, layout)
+    prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], centered.prisms)
     clear = [tiles.by_voxel(sight_masks(pose[:3], prisms, tiles.tile)[:, 0]) for pose in poses]
     return np.stack(clear)
 
@@ -59,7 +61,7 @@ def check_frame(scene: Scene, frame: int) -> int:
 def check_layout(scene: Scene, layout: Layout) -> None:
     """Raise InspeError where a pose is not finite, or a sensor is in the ground or out of reach.
 
-    Traced poses have no value to check yet and pass.
+    Traced poses have no values to check and pass.
     """
     if isinstance(layout.poses, jax.core.Tracer):
         return

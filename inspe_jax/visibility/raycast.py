@@ -1,10 +1,9 @@
-"""Rays walked literally, in NumPy and double precision: the oracle of what is in view.
+"""Walks of every ray, in NumPy and double precision: the test oracle of what is in view.
 
-Two walks. ``bresenham`` is the paper's: integer steps along the ray's longest
-axis, which skip voxels that the ray only clips. ``exact`` visits every voxel
-that the ray passes through (Amanatides and Woo, *A fast voxel traversal
-algorithm for ray tracing*, Eurographics 1987) and is what the scores mean.
-Neither shares code with :mod:`inspe_jax.visibility.queries`.
+There are two walks. ``bresenham`` is the paper's: integer steps along the ray's longest axis, which
+skip voxels that the ray only clips. ``exact`` visits every voxel that the ray passes through
+(Amanatides and Woo, *A fast voxel traversal algorithm for ray tracing*, Eurographics 1987) and is
+what the scores mean. Neither shares code with :mod:`inspe_jax.visibility.queries`.
 """
 
 from collections.abc import Callable
@@ -19,13 +18,13 @@ from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.layout import Layout
 
 TIE = 1e-9
-"""What counts as the same place [m]."""
+"""Places nearer to each other than this are the same [m]."""
 
 
 def in_view(scene: Scene, layout: Layout, walk: str = "bresenham") -> Bool[np.ndarray, "S V"]:
-    """Voxels that some ray of each sensor passes through, by walking every ray.
+    """Which voxels some ray of each sensor passes through, by walking every ray.
 
-    ``walk`` is ``bresenham`` or ``exact``; anything else raises InspeError.
+    ``walk`` is ``bresenham`` or ``exact``. Raises InspeError where it is another.
     """
     if walk not in WALKS:
         raise InspeError(f"walk '{walk}': one of {', '.join(WALKS)}")
@@ -46,12 +45,11 @@ def exact(
 ) -> None:
     """Mark in ``seen`` every voxel that a ray passes through; voxels are closed.
 
-    ``reach`` [m] is one for all rays, or one for each.
+    ``reach`` [m] is one number for all rays, or one for each ray.
 
-    The walk is in plan, from column to column; the ray's heights at entry and
-    exit give the levels, as every column has its own ground. From a sensor on a
-    border between columns the rays are walked on both sides of it, as one along
-    the border touches both.
+    The walk is in plan, from column to column. The ray's heights at entry and exit give the levels,
+    as every column has its own ground. If the sensor is on a border between columns, the rays are
+    walked on both sides of it, because a ray along the border touches both.
     """
     from_border = (origin[:2] - grid.center[:2]) / grid.spacing
     on_border = np.abs(from_border - np.round(from_border)) * grid.spacing < TIE
@@ -67,6 +65,7 @@ def _walk(
     reach: float | Float[np.ndarray, " R"],
     seen: Bool[np.ndarray, " V"],
 ) -> None:
+    """:func:`exact` from a sensor that is not on a border."""
     h = grid.spacing
     start = (origin[:2] - grid.center[:2]) / h
     slope = directions[:, :2] / h
@@ -91,7 +90,7 @@ def _walk(
         cell[rows, axis] += forward[rows, axis]
         entry = leaving
         border[rows, axis] += per_cell[rows, axis]
-        # Gone once past the reach, or outside the square and heading away from it.
+        # A ray ends past its reach, or outside the square and heading away from it.
         away = ((cell >= half) & (forward > 0)) | ((cell < -half) & (forward < 0))
         on = (entry < far) & ~away.any(1)
         alive, cell, forward = alive[on], cell[on], forward[on]
@@ -106,8 +105,11 @@ def _within(
     entry: Float[np.ndarray, " R"],
     leaving: Float[np.ndarray, " R"],
 ) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, " R"]]:
-    """From where to where rays are over the voxels of their cells: all the way, unless these are
-    smaller than the cells. Nowhere where the second is less."""
+    """The distances [m] at which each ray begins and ceases to be over the voxels of its cell.
+
+    Voxels that fill their cells are under the ray all the way. If the second is less than the
+    first, the ray passes between the voxels.
+    """
     if grid.size == grid.spacing:
         return entry, leaving
     middle = grid.center[:2] + (cell + 0.5) * grid.spacing
@@ -129,8 +131,8 @@ def bresenham(
 ) -> None:
     """Mark in ``seen`` the voxels on each ray's Bresenham line, end point included.
 
-    The lattice is level, through the scene's centre; a cell's centre height over
-    its column's ground gives the level. Raises InspeError where voxels stand apart.
+    The lattice is level, through the scene's centre. The height of a cell's centre above its
+    column's ground gives the level. Raises InspeError where voxels stand apart.
     """
     if grid.spacing != grid.size:
         raise InspeError("Bresenham's lines need voxels that touch: leave out the spacing")
@@ -153,7 +155,8 @@ WALKS: dict[str, Callable[..., None]] = {"bresenham": bresenham, "exact": exact}
 
 
 def _lookup(grid: VoxelGrid) -> tuple[Int[np.ndarray, "N N"], int]:
-    """Column number by lattice cell, −1 where none; and half the square's edge, in cells."""
+    """The column's number in each lattice cell, −1 where there is none; and half the square's edge
+    in cells."""
     half = int(np.ceil(grid.radius / grid.spacing))
     cell = np.floor((grid.columns - grid.center[:2]) / grid.spacing).astype(int) + half
     table = np.full((2 * half, 2 * half), -1)

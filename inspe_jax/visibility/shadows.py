@@ -1,4 +1,8 @@
-"""Line of sight: does a vehicle cut the line to the voxel's centre? The rays do not matter."""
+"""Line of sight: does a vehicle cut the line from a sensor to a voxel's centre?
+
+The sensor's rays do not matter here. Vehicles are prisms; :mod:`inspe_jax.core.geometry` has the
+shadow of one of them.
+"""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,7 +28,7 @@ from inspe_jax.core.geometry import (
 )
 from inspe_jax.core.numerics import REACH, Width, exact, step
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.tiles import CLOSE, Tile, levels
+from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 
 
 def shadow_ceilings(
@@ -36,31 +40,31 @@ def shadow_ceilings(
 ) -> Float[Array, "S L"]:
     """Height [m] below which the prisms (B,) of one frame hide each column from each sensor.
 
-    A voxel whose centre is higher is in line of sight. The cost is columns ×
-    prisms, not voxels × prisms. The scan over prisms keeps one number a column;
-    unrolled by 8 it runs from registers.
+    A voxel whose centre is higher is in line of sight. The cost is columns × prisms, not voxels ×
+    prisms. With ``ignore_self_occlusion`` a prism does not hide the columns it stands on. The scan
+    over prisms keeps one number a column; unrolled by 8 it runs from registers.
     """
 
-    def one(sensor: Float[Array, "3"]) -> Float[Array, " L"]:
+    def of_sensor(sensor: Float[Array, "3"]) -> Float[Array, " L"]:
         dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
 
-        def lift(ceiling, prism_shade):  # type: ignore[no-untyped-def]
+        def lift(ceiling, terms):  # type: ignore[no-untyped-def]
             new = shadow_ceiling(
-                prism_shade, dx, dy, sensor[2], ignore_self_occlusion=ignore_self_occlusion
+                terms, dx, dy, sensor[2], ignore_self_occlusion=ignore_self_occlusion
             )
             return jnp.maximum(ceiling, new), None
 
         start = jnp.full(len(columns), NEVER, columns.dtype)
         return jax.lax.scan(lift, start, shadow_terms(sensor, prisms), unroll=8)[0]
 
-    return jax.vmap(one)(sensors)
+    return jax.vmap(of_sensor)(sensors)
 
 
 WINNERS = 2
-"""Prisms a column that soft sight lines are read against: those that hide most of it."""
+"""Prisms that are read softly for a column: those that hide most of it."""
 WON = "won"
-"""Name of who they are, for what is kept for a gradient: the sweep that finds them is most of the
-work, and they take the least room."""
+"""Name of the array of these prisms' numbers, which is kept for the gradient. Finding them is most
+of the work, and the numbers take little memory."""
 
 
 def soft_sight(
@@ -73,15 +77,16 @@ def soft_sight(
     *,
     ignore_self_occlusion: bool | Bool[Array, "Z F C"] = False,
 ) -> Float[Array, "Z F C"]:
-    """Chance that the marked prisms (F, B) of each frame leave the lines to some voxels clear.
+    """Chance that the marked prisms (F, B) of each frame leave the sight line to each voxel clear.
 
-    Read exactly, the highest ceiling of all prisms over a column decides. Softly, 1 − p of the
-    :data:`WINNERS` prisms that hide most of a column are multiplied, p being the reading of how
-    deep the line cuts in sideways times that of how far below the top; prisms that narrowly miss
-    count. Who wins is found without differentiation, by how much they hide of the lines to the
-    first of ``heights``, the lowest. ``ignore_self_occlusion``: a prism does not hide the columns
-    it stands on; or which voxels there it does not, and then one sweep finds who wins with and
-    without it.
+    Read exactly (``width`` 0), the highest ceiling of all prisms over a column decides. Read
+    softly, it is ∏ (1 − p) over the :data:`WINNERS` prisms that hide most of the column. p is the
+    product of two soft readings: how deep the line cuts into the prism sideways, and how far it
+    passes below the top. A prism that narrowly misses counts too. The winners are found without
+    differentiation, by how much they hide of the line to the first of ``heights``, the lowest.
+
+    ``ignore_self_occlusion`` says whether a prism leaves the columns that it stands on clear. As an
+    array it says so for each voxel; then one pass over the prisms finds the winners of both cases.
     """
     both = not isinstance(ignore_self_occlusion, bool)
     if exact(width):
@@ -100,7 +105,7 @@ def soft_sight(
         )
     x, y = columns[:, None]
     fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
-    # (7, F, B): a prism as it lies, to be fetched by its number.
+    # (7, F, B): x, y, cos, sin, half sides and top of each prism, to be fetched by its number.
     table = jnp.stack(
         [
             *(prisms.center[..., 0], prisms.center[..., 1], jnp.cos(prisms.yaw)),
@@ -112,30 +117,31 @@ def soft_sight(
 
     sets = (False, True) if both else (ignore_self_occlusion,)
 
-    def enter(best: Any, index: Array, some: Array) -> Any:
+    def rank_prism(best: Any, index: Array, some: Array) -> Any:
         prism = table[:, jnp.arange(frames), index][:, :, None]
         hides, stands = _hides(fixed, prism, x, y, heights[:1], soft)
-        # The number in the last bits of how much it hides: the best are then kept by max alone.
+        # The prism's number replaces the last bits of how much it hides: max then keeps both.
         key = jax.lax.bitcast_convert_type(hides.astype(jnp.float32), jnp.uint32)
         key = (key & ~spare) | index.astype(jnp.uint32)[:, None]
         key = jnp.where((hides > 0) & some[:, None], key, jnp.uint32(0))
-        kept = []
+        ranked = []
         for held, own in zip(best, sets, strict=True):
             new, ranks = jnp.where(stands, jnp.uint32(0), key) if own else key, []
             for k in range(len(held)):
                 ranks.append(jnp.maximum(held[k], new))
                 new = jnp.minimum(held[k], new)
-            kept.append(tuple(ranks))
-        return tuple(kept)
+            ranked.append(tuple(ranks))
+        return tuple(ranked)
 
     nobody = jnp.zeros((frames, x.shape[-1]), jnp.uint32)
     none = ((nobody,) * min(WINNERS, count),) * len(sets)
-    best = bitmask.fold_marked(marked, enter, none)
+    best = bitmask.fold_marked(marked, rank_prism, none)
     best = jax.tree.map(partial(checkpoint_name, name=WON), best)
-    # The sensor at every point: slopes are then added up point by point, and summed but once.
+    # The sensor once for every point: slopes are then added point by point, and summed once.
     sx, sy, sz = (jnp.broadcast_to(s, nobody.shape) for s in sensor)
 
     def clear_of(best: tuple[Array, ...]) -> Float[Array, "Z F C"]:
+        """The chance that the prisms of these keys (F, C) leave each line clear."""
         cuts = []
         for key in best:
             won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
@@ -156,12 +162,12 @@ def soft_sight(
         return clear_of(best[0])
     nothing = jnp.zeros((len(heights), *nobody.shape), sz.dtype)
 
-    def read(one: tuple[Array, Array]) -> Float[Array, "Z F C"]:
-        asked, best = one
+    def read_case(case: tuple[Array, Array]) -> Float[Array, "Z F C"]:
+        asked, best = case
         return jax.lax.cond(asked, clear_of, lambda _: nothing, tuple(best))
 
     asked = jnp.stack([jnp.array(True), jnp.any(ignore_self_occlusion)])
-    line, others = jax.lax.map(read, (asked, jnp.stack([jnp.stack(ranks) for ranks in best])))
+    line, others = jax.lax.map(read_case, (asked, jnp.stack([jnp.stack(ranks) for ranks in best])))
     return jnp.where(ignore_self_occlusion, others, line)
 
 
@@ -183,10 +189,11 @@ def _hides(
     lowest: Float[Array, "*n"],
     width: Float[Array, ""],
 ) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """How much of a column a prism hides, in a cheap soft way: the reading of how deep the line to
-    its lowest voxel cuts in, times how far that passes below the top [m]. Where the line leaves the
-    prism is taken as where the stretch ends that the prism takes up along it. And whether the prism
-    stands on the column.
+    """(how much of a column a prism hides, whether the prism stands on the column).
+
+    The first is a cheap soft measure: the reading of how deep the line to the column's ``lowest``
+    voxel cuts into the prism sideways, times how far it passes below the top [m]. For t₀ and t₁ it
+    takes the ends of the prism's :func:`~inspe_jax.core.geometry.stretch` along the line.
     """
     a, b, top = prism[4:]
     line = _own_frame(prism, sensor[0], sensor[1], x, y)
@@ -201,12 +208,13 @@ def _hides(
 
 
 class ShadowBounds(NamedTuple):
-    """The prisms of T frames as one sensor sees them: what tells which tiles their shadows miss.
+    """Bounds of one sensor's shadows in T frames, which tell the tiles that a shadow misses.
 
-    ``terms`` (T, B) for the sight lines; of the circle about each prism, (B, T) each: its bearing
-    ``x``, ``y``, the cosine and sine of half the angle it takes up, whether it is ``around`` the
-    sensor, how far away it begins (``near`` [m]), its radius (``span`` [m]), and how far its shadow
-    falls for each metre that the sensor is above the ground (``fall``).
+    ``terms`` (T, B) are for the sight lines. The others (B, T) are of the circle around each prism
+    in plan: the unit vector ``x``, ``y`` from the sensor to its centre; ``cos`` and ``sin`` of half
+    the angle that it takes up; whether the sensor is inside it (``around``); how far away it begins
+    (``near`` [m]); its radius (``span`` [m]); and ``fall``, how far from the sensor the shadow
+    reaches for each metre of the sensor's height above the ground.
     """
 
     terms: ShadowTerms
@@ -221,7 +229,10 @@ class ShadowBounds(NamedTuple):
 
 
 def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> ShadowBounds:
-    """What one sensor's shadows need of the prisms (T, B), for all tiles; ``wider`` and higher."""
+    """The bounds of one sensor's shadows of prisms (T, B), the same for all tiles.
+
+    Prisms are taken ``wider`` and higher by so much [m].
+    """
     x, y = prisms.center[..., 0] - sensor[0], prisms.center[..., 1] - sensor[1]
     span = jnp.hypot(prisms.half[..., 0] + wider, prisms.half[..., 1] + wider) + CLOSE
     away = jnp.maximum(jnp.hypot(x, y), CLOSE)
@@ -234,92 +245,85 @@ def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) ->
     return ShadowBounds(shadow_terms(sensor, prisms), *(leaf.T for leaf in columns))
 
 
-def may_shade(
-    sensor: Float[Array, "3"], shadow_bounds: ShadowBounds, tile: Tile
-) -> Bool[Array, "B T"]:
-    """Whether a prism's shadow may touch a tile: if not, it does not.
+def may_shade(sensor: Float[Array, "3"], bounds: ShadowBounds, tile: Tile) -> Bool[Array, "B T"]:
+    """Whether a prism's shadow may touch a tile; where it is false, the shadow misses the tile.
 
-    The circles about both overlap in bearing, the prism does not begin beyond the tile, and its
-    shadow does not reach the ground before it.
+    It may if the circles around both overlap in bearing, the prism does not begin beyond the tile,
+    and the shadow does not reach the ground before the tile.
     """
     x, y = tile.center[0] - sensor[0], tile.center[1] - sensor[1]
     span = tile.radius + CLOSE
     away = jnp.maximum(jnp.hypot(x, y), CLOSE)
     sin = jnp.minimum(span / away, 1.0)
     cos = jnp.sqrt(1.0 - sin * sin)
-    between = (
-        shadow_bounds.x * x + shadow_bounds.y * y
-    ) / away  # cosine of the angle between their bearings
-    overlap = between >= cos * shadow_bounds.cos - sin * shadow_bounds.sin - CLOSE**2
-    drop = jnp.maximum(sensor[2] - tile.low, CLOSE)  # more than 0: a prism above it hides all
-    reaches = away - span <= drop * shadow_bounds.fall + CLOSE
-    return (
-        (overlap | shadow_bounds.around | (away <= span))
-        & (shadow_bounds.near <= away + span)
-        & reaches
-    )
+    between = (bounds.x * x + bounds.y * y) / away  # cosine of the angle between their bearings
+    overlap = between >= cos * bounds.cos - sin * bounds.sin - CLOSE**2
+    # A prism that is higher than the sensor hides all behind it: drop > 0 lets it reach the tile.
+    drop = jnp.maximum(sensor[2] - tile.low, CLOSE)
+    reaches = away - span <= drop * bounds.fall + CLOSE
+    return (overlap | bounds.around | (away <= span)) & (bounds.near <= away + span) & reaches
 
 
-def stand_on(
-    sensor: Float[Array, "3"], shadow_bounds: ShadowBounds, tile: Tile, solid: UInt[Array, "T C"]
+def may_stand_on(
+    sensor: Float[Array, "3"], bounds: ShadowBounds, tile: Tile, solid: UInt[Array, "T C"]
 ) -> Bool[Array, "B T"]:
-    """Whether a prism may stand on a column of a tile, with or without a ``solid`` voxel in it.
+    """Whether a prism may stand on a column of a tile, whether or not a voxel there is ``solid``.
 
-    By the circles about both; if not, it is :data:`~inspe_jax.visibility.tiles.CLOSE` away from all
-    columns. Where no voxel is solid, only a prism may that is lower than some column's lowest.
+    It is told by the circles around both. Where it is false, the prism is at least
+    :data:`~inspe_jax.visibility.tiles.CLOSE` away from all columns. In a frame in which no voxel of
+    the tile is solid, only a prism that is lower than the lowest voxel of some column may.
     """
-    away = shadow_bounds.near + shadow_bounds.span
-    x = sensor[0] + away * shadow_bounds.x - tile.center[0]
-    y = sensor[1] + away * shadow_bounds.y - tile.center[1]
-    low = (shadow_bounds.terms.rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
-    close = jnp.hypot(x, y) <= shadow_bounds.span + tile.radius + CLOSE
+    away = bounds.near + bounds.span
+    x = sensor[0] + away * bounds.x - tile.center[0]
+    y = sensor[1] + away * bounds.y - tile.center[1]
+    low = (bounds.terms.rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
+    close = jnp.hypot(x, y) <= bounds.span + tile.radius + CLOSE
     return close & (low | (solid != 0).any(1)[None])
 
 
-OWN = 16
-"""Frames that are gone through together for the prisms that stand on a tile."""
+STANDING_FRAMES = 16
+"""Frames that are worked on at once for the prisms that stand on a tile."""
 
 
 def clear_masks(
     sensor: Float[Array, "3"],
-    shadow_bounds: ShadowBounds,
+    bounds: ShadowBounds,
     tile: Tile,
     spared: UInt[Array, "T C"] | None = None,
 ) -> UInt[Array, "T C"]:
     """Masks of the voxels of one tile that are in line of sight of one sensor, in each frame.
 
-    ``spared`` are masks of voxels inside vehicles that other vehicles alone may hide. As
-    :func:`shadow_ceilings` has it, but only the prisms are looked at that :func:`may_shade`
-    leaves, the first of every frame, then the second: some two of forty. Those that
-    :func:`stand_on` the tile spare their own columns there, and hide in a second sweep, of few
-    frames and fewer prisms, what is not ``spared``.
+    These are the voxels above :func:`shadow_ceilings`. Only the prisms that :func:`may_shade` the
+    tile are taken, some two of forty: first the first one of every frame, then the second.
+
+    ``spared`` are masks of voxels inside vehicles that only other vehicles may hide. Then there are
+    two passes. In the first, a prism that :func:`may_stand_on` the tile does not hide its own
+    columns. In the second, of few frames and fewer prisms, it hides there what is not ``spared``.
     """
     dx, dy = tile.columns[0] - sensor[0], tile.columns[1] - sensor[1]
-    shading = may_shade(sensor, shadow_bounds, tile)
+    shading = may_shade(sensor, bounds, tile)
     every = jnp.arange(shading.shape[1])
 
     def above(frames: Array, marked: Array, standing: Array | None) -> UInt[Array, "F C"]:
         """Masks of what is above the ceilings of the marked prisms."""
 
         def lift(ceiling: Array, prism: Array, some: Array) -> Array:
-            of = jax.tree.map(
-                lambda leaf: leaf[frames, prism][:, None], shadow_bounds.terms
-            )  # (F, 1)
+            of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], bounds.terms)  # (F, 1)
             own = False if standing is None else standing[prism, frames][:, None]
             new = shadow_ceiling(of, dx[None], dy[None], sensor[2], ignore_self_occlusion=own)
             return jnp.maximum(ceiling, jnp.where(some[:, None], new, NEVER))
 
         start = jnp.full((len(frames), len(dx)), NEVER, dx.dtype)
         ceiling = bitmask.fold_marked(marked, lift, start)
-        return levels(tile.heights[:, None] > ceiling[None], tile.there.dtype)
+        return pack_levels(tile.heights[:, None] > ceiling[None], tile.there.dtype)
 
     if spared is None:
         return above(every, bitmask.marks(shading), None)
-    standing = shading & stand_on(sensor, shadow_bounds, tile, spared)
+    standing = shading & may_stand_on(sensor, bounds, tile, spared)
     clear = above(every, bitmask.marks(shading), standing)
     number = standing.sum(0)
     order, marked = jnp.argsort(-number), bitmask.marks(standing)
-    together = min(OWN, len(every))
+    together = min(STANDING_FRAMES, len(every))
 
     def hide(part: Array, clear: Array) -> Array:
         # The last part may go back to frames of the one before, which hides nothing more.
@@ -334,5 +338,5 @@ def clear_masks(
 @jax.jit
 def sight_masks(sensor: Float[Array, "3"], prisms: Prism, tiles: Tile) -> UInt[Array, "N T C"]:
     """Masks of the voxels that are in line of sight of one sensor, in T frames of prisms (T, B)."""
-    cast = shadow_bounds(sensor, prisms)
-    return jax.lax.map(lambda tile: clear_masks(sensor, cast, tile), tiles)
+    bounds = shadow_bounds(sensor, prisms)
+    return jax.lax.map(lambda tile: clear_masks(sensor, bounds, tile), tiles)

@@ -1,7 +1,7 @@
-"""The voxels in tiles: neighbouring columns together, the levels of a column in one word.
+"""Tiles of voxels: neighbouring columns together, the levels of a column in one word.
 
-What scores go through, exact and soft. A tile is small enough to be told apart from most
-shadows and fields of view as a whole, and large enough to be worked on at once.
+Exact and soft scores take one tile after the other. A tile is small enough that most shadows and
+fields of view miss it as a whole, and large enough for efficient array operations.
 """
 
 from collections.abc import Callable
@@ -20,21 +20,23 @@ from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
 
 COLUMNS = (96, 320)
-"""Columns of a tile, in a sample of few and else."""
-SHARES = 8
-"""Least number of tiles, which divides every other, so that they can be shared out evenly."""
+"""Columns of a tile: in a small sample, and otherwise."""
+CHUNKS = 8
+"""Most chunks that the tiles are divided into. The number of tiles is a multiple of it, so that
+chunks have equal size."""
 WIDE = 512
-"""Tiles up to which three of four may be padding: of more, their masks would take gigabytes."""
+"""Up to so many tiles three of four may be padding; padding beyond would take gigabytes of
+masks."""
 CLOSE = 1e-2
-"""What tells whole tiles apart is wider by this [m], more than single precision is off by."""
+"""Tests of whole tiles are wider by this [m], which is more than the error of single precision."""
 
 
 class Tile(NamedTuple):
-    """Columns of voxels that stand together; :class:`Tiles` has a leading axis N of them.
+    """Neighbouring columns of voxels; :class:`Tiles` has N of them along a leading axis.
 
-    ``columns`` (2, C) are x and y; ``heights`` (Z, C) of the voxels' centres; ``there`` (C,) are
-    masks of the voxels that there are, the others being padding. The column centres are within
-    ``radius`` of ``center`` (2,), and their voxels' between ``low`` and ``high`` [m].
+    ``columns`` (2, C) are x and y, ``heights`` (Z, C) those of the voxels' centres. ``there`` (C,)
+    are masks of the voxels that exist; the others are padding. The columns are within ``radius`` of
+    ``center`` (2,), and the voxels' centres between ``low`` and ``high`` [m].
     """
 
     columns: Float[Array, "*N 2 C"]
@@ -52,9 +54,9 @@ class Tiles:
     """All voxels in N tiles of up to C columns and :data:`~inspe_jax.visibility.bitmask.WORD`
     levels.
 
-    Where there are more levels than bits in a word, the columns are cut into slabs of levels, and
-    the tiles of the lowest come first. ``place`` (L,) is where each column is among the columns of
-    a slab's tiles; None where nobody asks.
+    Where there are more levels than bits in a word, the columns are cut into slabs of levels. The
+    tiles of the lowest slab come first. ``place`` (L,) is the number of each of the scene's columns
+    among the columns of a slab's tiles; None where it is not needed.
     """
 
     tile: Tile
@@ -63,17 +65,17 @@ class Tiles:
 
     @property
     def slabs(self) -> int:
-        """Slabs of levels that the columns are cut into."""
+        """The number of slabs of levels that the columns are cut into."""
         return -(-self.level_count // bitmask.WORD)
 
     def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
-        """Masks of the tiles' columns, for the voxels as the scene has them."""
+        """Masks of the tiles' columns as flags in the scene's order of voxels."""
         return self.of_voxels(
-            bitmask.bits(np.asarray(words)[..., None], self.tile.heights.shape[-2])
+            bitmask.unpack(np.asarray(words)[..., None], self.tile.heights.shape[-2])
         )
 
     def of_voxels(self, values: Shaped[np.ndarray, "... N C Z"]) -> Shaped[np.ndarray, "... V"]:
-        """A value for each level of the tiles' columns, for the voxels as the scene has them."""
+        """Values for each level of the tiles' columns, in the scene's order of voxels."""
         assert self.place is not None
         lead, height = values.shape[:-3], values.shape[-1]
         values = values.reshape(*lead, self.slabs, -1, height)[..., np.asarray(self.place), :]
@@ -81,17 +83,17 @@ class Tiles:
         return values[..., : self.level_count].reshape(*lead, -1)
 
 
-def tiles_of(ground: CenteredScene) -> Tiles:
-    """Columns halved by their place, along the longer side, into tiles of nearly as many each.
+def tiles_of(scene: CenteredScene) -> Tiles:
+    """The columns in tiles of nearly equal size, by halving along the longer side.
 
-    Tiles end in padding, which repeats a column, and there are some tiles of nothing else, so that
+    Tiles end in padding, which repeats a column. There are also some tiles of padding only, so that
     scenes of similar size have arrays of one shape.
     """
-    columns, heights = np.asarray(ground.columns), np.asarray(ground.heights)
-    few = -(-len(columns) // SHARES)
+    columns, heights = np.asarray(scene.columns), np.asarray(scene.heights)
+    few = -(-len(columns) // CHUNKS)
     size = next((size for size in COLUMNS if size >= few), COLUMNS[-1])
     parts = _halved(columns, np.arange(len(columns)), -(-len(columns) // size))
-    number = wide_bucket(len(parts), SHARES, WIDE)
+    number = wide_bucket(len(parts), CHUNKS, WIDE)
     index, real = np.zeros((number, size), int), np.zeros((number, size), bool)
     for t, part in enumerate(parts):
         index[t], real[t, : len(part)] = part[0], True
@@ -128,7 +130,7 @@ def tiles_of(ground: CenteredScene) -> Tiles:
 def _halved(
     columns: Float[np.ndarray, "L 2"], index: Int[np.ndarray, " l"], number: int
 ) -> list[Int[np.ndarray, " c"]]:
-    """Columns by their numbers, in so many parts; one has at most one column more than another."""
+    """The numbers of the columns in ``number`` parts, whose sizes differ by at most one."""
     if number == 1:
         return [index]
     xy, few = columns[index], number // 2
@@ -140,9 +142,9 @@ def _halved(
     ]
 
 
-def one_tile(ground: CenteredScene) -> Tiles:
-    """All columns in one tile (of each slab), traced or not: for a few columns, far apart."""
-    columns, heights = ground.columns, ground.heights
+def one_tile(scene: CenteredScene) -> Tiles:
+    """All columns in one tile of each slab, traced or not: for a few columns, far apart."""
+    columns, heights = scene.columns, scene.heights
     slab, exists = _slabs(heights.shape[1])
     slabs = len(slab)
     z = heights[:, slab].transpose(1, 2, 0)  # (slabs, Z, L)
@@ -159,7 +161,7 @@ def one_tile(ground: CenteredScene) -> Tiles:
 
 
 def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "slabs Z"]]:
-    """The levels of each slab, and which of them there are: the last may end in padding."""
+    """The levels of each slab, and which of them exist: the last slab may end in padding."""
     slabs = -(-levels // bitmask.WORD)
     index = np.arange(slabs * -(-levels // slabs)).reshape(slabs, -1)
     return np.minimum(index, levels - 1), index < levels
@@ -168,44 +170,43 @@ def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "s
 @jax.jit
 def solid(tile: Tile, prisms: Prism) -> UInt[Array, "N T C"]:
     """Masks of the voxels of N tiles that are inside a vehicle, in each of T frames."""
-    return jax.lax.map(unless_empty(lambda one: solid_in(one, prisms)), tile)
+    return jax.lax.map(unless_empty(lambda tile: solid_in(tile, prisms)), tile)
 
 
 def unless_empty(work: Callable[..., Any]) -> Callable[..., Any]:
-    """``work`` on a tile, and on what else it is given; zeros, at once, of a tile of nothing but
-    padding."""
+    """``work(tile, …)``; for a tile of padding only, zeros without any work."""
 
-    def done(tile: Tile, *given: Any) -> Any:
-        skip = partial(nothing_of, work)
+    def skipping(tile: Tile, *given: Any) -> Any:
+        skip = partial(zeros_of, work)
         return jax.lax.cond((tile.there != 0).any(), work, skip, tile, *given)
 
-    return done
+    return skipping
 
 
-def nothing_of(work: Callable[..., Any], *given: Any) -> Any:
-    """Zeros, of the shapes of what ``work`` gives."""
+def zeros_of(work: Callable[..., Any], *given: Any) -> Any:
+    """Zeros of the shapes and types that ``work(*given)`` returns."""
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(work, *given))
 
 
 def solid_in(tile: Tile, prisms: Prism) -> UInt[Array, "T C"]:
-    """The same of one tile."""
+    """Masks of the voxels of one tile that are inside a vehicle, in each of T frames."""
     frames = jnp.arange(len(prisms.top))
     span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1])  # (T, B)
     x, y = prisms.center[..., 0] - tile.center[0], prisms.center[..., 1] - tile.center[1]
     near = jnp.hypot(x, y) < span + tile.radius + CLOSE
     near &= prisms.valid & (prisms.top > tile.low)
 
-    def higher(top: Array, index: Array, some: Array) -> Array:
+    def raise_top(top: Array, index: Array, some: Array) -> Array:
         prism = jax.tree.map(lambda leaf: leaf[frames, index][:, None], prisms)
         prism = prism._replace(valid=prism.valid & some[:, None])
         return jnp.maximum(top, top_over(prism, *tile.columns[:, None]))
 
     start = jnp.full((len(frames), tile.columns.shape[1]), NEVER, tile.columns.dtype)
-    top = bitmask.fold_marked(bitmask.marks(near.T), higher, start)
-    return levels(tile.heights[:, None] < top[None], tile.there.dtype) & tile.there[None]
+    top = bitmask.fold_marked(bitmask.marks(near.T), raise_top, start)
+    return pack_levels(tile.heights[:, None] < top[None], tile.there.dtype) & tile.there[None]
 
 
-def levels(flags: Bool[Array, "Z ..."], kind: jnp.dtype) -> UInt[Array, "..."]:
-    """A flag for each level as masks of levels."""
+def pack_levels(flags: Bool[Array, "Z ..."], kind: jnp.dtype) -> UInt[Array, "..."]:
+    """Flags for each of Z levels as masks of type ``kind``."""
     each = (jnp.where(flags[z], kind.type(1 << z), kind.type(0)) for z in range(len(flags)))
     return sum(each, jnp.zeros(flags.shape[1:], kind))

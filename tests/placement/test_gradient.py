@@ -69,7 +69,7 @@ class Known(Problem):
         return float(nearness(poses_about_center(self.cases[0].scene, layout), self.at))
 
     def rough(self, x, sample):
-        at = self.at + moved(sample.fields)
+        at = self.at + moved(sample.arrays)
         return np.array([float(nearness(row, at)) for row in poses(self.space, x)])
 
     def slope(self, poses, on, softness):
@@ -78,7 +78,7 @@ class Known(Problem):
 
 
 def moved(fields):
-    return 0.2 * jnp.sin(jnp.sum(jnp.asarray(fields[0].ground.columns[0], float)))
+    return 0.2 * jnp.sin(jnp.sum(jnp.asarray(fields[0].centered.columns[0], float)))
 
 
 @jax.jit
@@ -190,11 +190,11 @@ def test_a_slope_is_that_of_every_vehicle_against_every_column(problem, way):
     """What gradients are of, against the same measures in the open; to rounding."""
     space, x = problem.space, problem.space.random(np.random.default_rng(1), 1)[0]
     drawn, softness = problem.draw(np.random.default_rng(0), 300, 3), jnp.asarray(0.5, float)
-    field = take(problem.fields, drawn)[0]
+    field = take(problem.arrays, drawn)[0]
 
     @jax.jit
     def expected(x):
-        at = field, space.poses(x), problem.crews[0], 1.0, Softness.of(0.5)
+        at = field, space.poses(x), problem.sensor_sets[0], 1.0, Softness.of(0.5)
         found = measure(*at, **problem.options)
         return -surrogate(found.values, weights_of())[0]
 

@@ -144,7 +144,7 @@ def scene():
     return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
 
 
-def crew(scene):
+def team(scene):
     """A camera and a LiDAR on one pole, two cameras on another, one on a third; all look up."""
     c = scene.voxels.center
     units = [
@@ -160,7 +160,7 @@ def crew(scene):
 
 @pytest.fixture(scope="module")
 def problem(scene):
-    return Problem(scene, crew(scene))
+    return Problem(scene, team(scene))
 
 
 @pytest.fixture(scope="module")
@@ -330,7 +330,7 @@ def test_few_layouts_are_projected_as_many_are(problem):
 
 def test_limits_are_those_of_the_constraints(scene):
     constraints = Constraints(heights=(4.0, 9.0))
-    space = Space(scene, crew(scene), constraints)
+    space = Space(scene, team(scene), constraints)
     heights, pitches = candidates.limits(space, space.start(space.given)[0])
     assert np.allclose(heights, [[4.0, 9.0]] * 5, atol=1e-4)
     camera, lidar = (np.array(constraints.pitch[kind]) for kind in ("camera", "lidar"))
@@ -348,7 +348,7 @@ def test_few_feet_of_a_lattice_are_far_apart(problem, monkeypatch):
 
 
 def test_units_that_must_stay_have_their_feet_among_the_candidates(scene):
-    space = Space(scene, crew(scene), Constraints(places="keep"))
+    space = Space(scene, team(scene), Constraints(places="keep"))
     feet = candidates.lattice(space, 1)
     for u in range(3):
         assert space.can_stand(feet)[u].any()
@@ -385,7 +385,7 @@ OBJECTIVES = {
 def test_bits_add_up_to_the_score(scene, name):
     """The sum over what each sensor sees is the rough score; and gains are differences of it."""
     objective, two = OBJECTIVES[name]
-    problem = Problem([scene, Case(other_traffic(scene))] if two else scene, crew(scene), objective)
+    problem = Problem([scene, Case(other_traffic(scene))] if two else scene, team(scene), objective)
     sample = problem.sample(np.random.default_rng(1), 96, 3)
     tally, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)

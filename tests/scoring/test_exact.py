@@ -50,18 +50,18 @@ SCENES = {
 
 
 compiled_measure = jax.jit(
-    measure, static_argnames=("crew", "voxel", "occlusion_reference", "visibility")
+    measure, static_argnames=("sensor_set", "voxel", "occlusion_reference", "visibility")
 )
 
 
 def both(scene, layout, failures=(), **options):
     """(dense, by masks)."""
-    crew = SensorSet.of(layout, failures)
+    sensor_set = SensorSet.of(layout, failures)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
-    dense = compiled_measure(field, poses, crew, voxel, **options)
+    dense = compiled_measure(field, poses, sensor_set, voxel, **options)
     return dense, exact.measure_exactly(
-        made.tiled_scene_of(scene), poses, crew, voxel, Asked.of(**options)
+        made.tiled_scene_of(scene), poses, sensor_set, voxel, Asked.of(**options)
     )
 
 
@@ -152,14 +152,14 @@ def test_a_sensor_in_every_awkward_place():
 def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
     scene = world(seed=4)
     layout = random_layout(scene, SPECS, seed=4)
-    crew = SensorSet.of(layout, UNITS)
+    sensor_set = SensorSet.of(layout, UNITS)
     found = []
     for number in (1, 2, 8):
         monkeypatch.setattr(made, "cores", lambda number=number: number)
-        shared = made._make_world(scene)
+        shared = made._tile_scene(scene)
         assert len(shared.chunks) == number
         poses = poses_about_center(scene, layout)
-        found.append(exact.measure_exactly(shared, poses, crew, scene.voxels.size))
+        found.append(exact.measure_exactly(shared, poses, sensor_set, scene.voxels.size))
     for other in found[1:]:
         jax.tree.map(np.testing.assert_array_equal, other, found[0])
 
@@ -177,11 +177,11 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
         jnp.asarray(np.repeat(scene.voxels.column_weight[at], levels), float),
         jnp.asarray(rng.uniform(size=77 * levels), float),
     )
-    crew = SensorSet.of(layout, UNITS)
+    sensor_set = SensorSet.of(layout, UNITS)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     sample = made.tiled_sample(field)
-    traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, crew, voxel))
-    assert_same(compiled_measure(field, poses, crew, voxel), traced(poses, sample))
+    traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, sensor_set, voxel))
+    assert_same(compiled_measure(field, poses, sensor_set, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
     views, seen = view_from_poses(grid, voxel / 2, s, sample, Asked())
@@ -213,9 +213,9 @@ def test_a_world_is_kept_as_long_as_its_scene():
     assert made.tiled_scene_of(scene) is first
     other = replace(scene, traffic=random_traffic(scene.intersection, 2, 3, 20.0, seed=1))
     assert made.tiled_scene_of(other) is not first
-    kept = len(made._worlds)
+    kept = len(made._kept_scenes)
     del scene, other
-    assert len(made._worlds) <= kept - 2
+    assert len(made._kept_scenes) <= kept - 2
     assert made.tiled_scene_of(replace(world(), traffic=no_traffic())).occupancy.size == 0
 
 

@@ -81,8 +81,11 @@ def test_surrogate_and_its_weights():
     ("given", "words"),
     [
         ((0.3, 0.5, 0.3), "sum to 1"),
-        ((1.5, -0.5, 0.0), "none may be negative"),
-        ((0.5, 0.5), "3 numbers, of coverage, occlusion, information_gain; or by name"),
+        ((1.5, -0.5, 0.0), "no weight may be negative"),
+        (
+            (0.5, 0.5),
+            "give 3 numbers, for coverage, occlusion, information_gain; or weights by name",
+        ),
         ({"coverage": 0.5, "oclusion": 0.5}, "did you mean occlusion"),
     ],
 )

@@ -28,7 +28,7 @@ from inspe_jax.core.numerics import Softness, step
 from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet
 from inspe_jax.scoring.soft import measure_softly
-from inspe_jax.scoring.tiled_scene import SceneArrays, bare_tiled_scene_of
+from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_without_masks
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
@@ -39,7 +39,7 @@ NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2
 METRICS = ("coverage", "occlusion", "information_gain")
 
 compiled_measure = jax.jit(
-    measure, static_argnames=("crew", "voxel", "occlusion_reference", "visibility")
+    measure, static_argnames=("sensor_set", "voxel", "occlusion_reference", "visibility")
 )
 
 
@@ -112,7 +112,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
     scene = world(radius=25.0, voxel=1.0, frames=23, count=12)
     layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
-    crew, poses = SensorSet.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
+    sensor_set, poses = SensorSet.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     options = dict(occlusion_reference="covered", visibility="line_of_sight")
     softness, voxel = Softness.of(READINGS[reading]), scene.voxels.size
@@ -121,12 +121,17 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
         return sum(value.sum() for value in measures.values.values()), measures
 
     def plain(poses):
-        return total(compiled_measure(field, poses, crew, voxel, softness, **options))
+        return total(compiled_measure(field, poses, sensor_set, voxel, softness, **options))
 
     def tiled(poses):
         return total(
             measure_softly(
-                bare_tiled_scene_of(scene), poses, crew, voxel, softness, Asked.of(**options)
+                tiled_scene_without_masks(scene),
+                poses,
+                sensor_set,
+                voxel,
+                softness,
+                Asked.of(**options),
             )
         )
 
@@ -148,12 +153,12 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(size):
     """All vehicles against all columns again; of two vehicles both win in every slab."""
     scene = world(seed=3, **size)
     layout = random_layout(scene, [LIDAR, CAMERA], seed=6, heights=(3.0, 6.0))
-    crew, poses = SensorSet.of(layout, ((0,), (1,))), poses_about_center(scene, layout)
+    sensor_set, poses = SensorSet.of(layout, ((0,), (1,))), poses_about_center(scene, layout)
     poses = poses * jnp.array([0.3, 0.3, 1, 1, 1, 1], poses.dtype)[None]  # near the middle
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     softness, voxel = Softness.of(0.5), scene.voxels.size
-    expected = compiled_measure(field, poses, crew, voxel, softness)
-    found = measure_softly(bare_tiled_scene_of(scene), poses, crew, voxel, softness)
+    expected = compiled_measure(field, poses, sensor_set, voxel, softness)
+    found = measure_softly(tiled_scene_without_masks(scene), poses, sensor_set, voxel, softness)
     assert 0.05 < float(expected.values["coverage"][0]) < 1
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=2e-6), found, expected)
 

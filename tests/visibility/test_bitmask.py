@@ -14,7 +14,7 @@ def test_packed_flags_come_back(n):
     words = bitmask.pack(flags)
     assert words.shape == (5, 3, 1)
     assert words.dtype == bitmask.word(n)
-    np.testing.assert_array_equal(bitmask.bits(words, n), flags)
+    np.testing.assert_array_equal(bitmask.unpack(words, n), flags)
     np.testing.assert_array_equal(bitmask.count(jnp.asarray(words[..., 0])), flags.sum(-1))
     tally = bitmask.count_levels(jnp.asarray(words[..., 0]), n)
     np.testing.assert_array_equal(tally, flags.sum(0))
@@ -23,7 +23,7 @@ def test_packed_flags_come_back(n):
 def test_more_flags_than_a_word_holds_go_on_in_the_next():
     flags = np.random.default_rng(0).uniform(size=(4, 70)) < 0.5
     assert bitmask.pack(flags).shape == (4, 3)
-    np.testing.assert_array_equal(bitmask.bits(bitmask.pack(flags), 70), flags)
+    np.testing.assert_array_equal(bitmask.unpack(bitmask.pack(flags), 70), flags)
 
 
 @pytest.mark.parametrize("groups", [(), ((0,), (1,), (2,), (3,)), ((1, 3), (0,), (2,))])

@@ -118,7 +118,7 @@ def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], coun
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
-        run.charge(len(line) * GRADIENT_COST * problem.share(drawn[0]))
+        run.charge(len(line) * GRADIENT_COST * problem.sample_cost(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, anchor, place, drawn, strict=True)
         jobs = [("slope", partial(score, *row, softness)) for row in rows]

@@ -86,7 +86,7 @@ def _interchangeable(problem: Problem, sensors: Sequence[int]) -> list[list[int]
     """Sensors of one kind that are as reliable as each other."""
     groups: dict[object, list[int]] = {}
     for s in sensors:
-        groups.setdefault(tuple(crew.reliability[s] for crew in problem.crews), []).append(s)
+        groups.setdefault(tuple(of.reliability[s] for of in problem.sensor_sets), []).append(s)
     return list(groups.values())
 
 
@@ -229,7 +229,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     problem = run.problem
     if VIEWS in problem.known:
         return {}
-    _ = problem.fields  # here: two threads would each make them
+    _ = problem.arrays  # here: two threads would each make them
 
     def look() -> bool:
         table = Table.of(problem, run.rng(0, 0))
@@ -243,7 +243,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
 
 def _charge(run: Run, tally: SampleScore, views: float) -> None:
     """Charge for looking at what one sensor sees, so many times."""
-    run.charge(views * VIEW_COST * tally.sample.share / len(run.problem.layout))
+    run.charge(views * VIEW_COST * tally.sample.cost / len(run.problem.layout))
 
 
 def _table(run: Run, state: State) -> Table:

@@ -59,7 +59,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     jobs, problem, began = greedy.ahead(run), run.problem, run.spent
     if "slope" in problem.known:
         return jobs
-    _ = problem.fields
+    _ = problem.arrays
 
     def gradient() -> bool:
         took = run.spent - began

@@ -74,7 +74,7 @@ def charged(
     """A score and its slope, charged to the budget at every call."""
 
     def evaluate(z: Array) -> tuple[Array, Array]:
-        run.charge(GRADIENT_COST * run.problem.share(drawn))
+        run.charge(GRADIENT_COST * run.problem.sample_cost(drawn))
         return score(z)
 
     return evaluate

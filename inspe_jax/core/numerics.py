@@ -40,6 +40,11 @@ def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
     return u * u * (3.0 - 2.0 * u)
 
 
+def certain_beyond(width: Width) -> float | Float[Array, ""]:
+    """How far from the threshold [m] a reading is certain: 0 if it is exact."""
+    return 0.0 if exact(width) else REACH * width  # type: ignore[operator]  # it is no None
+
+
 class Softness(NamedTuple):
     """The width [m] with which each kind of margin is read; None reads it exactly.
 

@@ -18,6 +18,7 @@ from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
+from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import (
     TiledScene,
     tiled_scene_of,
@@ -139,20 +140,10 @@ def evaluate(
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
-    traced, voxel = isinstance(layout.poses, jax.core.Tracer), scene.voxels.size
+    # Without each sensor in turn, but not where poses are traced.
+    traced = isinstance(layout.poses, jax.core.Tracer)
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    width = Softness.of(softness)
-    sensors = sensor_array(SensorSet.of(layout, each), ONE_MORE if width.exact else 0)
-    given = layout.poses
-    if width.exact and traced:  # a step function of the poses
-        given = jax.lax.stop_gradient(given)
-    padded = from_center(scene, sensors.padded(given))
-    if width.exact:
-        tiled = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
-        found = count_exactly(tiled, padded, sensors, voxel, asked)
-    else:
-        tiled = tiled_scene_without_masks(scene)
-        found = read_softly(tiled.bucketed, padded, sensors, voxel, width, asked=asked)
+    tiled, found = _measured(scene, layout, each, Softness.of(softness), asked)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
@@ -179,6 +170,29 @@ def evaluate(
             **conditions.record,
         ),
     )
+
+
+def _measured(
+    scene: Scene,
+    layout: Layout,
+    failures: tuple[tuple[int, ...], ...],
+    softness: Softness,
+    asked: Asked,
+) -> tuple[TiledScene, MetricValues]:
+    """The scene in tiles and its metrics, of columns of tiles; counted exactly or read softly."""
+    sensor_set, voxel = SensorSet.of(layout, failures), scene.voxels.size
+    traced = isinstance(layout.poses, jax.core.Tracer)
+    if softness.exact:
+        sensors = sensor_array(sensor_set, ONE_MORE)
+        # A step function of the poses has no gradient.
+        poses = jax.lax.stop_gradient(layout.poses) if traced else layout.poses
+        tiled = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
+        padded = from_center(scene, sensors.padded(poses))
+        return tiled, count_exactly(tiled, padded, sensors, voxel, asked)
+    sensors = sensor_array(sensor_set)
+    tiled = tiled_scene_without_masks(scene)
+    padded = from_center(scene, sensors.padded(layout.poses))
+    return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
 
 
 def _contribution(sensor: str, lost: list[float]) -> Contribution:

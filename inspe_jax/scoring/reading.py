@@ -22,11 +22,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
 from inspe_jax.core.geometry import Prism
-from inspe_jax.core.numerics import REACH, Groups, Softness, leave_one_out
+from inspe_jax.core.numerics import Groups, Softness, certain_beyond, exact, leave_one_out
 from inspe_jax.scoring.metrics import METRICS, Metric
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import soft_view
-from inspe_jax.visibility.shadows import WON, clear_masks, may_shade, shadow_bounds, soft_sight
+from inspe_jax.visibility.shadows import (
+    WON,
+    clear_masks,
+    exact_sight,
+    may_shade,
+    shadow_bounds,
+    soft_sight,
+)
 from inspe_jax.visibility.tiles import Tile, solid_in
 
 TOGETHER = 20
@@ -318,18 +325,22 @@ class Numbers:
         """The chance that each voxel is in line of sight: for occlusion, and for information
         gain."""
         width = self.softness.shadow
-        reach = 0.0 if width is None else REACH * width
+        reach = certain_beyond(width)
         spared = self.solid(frames, len(tile.heights)) > 0
 
         @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(WON))
         def read(sensor: Array) -> tuple[Array, Array]:
             fixed = jax.lax.stop_gradient(sensor)
-            bounds = shadow_bounds(fixed, frames.prisms, reach)
-            marked = bitmask.marks(may_shade(fixed, bounds, tile))
-            at = sensor, frames.prisms, marked, tile.columns, tile.heights, width
             own = spared if asked.ignores_self_occlusion else False
-            clear = soft_sight(*at, ignore_self_occlusion=own)
-            return clear, soft_sight(*at) if asked.sight_apart else clear
+            if exact(width):
+                look = partial(exact_sight, sensor, frames.prisms, tile.columns, tile.heights)
+            else:
+                bounds = shadow_bounds(fixed, frames.prisms, reach)
+                marked = bitmask.marks(may_shade(fixed, bounds, tile))
+                at = sensor, frames.prisms, marked, tile.columns, tile.heights, width
+                look = partial(soft_sight, *at)
+            clear = look(ignore_self_occlusion=own)
+            return clear, look(ignore_self_occlusion=False) if asked.sight_apart else clear
 
         return read(sensor)
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.geometry import Point, ray_cube_margin, rotation
-from inspe_jax.core.numerics import REACH, Softness, step
+from inspe_jax.core.numerics import Softness, certain_beyond, step
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility.tiles import Tile
@@ -329,7 +329,7 @@ def soft_view(
     def nothing(table: RayTable, pose: Array) -> Array:
         return jnp.zeros((levels, columns))
 
-    wide = half + (0.0 if softness.field is None else REACH * softness.field)
+    wide = half + certain_beyond(softness.field)
     transform = transform_of(jax.lax.stop_gradient(pose))
     by_kind = jnp.stack(
         [may_touch_field(each.rays(table), wide, transform, tile) for each in kinds]

@@ -26,7 +26,7 @@ from inspe_jax.core.geometry import (
     shadow_terms,
     stretch,
 )
-from inspe_jax.core.numerics import REACH, Width, exact, step
+from inspe_jax.core.numerics import REACH, Width, step
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 
@@ -60,6 +60,32 @@ def shadow_ceilings(
     return jax.vmap(of_sensor)(sensors)
 
 
+def exact_sight(
+    sensor: Float[Array, "3"],
+    prisms: Prism,
+    columns: Float[Array, "2 C"],
+    heights: Float[Array, "Z C"],
+    *,
+    ignore_self_occlusion: bool | Bool[Array, "Z F C"] = False,
+) -> Float[Array, "Z F C"]:
+    """1 where the prisms (F, B) of each frame leave the sight line to each voxel clear, else 0.
+
+    The highest ceiling of all prisms over a column decides. ``ignore_self_occlusion`` as in
+    :func:`soft_sight`.
+    """
+
+    def clear(own: bool) -> Float[Array, "Z F C"]:
+        ceilings = partial(
+            shadow_ceilings, sensor[None], columns=columns.T, ignore_self_occlusion=own
+        )
+        over = jax.vmap(lambda prisms: ceilings(prisms=prisms)[0])(prisms)
+        return step(heights[:, None] - over[None])
+
+    if isinstance(ignore_self_occlusion, bool):
+        return clear(ignore_self_occlusion)
+    return jnp.where(ignore_self_occlusion, clear(True), clear(False))
+
+
 WINNERS = 2
 """Prisms that are read softly for a column: those that hide most of it."""
 WON = "won"
@@ -79,9 +105,8 @@ def soft_sight(
 ) -> Float[Array, "Z F C"]:
     """Chance that the marked prisms (F, B) of each frame leave the sight line to each voxel clear.
 
-    Read exactly (``width`` 0), the highest ceiling of all prisms over a column decides. Read
-    softly, it is ∏ (1 − p) over the :data:`WINNERS` prisms that hide most of the column. p is the
-    product of two soft readings: how deep the line cuts into the prism sideways, and how far it
+    It is ∏ (1 − p) over the :data:`WINNERS` prisms that hide most of the column. p is the product
+    of two readings of ``width`` [m]: how deep the line cuts into the prism sideways, and how far it
     passes below the top. A prism that narrowly misses counts too. The winners are found without
     differentiation, by how much they hide of the line to the first of ``heights``, the lowest.
 
@@ -89,20 +114,6 @@ def soft_sight(
     array it says so for each voxel; then one pass over the prisms finds the winners of both cases.
     """
     both = not isinstance(ignore_self_occlusion, bool)
-    if exact(width):
-
-        def clear(own: bool) -> Float[Array, "Z F C"]:
-            ceilings = partial(
-                shadow_ceilings, sensor[None], columns=columns.T, ignore_self_occlusion=own
-            )
-            over = jax.vmap(lambda prisms: ceilings(prisms=prisms)[0])(prisms)
-            return step(heights[:, None] - over[None])
-
-        return (
-            jnp.where(ignore_self_occlusion, clear(True), clear(False))
-            if both
-            else clear(bool(ignore_self_occlusion))
-        )
     x, y = columns[:, None]
     fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
     # (7, F, B): x, y, cos, sin, half sides and top of each prism, to be fetched by its number.

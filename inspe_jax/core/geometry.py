@@ -6,7 +6,7 @@ Sight line against prism: in plan the line from sensor s to column c is s + t·(
 cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the column below the height
 at which the line touches its top: z* = z_s + rise/t, with rise the top's height above the sensor,
 t = t₁ for a sensor above the top and t = t₀ for one below. This module has that cut in two forms,
-which :mod:`tests/core/test_geometry.py` compares:
+which ``tests/core/test_geometry.py`` compares:
 
 - :func:`shadow_ceiling`, for exact scores, works in u = 1/t (:func:`_plan_crossings`). Each u is
   linear in the column, so a sight line costs no division, and t₀ and t₁ are compared but never

@@ -85,7 +85,7 @@ class Bowl:
         return float(self._height(np.asarray(x, float)[None])[0])
 
     def sample(self, rng, columns, frames):
-        return SimpleNamespace(share=0.02, seed=int(rng.integers(2**31)))
+        return SimpleNamespace(cost=0.02, seed=int(rng.integers(2**31)))
 
     def rough(self, x, sample):
         rng = np.random.default_rng(sample.seed)

@@ -86,7 +86,7 @@ def test_adam_is_tried_as_soon_as_the_gradient_is_ready(late):
 
     def each(run, state):
         states.append(state)
-        if state["passes"] == 2 and not late.go.is_set():
+        if state["passes"] == 1 and not late.go.is_set():
             late.go.set()
             run.wait(GRADIENT)
             at.append(len(states))

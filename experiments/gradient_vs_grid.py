@@ -5,8 +5,10 @@ with 6 cameras, with 4 LiDARs, and with 4 cameras and 2 LiDARs: 24 cells. All st
 layout, work on samples of the same size, and get the same seconds; each is compiled before its time
 begins, and what that takes is a column of its own. With ``--cold`` each runs in a process of its
 own that keeps nothing compiled, and its time is its user's: it begins when the search is called,
-and compiling is part of it. Scores are exact, of the whole scene. Prints the median over the seeds
-for each cell, which methods win, and how soon the gradient reaches what the grid ends with.
+and compiling is part of it. With ``--processor`` the seconds are processor time, which other work
+on the machine does not lengthen: run it on one core. Scores are exact, of the whole scene. Prints
+the median over the seeds for each cell, which methods win, and how soon the gradient reaches what
+the grid ends with.
 
 A run that is stopped goes on from what it has written: rows are appended as they come. To use
 several cores, run it for some places on each, and put their CSVs together; each search then has
@@ -16,7 +18,7 @@ one core.
 import argparse
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -53,6 +55,8 @@ FIELDS = (
     "compiling", "clock",
 )  # fmt: skip
 
+Clock = Callable[[], float]
+"""Seconds by the clock that budgets are counted with."""
 Found = Iterator[tuple[int, str, list[Progress], float, float]]
 """Searches as they come: seed, method, scores, work in exact scores, and seconds of compiling."""
 
@@ -67,6 +71,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
     parser.add_argument("--places", default="", help="only these, with commas")
     parser.add_argument("--cold", action="store_true", help="compiling is part of the time")
+    parser.add_argument("--processor", action="store_true", help="seconds of processor time")
     parser.add_argument("--mixes", default=",".join(MIXES), help="with commas")
     found = parser.parse_args()
     for name, known in (("methods", METHODS), ("mixes", MIXES), ("places", PLACES)):
@@ -107,10 +112,10 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
 
 
 def search(
-    problem: Problem, method: Method, seed: int, **budget: float | None
+    problem: Problem, method: Method, seed: int, **budget: Any
 ) -> tuple[Run, list[Progress]]:
     """One search from the given layout, without what comes before and after it."""
-    run = Run(problem, problem.space.start(problem.layout)[0], seed=seed, **budget)  # type: ignore[arg-type]
+    run = Run(problem, problem.space.start(problem.layout)[0], seed=seed, **budget)
     try:
         run.compile_ahead(method)
         run.offer(run.start)
@@ -125,25 +130,29 @@ def search(
 
 
 def cold_search(
-    scene: Scene, layout: Layout, name: str, seed: int, seconds: float
+    scene: Scene, layout: Layout, name: str, seed: int, seconds: float, clock: Clock
 ) -> tuple[list[Progress], float, float]:
     """A search in a process that has compiled nothing: its scores, work, and time compiling."""
     jax.config.update("jax_enable_compilation_cache", False)
-    before, began = compiled().seconds, time.monotonic()
+    before, began = compiled().seconds, clock()
     problem = Problem(scene, layout)
-    run, history = search(problem, METHODS[name], seed, seconds=seconds, began=began)
+    run, history = search(problem, METHODS[name], seed, seconds=seconds, clock=clock, began=began)
     return history, run.evaluations, compiled().seconds - before
 
 
-def cold_cell(scene: Scene, layout: Layout, seconds: float, todo: list[tuple[int, str]]) -> Found:
+def cold_cell(
+    scene: Scene, layout: Layout, seconds: float, clock: Clock, todo: list[tuple[int, str]]
+) -> Found:
     """Every search in a process of its own, which imports and gets the scene before it begins."""
     for seed, name in todo:
         with ProcessPoolExecutor(1, get_context("spawn")) as process:
-            task = process.submit(cold_search, scene, layout, name, seed, seconds)
+            task = process.submit(cold_search, scene, layout, name, seed, seconds, clock)
             yield seed, name, *task.result()
 
 
-def warm_cell(scene: Scene, layout: Layout, seconds: float, todo: list[tuple[int, str]]) -> Found:
+def warm_cell(
+    scene: Scene, layout: Layout, seconds: float, clock: Clock, todo: list[tuple[int, str]]
+) -> Found:
     """Every search in this process, each method compiled before."""
     problem = Problem(scene, layout)
     problem.exact(problem.space.start(layout)[0])
@@ -153,7 +162,7 @@ def warm_cell(scene: Scene, layout: Layout, seconds: float, todo: list[tuple[int
         search(problem, METHODS[name], 0, evaluations=warming(problem))
         compiling[name] = time.monotonic() - began
     for seed, name in todo:
-        run, history = search(problem, METHODS[name], seed, seconds=seconds)
+        run, history = search(problem, METHODS[name], seed, seconds=seconds, clock=clock)
         yield seed, name, history, run.evaluations, compiling[name]
 
 
@@ -167,10 +176,12 @@ def cell(
         for name in given.methods.split(",")
         if (place, mix, name, str(seed)) not in done
     ]
-    searches, clock = (cold_cell, "cold") if given.cold else (warm_cell, "compiled")
-    for seed, name, history, work, compiling in searches(scene, layout, given.seconds, todo):
+    searches, words = (cold_cell, "cold") if given.cold else (warm_cell, "compiled")
+    words += ", processor time" * given.processor
+    clock = time.process_time if given.processor else time.monotonic
+    for seed, name, history, work, compiling in searches(scene, layout, given.seconds, clock, todo):
         row = (place, mix, name, seed, given.seconds, history[0].best, history[-1].best)
-        spent = (work, history[-1].seconds, compiling, clock)
+        spent = (work, history[-1].seconds, compiling, words)
         yield dict(zip(FIELDS, (*row, *spent), strict=True)), history
 
 
@@ -263,7 +274,7 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
 
 
 def draw(history: list[dict[str, str]], path: Path) -> None:
-    """Median best score against time, a panel a cell."""
+    """Median best score against the time that was counted, a panel a cell."""
     found = courses(history)
     places = list(dict.fromkeys(at[0] for at in found))
     mixes = list(dict.fromkeys(at[1] for at in found))
@@ -288,7 +299,7 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
             ax.set_title(f"{place}, {mix}", fontsize=9)
             ax.tick_params(labelsize=8)
             if i == len(places) - 1:
-                ax.set_xlabel("wall time [s]", fontsize=9)
+                ax.set_xlabel("time [s]", fontsize=9)
             if j == 0:
                 ax.set_ylabel("exact P_sm", fontsize=9)
     keys: dict[str, Any] = {}

@@ -61,10 +61,10 @@ class Softness(NamedTuple):
         """A Softness from one width [m], traced or not, or from a Softness; 0 is exact.
 
         One width is used for fields and shadows; rays are read exactly. As a sensor moves, its rays
-        leave some voxels and enter others, and the two nearly cancel. Where rays are dense, the slopes
-        of single rays are then many times that of the score, and are noise to a search; where rays
-        are further apart than voxels are wide, a ray width of a fifth of the others may help.
-        Raises InspeError where a width is negative or not a finite number.
+        leave some voxels and enter others, and the two nearly cancel. Where rays are dense, the
+        slopes of single rays are then many times that of the score, and are noise to a search;
+        where rays are further apart than voxels are wide, a ray width of a fifth of the others may
+        help. Raises InspeError where a width is negative or not a finite number.
         """
         given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
         widths = []

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from inspe_jax.placement.compile_ahead import Ahead
-from inspe_jax.placement.methods import greedy_adam
-from inspe_jax.placement.methods.greedy import GREEDY
+from inspe_jax.placement.methods import greedy_adam, polish
 from inspe_jax.placement.methods.greedy_adam import GRADIENT, GREEDY_ADAM
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Run
@@ -71,38 +70,36 @@ def search(problem, method, each=lambda run, state: None, **budget):
     return run
 
 
-def test_where_the_gradient_is_never_ready_it_is_greedy_placement(late):
-    found = search(late, GREEDY_ADAM)
+def test_where_the_gradient_is_never_ready_it_is_placement_and_finer_moves(late):
+    states = []
+    found = search(late, GREEDY_ADAM, lambda run, state: states.append(state))
     assert len(late.callers) == 1  # and that one waits
-    plain = search(late, GREEDY)
-    assert len(plain.history) > 3
-    assert [row.score for row in found.history] == [row.score for row in plain.history]
+    assert states[-1]["count"] == 0
+    assert states[-1]["passes"] > 3
+    placed = [row.best for row in found.history][2]
+    assert found.best > placed
 
 
-def test_adam_takes_over_from_the_best_as_soon_as_the_gradient_is_ready(late):
-    states, before = [], []
+def test_adam_is_tried_as_soon_as_the_gradient_is_ready(late):
+    """One gradient of nothing serves to tell: that it is ready, and that it gains nothing."""
+    states, at = [], []
 
     def each(run, state):
         states.append(state)
-        if len(run.history) == 4 and not late.go.is_set():
-            before.append(run.best)
+        if state["passes"] == 1 and not late.go.is_set():
             late.go.set()
             run.wait(GRADIENT)
+            at.append(len(states))
 
-    run = search(late, GREEDY_ADAM, each)
-    bursts = [state for state in states if "line" in state]
-    assert bursts
-    assert before[0] > run.history[0].score  # it was better than the start by then
-    first = next(n for n, state in enumerate(states) if "line" in state)
-    assert any((x == bursts[0]["x"]).all() for x in run.path)
-    assert bursts[0]["value"] >= before[0]
-    assert all("line" not in state for state in states[:first])
-    assert not any(state["drafted"] for state in states[first:])
+    search(late, GREEDY_ADAM, each)
+    counts = [state["count"] for state in states]
+    assert counts[at[0] - 1] == 0
+    assert counts[at[0]] == polish.BURST
 
 
 def test_a_gradient_that_is_ready_too_late_is_left(late):
     def each(run, state):
-        assert "line" not in state
+        assert state["count"] == 0
         if run.done >= greedy_adam.UNTIL:
             late.go.set()
             run.wait(GRADIENT)
@@ -113,11 +110,10 @@ def test_a_gradient_that_is_ready_too_late_is_left(late):
 
 def test_a_gradient_that_will_not_be_ready_in_time_is_not_begun(late, monkeypatch):
     monkeypatch.setattr(greedy_adam, "COMPILES", np.inf)
-    found = search(late, GREEDY_ADAM)
+    states = []
+    search(late, GREEDY_ADAM, lambda run, state: states.append(state))
     assert not late.callers
-    assert [row.score for row in found.history] == [
-        row.score for row in search(late, GREEDY).history
-    ]
+    assert states[-1]["count"] == 0
 
 
 def test_with_a_budget_in_evaluations_nothing_is_done_beside_the_search(late):

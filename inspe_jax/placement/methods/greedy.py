@@ -159,8 +159,9 @@ def finer(
     u: int,
     width: float,
     rng: np.random.Generator,
+    tries: int = TRIES,
 ) -> tuple[Float[np.ndarray, " N"], dict[int, np.ndarray]]:
-    """The best of :data:`TRIES` random moves of one unit and its sensors, if it is better.
+    """The best of so many random moves of one unit and its sensors, if it is better.
 
     Each changes half of the unit's coordinates, by 0.1 to 1 times ``width`` typical steps.
     """
@@ -170,9 +171,9 @@ def finer(
     own += [part[list(members)].ravel() for part in index[3:]]
     at = np.concatenate(own)
     at = at[space.scale[at] > 0]
-    length = width * 10 ** rng.uniform(-1, 0, (TRIES, 1))
-    moves = rng.normal(size=(TRIES, len(at))) * (rng.uniform(size=(TRIES, len(at))) < 0.5)
-    tried = np.tile(x, (TRIES, 1))
+    length = width * 10 ** rng.uniform(-1, 0, (tries, 1))
+    moves = rng.normal(size=(tries, len(at))) * (rng.uniform(size=(tries, len(at))) < 0.5)
+    tried = np.tile(x, (tries, 1))
     tried[:, at] += length * moves * space.scale[at]
     tried = project(space, tried)
     stand = poses(space, tried)
@@ -241,7 +242,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     return {VIEWS: look}
 
 
-def _charge(run: Run, tally: SampleScore, views: float) -> None:
+def charge(run: Run, tally: SampleScore, views: float) -> None:
     """Charge for looking at what one sensor sees, so many times."""
     run.charge(views * VIEW_COST * tally.sample.cost / len(run.problem.layout))
 
@@ -260,7 +261,7 @@ def _table(run: Run, state: State) -> Table:
 
 def _look(run: Run, state: State) -> State:
     table, part = _table(run, state), state["part"] + 1
-    _charge(run, table.tally, table.look(part - 1))
+    charge(run, table.tally, table.look(part - 1))
     # A first layout soon: as soon as some candidates of every kind have been looked at.
     if state["round"] == 0 and part == len(table.kinds) < len(table.parts):
         picks, _ = lazy_greedy(table)
@@ -272,7 +273,7 @@ def _look(run: Run, state: State) -> State:
 
 def _place(run: Run, state: State) -> State:
     table = _table(run, state)
-    _charge(run, table.tally, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
+    charge(run, table.tally, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
     picks, _ = lazy_greedy(table)
     x = table.layout(run.start, picks)
     value = run.offer(x)
@@ -300,7 +301,7 @@ def _exchange(run: Run, state: State) -> State:
     table = _table(run, state)
     members = run.problem.layout.members()[state["unit"]]
     looked = sum(len(table.kind_of(s).foot) for s in members)
-    _charge(run, table.tally, EXCHANGE_COST * looked)
+    charge(run, table.tally, EXCHANGE_COST * looked)
     before = dict(enumerate(state["picks"].tolist()))
     picks = exchange(table, before, state["unit"])
     state = state | {
@@ -331,7 +332,7 @@ def _move(run: Run, state: State) -> State:
         tally = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), COLUMNS, FRAMES))
         rows = sights(problem, tally, x, range(len(problem.layout)))
     tried = TRIES * len(problem.layout.members()[u])
-    _charge(run, tally, (u == 0) * len(rows) + MOVE_COST * tried)
+    charge(run, tally, (u == 0) * len(rows) + MOVE_COST * tried)
     new, rows = finer(problem, tally, x, rows, u, state["width"], run.rng(2, *key))
     _passes[run] = (*key[:2], u + 1), tally, rows
     moved = state["moved"] + (new is not x)

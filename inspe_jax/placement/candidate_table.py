@@ -1,4 +1,4 @@
-"""A table of candidate poses for every sensor, and what each of them sees of one sample."""
+"""Candidate poses for every sensor, and what a sensor sees of one sample from each."""
 
 from dataclasses import dataclass, field
 
@@ -21,14 +21,14 @@ from inspe_jax.sensing.layout import UNIT_HEIGHT
 HEIGHTS, YAWS = 3, 8
 """Heights and yaws of candidates at each foot."""
 CHUNK = 128
-"""Candidates looked at in one step."""
+"""Number of candidates in one step."""
 Picks = dict[int, int]
 """The candidate of each placed sensor."""
 
 
 @dataclass(eq=False)
 class CandidateKind:
-    """Sensors that have the same candidates: K poses at ``foot`` (an index), and what they see."""
+    """Sensors with the same K candidate poses, each on a ``foot`` (index), and what they see."""
 
     sensors: tuple[int, ...]
     foot: Int[np.ndarray, " K"]
@@ -86,15 +86,12 @@ class Table:
 
     @property
     def parts(self) -> list[CandidateKind]:
-        """The kind of each chunk of candidates, in the order in which they are looked at.
-
-        The first chunk of every kind comes first.
-        """
+        """The kind of each chunk of candidates. The first chunks of all kinds come first."""
         first = [kind for kind in self.kinds if kind.parts]
         return first + [kind for kind in self.kinds for _ in range(kind.parts - 1)]
 
     def look(self, part: int) -> int:
-        """See what the candidates of one chunk see; gives their number."""
+        """Find what is seen from the candidates of one chunk; returns their number."""
         kind = self.parts[part]
         at = np.arange(len(kind.bits) * CHUNK, (len(kind.bits) + 1) * CHUNK)
         at = np.minimum(at, len(kind.foot) - 1)  # of one shape: the last fills up
@@ -118,12 +115,12 @@ class Table:
         return {s: self.kind_of(s).row(k) for s, k in picks.items()}
 
     def gains(self, s: int, rows: dict[int, np.ndarray]) -> Float[np.ndarray, " K"]:
-        """What sensor ``s`` adds to others in their ``rows``, at each of its candidates."""
+        """The gain of sensor ``s`` at each candidate, beside others that see ``rows``."""
         kind, worth = self.kind_of(s), self.tally.worth(rows, s)
         return np.concatenate([times(bits, worth) for bits in kind.bits])[: len(kind.foot)]
 
     def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
-        """Whether sensor ``s`` may be at candidates ``k`` beside those that are placed already."""
+        """Whether sensor ``s`` may be at candidates ``k``, beside the sensors already placed."""
         kind, (foot, low, high) = self.kind_of(s), self.mast(picks, s)
         height = kind.height[k]
         here = self.stand[self.problem.layout.sensors[s].unit][kind.foot[k]]
@@ -131,7 +128,7 @@ class Table:
         return here & near & ((foot < 0) | (kind.foot[k] == foot))
 
     def mast(self, picks: Picks, s: int) -> tuple[int, float, float]:
-        """Foot of the sensor's unit, −1 while it has none, and its others' lowest and highest."""
+        """Foot of the sensor's unit, or −1, and the lowest and highest of its other sensors [m]."""
         sensors = self.problem.layout.sensors
         others = [t for t in picks if t != s and sensors[t].unit == sensors[s].unit]
         kinds = [(self.kind_of(t), picks[t]) for t in others]
@@ -140,7 +137,7 @@ class Table:
         return foot, min(heights, default=np.inf), max(heights, default=-np.inf)
 
     def layout(self, x: Float[np.ndarray, " N"], picks: Picks) -> Float[np.ndarray, " N"]:
-        """Coordinates of the picks; what is not placed stays as in ``x``."""
+        """Coordinates (N,) with sensors at the picks; the others stay as in ``x``."""
         space, index = self.problem.space, coordinates(self.problem.space)
         x = np.array(x)[None]
         for u, members in enumerate(self.problem.layout.members()):

@@ -1,4 +1,4 @@
-"""What a search needs compiled, compiled in a thread of its own while the search goes on."""
+"""Compiles in another thread what a search will need, while the search goes on."""
 
 import atexit
 import os
@@ -13,17 +13,17 @@ from inspe_jax.core.compiling import counts_as_compiling
 from inspe_jax.core.parallel import at_precision
 
 CompileJob = Callable[[], bool]
-"""Calls what is to be compiled on the shapes that the search will use. Gives False where it left
-that undone, as there is no time for it."""
+"""Calls a function on the shapes that the search will use, so that it is compiled. Returns False if
+it did not, because no time is left for it."""
 
 _threads: "WeakSet[threading.Thread]" = WeakSet()
-_one_by_one = threading.Lock()  # what a search that has ended still compiles may serve the next
+_one_by_one = threading.Lock()  # the next search may use what an ended one still compiles
 
 
 class Ahead:
-    """Jobs by name, done in turn in a thread beside a search.
+    """Jobs by name, run one after the other in another thread.
 
-    XLA cannot be interrupted: Ctrl-C ends the search, and what is being compiled goes on.
+    XLA cannot be interrupted. Ctrl-C ends the search, and the job that runs goes on to its end.
     """
 
     def __init__(self, jobs: Mapping[str, CompileJob]) -> None:
@@ -36,17 +36,17 @@ class Ahead:
             thread.start()
 
     def ready(self, name: str) -> bool:
-        """Whether a job is done, or was never asked for. Raises what the job raised."""
+        """Whether a job is done, or there is none of that name. Raises the job's error."""
         done = self._done.get(name)
         return done is None or (done.done() and not done.cancelled() and done.result())
 
     def wait(self, name: str) -> None:
-        """Return once a job is over, or at once if it was never asked for; raises as it did."""
+        """Wait until a job is done; return at once if there is none. Raises the job's error."""
         if name in self._done:
             self._done[name].result()
 
     def close(self) -> None:
-        """Begin no further job."""
+        """Start no further job."""
         for done in self._done.values():
             done.cancel()
 
@@ -64,13 +64,13 @@ def _work(work: list[tuple["Future[bool]", CompileJob]], double: bool) -> None:
 
 
 def compiles() -> bool:
-    """Whether something is still being compiled for a search that may have ended."""
+    """Whether a job still runs, also of a search that has ended."""
     return any(thread.is_alive() for thread in _threads)
 
 
 @atexit.register
 def _wait() -> None:
-    """Wait for what is being compiled: coming back to a Python that has ended, XLA would abort.
+    """Wait for the jobs that run: XLA aborts if Python ends before it.
 
     Ctrl-C ends the process at once, and so does the command line.
     """

@@ -1,7 +1,7 @@
-"""What a search method sees: a start, a budget, exact and rough scores, the best so far.
+"""One run of a search: its start, its budget, exact and rough scores, and the best so far.
 
-A method is a row of the registry: how it begins, and one step of it. Steps go from one flat
-state to the next, so that a search can be stopped after any step and taken up again.
+A method says how a search begins and does one step of it. A step goes from one flat state to the
+next, so a search can be stopped after any step and resumed.
 """
 
 import time
@@ -17,15 +17,14 @@ from inspe_jax.placement.compile_ahead import Ahead, CompileJob
 from inspe_jax.placement.problem import Problem, Sample
 
 State = dict[str, Any]
-"""Numpy arrays, numbers and strings by name: what a checkpoint holds. Never changed in place."""
+"""NumPy arrays, numbers and strings by name, as a checkpoint holds them. Never changed in place."""
 
 GRADIENT_COST = 3.4
-"""What the gradient of one layout on a sample costs, in rough scores of it. As measured with
-samples of 384 columns and 3 frames, at three places and with 4 LiDARs, 8 cameras and both, when
-rough scores went to the cores in fours: a value and its gradient took as long as 2.9 to 4.3 of
-them, 3.4 on average. One by one, on `four_way`, a gradient takes as long as 1.9 to 3.0."""
+"""Cost of the gradient of one layout on a sample, in rough scores of that layout. Measured at three
+places with 4 LiDARs, 8 cameras and both, samples of 384 columns and 3 frames, rough scores four at
+a time: 2.9 to 4.3, 3.4 on average. With rough scores one by one on `four_way` it is 1.9 to 3.0."""
 AT_ONCE = 32
-"""Rough scores from one look at the budget to the next: some tenths of a second's, mostly."""
+"""Number of rough scores between two checks of the budget: mostly some tenths of a second."""
 
 
 class BudgetSpent(Exception):
@@ -34,11 +33,11 @@ class BudgetSpent(Exception):
 
 @dataclass(frozen=True)
 class Method:
-    """A row of the registry: a name, a line about it, how it begins, and one step of it.
+    """A search method, a row of the registry.
 
-    ``step`` does about a second of work and gives the next state, or None where nothing is left
-    to do. Neither changes the state that it is given. ``ahead`` gives, by name and in order, what
-    is to be compiled while the start is scored and the first steps are done.
+    ``begin`` gives the first state. ``step`` does about a second of work and gives the next state,
+    or None if nothing is left to do; it does not change the state that it gets. ``ahead`` gives
+    jobs by name, in order, that compile what later steps need while the first steps run.
     """
 
     name: str
@@ -50,10 +49,10 @@ class Method:
 
 @dataclass(frozen=True)
 class Progress:
-    """One exact score of a search: when, after how much work, how good, and the best so far.
+    """One exact score of a search.
 
-    ``seconds`` are of wall time since the search began; ``evaluations`` count exact scores and
-    all other work in their equivalents, this one included.
+    ``seconds`` of wall time since the search began; ``evaluations``, the number of exact scores so
+    far, with all other work counted in exact scores; the ``score``, and the ``best`` so far.
     """
 
     seconds: float
@@ -63,12 +62,12 @@ class Progress:
 
 
 class Run:
-    """One search: what it works on, what it may spend, and what it has found.
+    """One search: its problem, its budget, and what it has found.
 
-    ``seed``; ``start`` (N,), the feasible coordinates to begin at, offered first; ``path``, the
-    coordinates (N,) of every one that was the best so far, and ``best``, the last one's exact
-    score; ``history``, every exact score; ``evaluations`` spent so far; ``limits``, what may be
-    spent, of seconds and of evaluations; ``notes`` for people.
+    ``start`` (N,) are the feasible coordinates where it begins. ``path`` has the coordinates (N,)
+    of every layout that was the best so far, and ``best`` is the exact score of the last of them.
+    ``history`` has every exact score. ``evaluations`` are spent so far; ``limits`` is the budget in
+    seconds and in evaluations. ``notes`` are for people.
     """
 
     def __init__(
@@ -110,7 +109,7 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Wall time since the search began, with what it took before it was last taken up [s]."""
+        """Wall time since the search began, with the time before it was resumed [s]."""
         return self._clock() - self._began
 
     @property
@@ -125,26 +124,26 @@ class Run:
 
     @property
     def spent(self) -> Float[np.ndarray, "2"]:
-        """Seconds and evaluations so far: for a state, which may go on with a larger budget."""
+        """Seconds and evaluations so far. States keep these, not shares: a budget may grow."""
         return np.array([self.seconds, self.evaluations])
 
     def share(self, spent: Float[np.ndarray, "2"]) -> float:
-        """Share of the budget that so many seconds and evaluations are."""
+        """What share of the budget so many seconds and evaluations are."""
         parts = zip(spent.tolist(), self.limits, strict=True)
         return max(used / limit for used, limit in parts if limit is not None)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Random numbers that depend on the seed and the key alone.
+        """Random numbers that depend only on the seed and the key.
 
-        With a step's number in the key, a search that was taken up again draws the same ones.
+        If the key contains the number of the step, a resumed search draws the same numbers.
         """
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def offer(self, x: Float[np.ndarray, " N"]) -> float:
-        """The exact score of feasible coordinates, which are kept if they are the best so far.
+        """The exact score of feasible coordinates (N,); they are kept if they are the best so far.
 
-        Charges one evaluation. Raises BudgetSpent unless it is the first, the start's, which is
-        found whatever the budget; and InspeError where ``x`` is not feasible.
+        Charges one evaluation. Raises BudgetSpent if the budget is spent, except for the first
+        score, that of the start; and InspeError if ``x`` is not feasible.
         """
         x = np.array(x, float)
         if self.history:
@@ -164,8 +163,8 @@ class Run:
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """Hard scores of layouts on a sample. Charges M · ``sample.cost``.
 
-        Raises BudgetSpent, also after the first :data:`AT_ONCE` layouts or some more: what those
-        scored is lost then.
+        Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts; the scores of this call
+        are lost then.
         """
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):
@@ -175,36 +174,33 @@ class Run:
         return np.concatenate(scores)
 
     def charge(self, evaluations: float) -> None:
-        """Count work before it is done, in exact scores that take as long. Raises BudgetSpent."""
+        """Charge for work before it is done, in exact scores. Raises BudgetSpent."""
         self._check_left()
         self.evaluations += float(evaluations)
 
     def compile_ahead(self, method: Method) -> None:
-        """Begin to compile what the method will need, in a thread of its own.
+        """Start to compile what the method will need, in another thread.
 
-        Where seconds are counted: with evaluations alone a seed repeats, and what is found must
-        not depend on how long compiling takes.
+        Only if the budget has seconds. With a budget of evaluations a seed repeats, so the result
+        must not depend on how long compiling takes.
         """
         if self.limits[0] is not None:
             self._ahead = Ahead(method.ahead(self))
 
     def ready(self, name: str) -> bool:
-        """Whether what the method named is compiled, or need not be ahead of its use.
-
-        Raises what compiling it raised.
-        """
+        """Whether a job of ``Method.ahead`` is done, or was never started. Raises its error."""
         return self._ahead.ready(name)
 
     def wait(self, name: str) -> None:
-        """Wait until what the method named is compiled, if that was begun; raises as it did."""
+        """Wait until a job of ``Method.ahead`` is done, if it was started. Raises its error."""
         self._ahead.wait(name)
 
     def close(self) -> None:
-        """Compile nothing more than what has been begun."""
+        """Start no further job."""
         self._ahead.close()
 
     def report(self) -> None:
-        """Tell whoever listens how far the search has come."""
+        """Call ``progress`` with the share of the budget and the best score."""
         if self._progress is not None:
             self._progress(self.done, self.best)
 
@@ -215,7 +211,7 @@ class Run:
         history: Sequence[Progress],
         path: Float[np.ndarray, "K N"],
     ) -> None:
-        """Go on from where another run stood, after so many seconds and evaluations."""
+        """Continue a run that had spent so many seconds and evaluations."""
         self._began = self._clock() - seconds
         self.evaluations, self.history, self.path = evaluations, list(history), list(path)
         self.best = history[-1].best if history else -np.inf

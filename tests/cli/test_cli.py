@@ -451,7 +451,7 @@ BAD = [
     (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),
     (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
     (("optimise", "s.npz", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
-    (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 1 of kind lidar"),
+    (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 0 of kind camera"),
     (("optimise", "s.npz", "--worst"), "add scenes with --also"),
     (("optimise", "s.npz", "--also", "missing.npz"), "missing.npz: no such file"),
     (("optimise", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),

@@ -117,7 +117,7 @@ def score_as_json(there):
 
 
 def metrics_command(there):
-    return inspe(there, "metrics")
+    return " ".join(inspe(there, "metrics").split())  # whatever the width of the terminal
 
 
 def report_page(there):

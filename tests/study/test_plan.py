@@ -210,7 +210,7 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
         (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
         (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
-        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights: .* 3 numbers, of coverage"),
+        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights: .* 3 numbers, for coverage"),
         (dict(settings=dict(weights=["0.5", 0.5, 0])), r"settings.weights: .* a number for each"),
         (dict(settings=dict(weights={"coverag": 1})), r"settings.weights: .* mean coverage\?"),
         (dict(settings=dict(weights={"coverage": 0.9})), r"settings.weights: .* sum to 1"),

@@ -1,7 +1,7 @@
-"""Adam on the soft score, on a fresh sample of columns and frames at every step.
+"""Adam on the soft score, with a new sample of columns and frames at every step.
 
-Soft at first, so that a sensor feels where the traffic and the voxels are at all, and finer
-towards the end, when it is to feel where an edge of its view lies.
+The softness is large at first, so that distant traffic and voxels have a slope, and small at the
+end, so that the edges of views are precise.
 """
 
 from collections.abc import Callable
@@ -23,19 +23,19 @@ from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
 SOFTNESS = (3.0, 0.3)
 """Softness at the start and at the end of a search [m]."""
 STARTS = 4
-"""Layouts that Adam improves at once."""
+"""Number of layouts that Adam improves at once."""
 STEP_COLUMNS, STEP_FRAMES = 384, 3
-"""Size of the sample of one gradient: many rough steps come further than few good ones."""
+"""Size of the sample of one gradient. Many rough steps gain more than few precise ones."""
 RATE = (0.2, 0.01)
 """Length of a step at the start and at the end, in typical steps of each coordinate."""
 LOOKS = 0.15
 """Share of the budget from one exact score of the best layout to the next."""
 CULLS = (0.15, 0.3, 0.5)
-"""Shares of the budget at which the worse half of the layouts gives way to the better."""
+"""Shares of the budget at which copies of the better half replace the worse half of the layouts."""
 CHUNK = 4
-"""Gradient steps between two looks at the budget."""
+"""Gradient steps between two checks of the budget."""
 SCREENED = 32
-"""Random layouts of which the best become starts."""
+"""Number of random layouts, the best of which become starts."""
 _LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
 
 Score = Callable[..., tuple[Any, Any]]
@@ -46,7 +46,7 @@ _at_rest = jax.jit(jax.vmap(_adam.init))
 
 
 def annealed(ends: Any, done: float) -> float:
-    """Geometrically from one end to the other as the budget is used up."""
+    """Geometric interpolation between two ends, by the share of the budget that is spent."""
     first, last = ends
     return first * (last / first) ** min(max(done, 0.0), 1.0)
 
@@ -67,7 +67,7 @@ def begin_adam(run: Run) -> State:
 
 
 def charted(problem: Problem, x: Float[np.ndarray, "M N"]) -> State:
-    """Layouts in charts, standing still."""
+    """The state of layouts (M, N) in new charts, with Adam at rest."""
     v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
     anchor = on_host(np.stack(v), float)
     z = np.zeros_like(anchor)
@@ -86,7 +86,7 @@ def _optimiser_state(state: State) -> Any:
 
 
 def step_adam(run: Run, state: State) -> State | None:
-    """Some gradient steps of all layouts; now and then the better replace the worse."""
+    """Some gradient steps of all layouts; at :data:`CULLS` the better ones replace the worse."""
     problem, done = run.problem, run.done
     if done >= _LAST:
         _offer_best(run, state)
@@ -108,7 +108,7 @@ def step_adam(run: Run, state: State) -> State | None:
 
 
 def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], count: int) -> State:
-    """So many gradient steps, each on its own samples, of the softness and rate of that moment."""
+    """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line = run.problem, state["line"]
     optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
     z, anchor, place = (state[k] for k in ("z", "anchor", "place"))
@@ -130,7 +130,7 @@ def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], coun
 
 @per_problem
 def charted_score(problem: Problem) -> Score:
-    """What is minimised, and its slope, in typical steps from an anchor in charts."""
+    """The loss and its slope, in typical steps from an anchor in charts."""
     space, scale = problem.space, jnp.asarray(problem.space.scale, float)
     return score_through(
         problem, lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
@@ -138,11 +138,12 @@ def charted_score(problem: Problem) -> Score:
 
 
 def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
-    """What is minimised, and its slope, in the first argument of what gives the poses.
+    """The loss and its slope in the first argument of ``poses``.
 
-    The others come before the columns and frames, and the softness [m]. By the chain rule in two
-    parts: from there to poses, which is the problem's own and little to compile, and from poses to
-    the score, which is compiled for all problems.
+    The function that is returned takes the arguments of ``poses``, then the drawn columns and
+    frames, then the softness [m]. The chain rule has two parts: from the arguments to poses, which
+    differs between problems and is little to compile; and from poses to the score, which is
+    compiled once for all problems.
     """
     forward = jax.jit(poses)
 
@@ -169,7 +170,7 @@ def _mover(problem: Problem) -> Callable[..., Any]:
 
 
 def layouts(problem: Problem, state: State) -> Float[np.ndarray, "M N"]:
-    """Coordinates of the layouts that a state has come to."""
+    """Coordinates (M, N) of the layouts of a state."""
     scale = problem.space.scale
     rows = zip(state["anchor"] + scale * state["z"], state["place"], strict=True)
     return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
@@ -182,10 +183,10 @@ def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
 
 
 def _cull(run: Run, state: State) -> State:
-    """The better half goes on, on as many more samples a step, in new charts.
+    """Keep the better half of the layouts, twice as often, in new charts.
 
-    Copies of one layout take the mean of their gradients. A new chart lets a unit that has come to
-    the end of a piece of ground go on in the next.
+    Copies of one layout take the mean of their gradients, so each step has more samples. In a new
+    chart a unit that has reached the edge of a region of ground can go on into the next region.
     """
     x = layouts(run.problem, state)
     kept = max(1, STARTS // 2 ** (state["culled"] + 1))
@@ -203,9 +204,9 @@ def _cull(run: Run, state: State) -> State:
 
 
 def charted_again(problem: Problem, state: State, x: Float[np.ndarray, "M N"]) -> State:
-    """The same layouts in new charts, with the momentum they have.
+    """The same layouts in new charts, with their momentum.
 
-    A unit that has come to the end of a piece of ground can go on in the next.
+    A unit that has reached the edge of a region of ground can go on into the next region.
     """
     fresh = charted(problem, x)
     return state | {key: fresh[key] for key in ("anchor", "z", "place")}

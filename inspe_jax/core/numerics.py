@@ -58,13 +58,15 @@ class Softness(NamedTuple):
 
     @classmethod
     def of(cls, value: Any) -> "Softness":
-        """A Softness from one width [m], traced or not, or from a Softness; 0 is exact.
+        """A Softness from one width [m], traced or not, or from a Softness. 0 reads exactly.
 
-        One width is used for fields and shadows; rays are read exactly. As a sensor moves, its rays
-        leave some voxels and enter others, and the two nearly cancel. Where rays are dense, the
-        slopes of single rays are then many times that of the score, and are noise to a search;
-        where rays are further apart than voxels are wide, a ray width of a fifth of the others may
-        help. Raises InspeError where a width is negative or not a finite number.
+        One width is used for ``field`` and ``shadow``; rays are then read exactly, with no slope.
+        The reason: as a sensor moves, its rays leave some voxels and enter others, and both changes
+        nearly cancel in the score. Where rays are dense, the slopes of single rays are many times
+        that of the score, so they are noise to a search. Where rays are further apart than voxels
+        are wide, a Softness whose ``ray`` is a fifth of the other widths may help.
+
+        Raises InspeError if a width is negative or not a finite number.
         """
         given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
         widths = []

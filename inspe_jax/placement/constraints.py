@@ -72,12 +72,13 @@ class Constraints:
             most = min(high, low + UNIT_HEIGHT)
             if not 0 <= self.clearance <= most:
                 raise InspeError(
-                    f"clearance {self.clearance:g} m: 0 to {most:g} m is allowed with {name} of "
-                    f"{low:g} to {high:g} m"
+                    f"clearance {self.clearance:g} m: must be from 0 to {most:g} m where {name} "
+                    f"are {low:g} to {high:g} m"
                 )
         if set(self.pitch) != (kinds := set(SENSOR_KINDS)):
             raise InspeError(
-                f"pitch of {', '.join(self.pitch)}: needs {' and '.join(sorted(kinds))}, no other"
+                f"pitch: give limits for {' and '.join(sorted(kinds))} and for no other kind, got "
+                f"{', '.join(self.pitch) or 'none'}"
             )
         for kind, (low, high) in self.pitch.items():
             if not -np.pi / 2 <= low <= high <= np.pi / 2:

@@ -179,7 +179,8 @@ class Bits:
     def line_of_sight(
         self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
     ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"]]:
-        """The voxels in line of sight of a sensor: for occlusion, and for information gain."""
+        """The voxels in line of sight of a sensor: once as occlusion counts them, and once as
+        information gain does."""
         spared = frames.solid if asked.ignores_self_occlusion else None
         clear = clear_masks(sensor, shadows, tile, spared)
         return clear, clear if asked.visibility == "past_others" else clear & ~frames.solid
@@ -322,8 +323,8 @@ class Numbers:
     def line_of_sight(
         self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
     ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
-        """The chance that each voxel is in line of sight: for occlusion, and for information
-        gain."""
+        """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
+        information gain does."""
         width = self.softness.shadow
         reach = certain_beyond(width)
         spared = self.solid(frames, len(tile.heights)) > 0

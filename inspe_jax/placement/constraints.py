@@ -35,10 +35,10 @@ class Constraints:
 
     ``heights`` are the lowest and highest height of a sensor above the ground at its unit's foot.
     ``span_heights`` are those of sensors on a span wire: the unit's foot is then in the middle of
-    the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; the
-    search keeps a further 0.3 m beside the lane. ``pitch`` gives (from, to) by kind of sensor.
-    ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not named may
-    look in any direction.
+    the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; a
+    search also keeps it up to 0.3 m away from the lane. ``pitch`` gives (from, to) by kind of
+    sensor. ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not
+    named may look in any direction.
 
     ``places`` is one of :data:`PLACES`, for all units or by name of unit; a unit that is not named
     has "any". With "poles" a unit stands on one of the poles, with "areas" anywhere in the mounting

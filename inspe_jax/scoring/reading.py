@@ -8,8 +8,10 @@ a set is stored. With F frames, C columns and Z levels in a tile:
   Exact in any order, 32 voxels in one operation.
 - :class:`Numbers`: the chance of each voxel, (Z, C), and (Z, F, C) in F frames. Differentiable.
 
-Both have the same methods. ``rows`` are one set for each sensor, (S, …). A result for G groups of
-failures has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
+Both have the methods that :mod:`inspe_jax.scoring.accumulate` and the metrics call.
+:class:`Numbers` also makes its sets of what is in view; :mod:`inspe_jax.scoring.exact` makes those
+of :class:`Bits`. ``rows`` are one set for each sensor, (S, …). A result for G groups of failures
+has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
 """
 
 from collections.abc import Callable
@@ -145,7 +147,7 @@ class Bits:
         return a & b
 
     def outside(self, a: UInt[Array, "..."], b: UInt[Array, "..."]) -> UInt[Array, "..."]:
-        """The voxels of set ``a`` that are not in ``b``."""
+        """The voxels of set ``a`` that are not in ``b``, a subset of ``a``."""
         return a & ~b
 
     def any_of(self, rows: UInt[Array, "S ..."], failures: Groups | None) -> UInt[Array, "1+G ..."]:

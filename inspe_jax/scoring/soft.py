@@ -64,7 +64,7 @@ def read_softly(
     The result has the tiles' columns, and a row for each group of failures that there is room for.
     """
     numbers = Numbers(jax.lax.stop_gradient(softness))
-    failures = sensors.failures
+    failures, positions = sensors.failures, poses[:, :3]
 
     # What every tile needs for the gradient would be gigabytes, so it is found again. Only the
     # sights are kept: finding them again would take one more pass over all frames.
@@ -73,8 +73,10 @@ def read_softly(
         f = numbers.views(tile, poses, sensors, voxel / 2)
         parts = []
         for chunk in tiled.chunks:
+            shadows = numbers.shadows(positions, chunk.prisms)
             frames = numbers.frames(tile, chunk.prisms)
-            parts.append(count_tile(numbers, tile, f, poses[:, :3], None, frames, failures, asked))
+            given = numbers, tile, f, positions, shadows, frames, failures, asked
+            parts.append(count_tile(*given))
         counts, visible = join_frames(parts), f
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)

@@ -44,8 +44,9 @@ def in_view_margins(
     """Two margins [m] of each voxel: in each sensor's field of view, and against its best ray.
 
     A voxel is in view, f(V_i) = 1, where both margins are positive. The paper walks every ray; here
-    six rays are found for each voxel, among which is one that passes through it if any does
-    (:func:`_candidates`), and the best margin is taken.
+    six rays are found for each voxel (:func:`_candidates`), and the best margin is taken. If any
+    ray passes through the voxel, one of the six does, except for a few voxels in very wide cameras
+    and on rows with a steep elevation.
 
     The first margin is the depth in the field of view, from its edges and the end of its reach. The
     second is that of the best ray; a voxel outside the field is first moved to the edge. Read
@@ -182,7 +183,7 @@ def _ray_margin(
 def _candidates(
     rays: Rays, to_world: Float[Array, "3 3"], offset: Point, half: Scalar
 ) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """The six rays of which one passes through each voxel, if any ray does.
+    """The six rays of which one passes through each voxel, if any ray does, with few exceptions.
 
     Returns a function of the row: −1, 0 and 1 are the row below the nearest one, the nearest, and
     the one above. It gives the row's coordinate and those of two columns.

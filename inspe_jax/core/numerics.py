@@ -46,7 +46,7 @@ def certain_beyond(width: Width) -> float | Float[Array, ""]:
 
 
 class Softness(NamedTuple):
-    """The width [m] with which each kind of margin is read; None reads it exactly.
+    """The width [m] with which each kind of margin is read; None, the default, reads it exactly.
 
     ``field``: from the edges of a field of view and the end of its reach. ``ray``: from the nearest
     ray to a voxel. ``shadow``: from a sight line to the sides and the top of a vehicle.
@@ -85,10 +85,6 @@ class Softness(NamedTuple):
     def exact(self) -> bool:
         """Whether every margin is read exactly."""
         return all(width is None for width in self)
-
-
-EXACT = Softness()
-"""Every margin read exactly."""
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:

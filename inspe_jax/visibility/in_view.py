@@ -1,6 +1,6 @@
 """In view: does some ray of the sensor pass through the voxel? Traffic does not matter."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -281,25 +281,6 @@ def _between(a: Point, b: Point, t: Float[Array, " V"]) -> Point:
     """a + t·(b − a), with t clipped to 0 … 1."""
     t = jnp.clip(t, 0.0, 1.0)
     return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
-
-
-def view_margins(
-    poses: Float[Array, "S 6"],
-    centers: Float[Array, "V 3"],
-    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...],
-    half: float,
-) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    """:func:`in_view_margins` of all sensors; ``groups`` are the sensors of each ray grid."""
-    margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
-    field, ray = (in_order(part, groups) for part in zip(*margins, strict=True))
-    return field, ray
-
-
-def in_order(found: Sequence[Array], groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]) -> Array:
-    """Results of each group of sensors (s, …), put together in the order of the sensors."""
-    order = np.concatenate([index for _, index in groups])
-    whole = jnp.concatenate(found)
-    return whole if (order[1:] > order[:-1]).all() else whole[np.argsort(order)]
 
 
 def soft_view(

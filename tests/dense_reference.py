@@ -9,17 +9,19 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.geometry import Prism, solid_top
-from inspe_jax.core.numerics import EXACT, Groups, Softness, Width, exact, leave_one_out, step
+from inspe_jax.core.numerics import Groups, Softness, Width, exact, leave_one_out, step
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.sensor_array import SensorSet
 from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays
+from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
-from inspe_jax.visibility.in_view import TOGETHER, view_margins
+from inspe_jax.visibility.in_view import TOGETHER, in_view_margins
 from inspe_jax.visibility.shadows import shadow_ceilings, soft_sight
 
 
@@ -59,12 +61,25 @@ def sight(
     return jax.lax.map(one, sensors)
 
 
+def view_margins(
+    poses: Float[Array, "S 6"],
+    centers: Float[Array, "V 3"],
+    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...],
+    half: float,
+) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
+    """:func:`in_view_margins` of all sensors; ``groups`` are the sensors of each ray grid."""
+    margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
+    order = np.argsort(np.concatenate([index for _, index in groups]))
+    field, ray = (jnp.concatenate(part)[order] for part in zip(*margins, strict=True))
+    return field, ray
+
+
 def measure(
     field: SceneArrays,
     poses: Float[Array, "S 6"],
     sensor_set: SensorSet,
     voxel: float,
-    softness: Softness = EXACT,
+    softness: Softness = Softness(),  # noqa: B008  # it is a tuple
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",

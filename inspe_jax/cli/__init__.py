@@ -1,6 +1,7 @@
 """The command line. Every command is a few calls into the package.
 
-Each group of commands has a file; importing it adds its commands, in the order of the help.
+Each group of commands has a module. Importing the module adds its commands, so the order of the
+imports is the order of the commands in ``inspe --help``.
 """
 
 from inspe_jax.cli import score, search, planning, show, study, generate, dataset  # noqa: F401  # isort: skip

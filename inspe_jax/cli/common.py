@@ -166,7 +166,8 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[S
 def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
     """A layout on a scene, from a file or from the name of a strategy.
 
-    Without ``unit_rule``, a unit's sensors may be further apart than the rule allows.
+    With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
+    :func:`~inspe_jax.sensing.layout.make_layout`.
     """
     from inspe_jax.placement.strategies import STRATEGIES, strategy
     from inspe_jax.sensing.layout import load_layout

@@ -50,11 +50,11 @@ class Prism(NamedTuple):
 
 
 def rotation(angles: Any, xp: Any = jnp) -> Any:
-    """Body-to-world rotation Rz(yaw) Ry(−pitch) Rx(roll), (3, 3), of angles (roll, pitch, yaw)
-    [rad].
+    """The rotation from the body frame to the world, Rz(yaw) Ry(−pitch) Rx(roll), as a (3, 3).
 
-    Pitch is positive nose-up; as the body's y points left, its rotation is about −y. ``xp`` is
-    jax.numpy, or numpy for double precision outside a trace.
+    ``angles`` (3,) are roll, pitch and yaw [rad]. Pitch is positive nose-up. The body's y axis
+    points left, so pitch is a rotation about −y. ``xp`` is the array module: jax.numpy, or numpy,
+    which computes in double precision but cannot be traced.
     """
     (cr, cp, cy), (sr, sp, sy) = xp.cos(angles), xp.sin(angles)
     return xp.array(

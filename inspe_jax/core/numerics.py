@@ -46,7 +46,7 @@ def certain_beyond(width: Width) -> float | Float[Array, ""]:
 
 
 class Softness(NamedTuple):
-    """The width [m] with which each kind of margin is read; None reads it exactly.
+    """The width [m] with which each kind of margin is read; None, the default, reads it exactly.
 
     ``field``: from the edges of a field of view and the end of its reach. ``ray``: from the nearest
     ray to a voxel. ``shadow``: from a sight line to the sides and the top of a vehicle.
@@ -58,13 +58,15 @@ class Softness(NamedTuple):
 
     @classmethod
     def of(cls, value: Any) -> "Softness":
-        """A Softness from one width [m], traced or not, or from a Softness; 0 is exact.
+        """A Softness from one width [m], traced or not, or from a Softness. 0 reads exactly.
 
-        One width is used for fields and shadows; rays are read exactly. As a sensor moves, its rays
-        leave some voxels and enter others, and the two nearly cancel. Where rays are dense, the
-        slopes of single rays are then many times that of the score, and are noise to a search;
-        where rays are further apart than voxels are wide, a ray width of a fifth of the others may
-        help. Raises InspeError where a width is negative or not a finite number.
+        One width is used for ``field`` and ``shadow``; rays are then read exactly, with no slope.
+        The reason: as a sensor moves, its rays leave some voxels and enter others, and both changes
+        nearly cancel in the score. Where rays are dense, the slopes of single rays are many times
+        that of the score, so they are noise to a search. Where rays are further apart than voxels
+        are wide, a Softness whose ``ray`` is a fifth of the other widths may help.
+
+        Raises InspeError if a width is negative or not a finite number.
         """
         given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
         widths = []
@@ -83,10 +85,6 @@ class Softness(NamedTuple):
     def exact(self) -> bool:
         """Whether every margin is read exactly."""
         return all(width is None for width in self)
-
-
-EXACT = Softness()
-"""Every margin read exactly."""
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:

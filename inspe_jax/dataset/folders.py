@@ -72,8 +72,8 @@ class Dataset:
     def scenario(self, name: str | None = None) -> Scenario:
         """A scenario by its name, or the only scenario if no name is given.
 
-        The name may be ``SPLIT/NAME``, where two splits have a scenario of this name. Raises
-        InspeError, which lists the scenarios, if none or several have the name.
+        If two splits have a scenario of the same name, give ``SPLIT/NAME``. Raises InspeError,
+        which lists the scenarios, if none or several have the name.
         """
         named = {
             f"{split}/{scenario.name}": scenario

@@ -35,10 +35,10 @@ class Constraints:
 
     ``heights`` are the lowest and highest height of a sensor above the ground at its unit's foot.
     ``span_heights`` are those of sensors on a span wire: the unit's foot is then in the middle of
-    the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; the
-    search keeps a further 0.3 m beside the lane. ``pitch`` gives (from, to) by kind of sensor.
-    ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not named may
-    look in any direction.
+    the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; a
+    search also keeps it up to 0.3 m away from the lane. ``pitch`` gives (from, to) by kind of
+    sensor. ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not
+    named may look in any direction.
 
     ``places`` is one of :data:`PLACES`, for all units or by name of unit; a unit that is not named
     has "any". With "poles" a unit stands on one of the poles, with "areas" anywhere in the mounting
@@ -72,12 +72,13 @@ class Constraints:
             most = min(high, low + UNIT_HEIGHT)
             if not 0 <= self.clearance <= most:
                 raise InspeError(
-                    f"clearance {self.clearance:g} m: 0 to {most:g} m is allowed with {name} of "
-                    f"{low:g} to {high:g} m"
+                    f"clearance {self.clearance:g} m: must be from 0 to {most:g} m where {name} "
+                    f"are {low:g} to {high:g} m"
                 )
         if set(self.pitch) != (kinds := set(SENSOR_KINDS)):
             raise InspeError(
-                f"pitch of {', '.join(self.pitch)}: needs {' and '.join(sorted(kinds))}, no other"
+                f"pitch: give limits for {' and '.join(sorted(kinds))} and for no other kind, got "
+                f"{', '.join(self.pitch) or 'none'}"
             )
         for kind, (low, high) in self.pitch.items():
             if not -np.pi / 2 <= low <= high <= np.pi / 2:

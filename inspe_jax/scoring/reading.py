@@ -8,8 +8,10 @@ a set is stored. With F frames, C columns and Z levels in a tile:
   Exact in any order, 32 voxels in one operation.
 - :class:`Numbers`: the chance of each voxel, (Z, C), and (Z, F, C) in F frames. Differentiable.
 
-Both have the same methods. ``rows`` are one set for each sensor, (S, …). A result for G groups of
-failures has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
+Both have the methods that :mod:`inspe_jax.scoring.accumulate` and the metrics call.
+:class:`Numbers` also makes its sets of what is in view; :mod:`inspe_jax.scoring.exact` makes those
+of :class:`Bits`. ``rows`` are one set for each sensor, (S, …). A result for G groups of failures
+has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
 """
 
 from collections.abc import Callable
@@ -145,7 +147,7 @@ class Bits:
         return a & b
 
     def outside(self, a: UInt[Array, "..."], b: UInt[Array, "..."]) -> UInt[Array, "..."]:
-        """The voxels of set ``a`` that are not in ``b``."""
+        """The voxels of set ``a`` that are not in ``b``, a subset of ``a``."""
         return a & ~b
 
     def any_of(self, rows: UInt[Array, "S ..."], failures: Groups | None) -> UInt[Array, "1+G ..."]:
@@ -179,7 +181,8 @@ class Bits:
     def line_of_sight(
         self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
     ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"]]:
-        """The voxels in line of sight of a sensor: for occlusion, and for information gain."""
+        """The voxels in line of sight of a sensor: once as occlusion counts them, and once as
+        information gain does."""
         spared = frames.solid if asked.ignores_self_occlusion else None
         clear = clear_masks(sensor, shadows, tile, spared)
         return clear, clear if asked.visibility == "past_others" else clear & ~frames.solid
@@ -322,8 +325,8 @@ class Numbers:
     def line_of_sight(
         self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
     ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
-        """The chance that each voxel is in line of sight: for occlusion, and for information
-        gain."""
+        """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
+        information gain does."""
         width = self.softness.shadow
         reach = certain_beyond(width)
         spared = self.solid(frames, len(tile.heights)) > 0

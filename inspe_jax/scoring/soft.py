@@ -19,34 +19,13 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.exact import join_frames
 from inspe_jax.scoring.reading import Asked, Counts, Numbers
-from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
+from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility.tiles import Tile, unless_empty
 
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each sensor sees each voxel."""
-
-
-def measure_softly(
-    tiled: TiledScene,
-    poses: Float[Array, "S 6"],
-    sensor_set: SensorSet,
-    voxel: float,
-    softness: Softness,
-    asked: Asked | None = None,
-) -> MetricValues:
-    """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
-
-    ``voxel`` is the edge of a voxel [m]. Every chunk of ``tiled`` must have all tiles; it needs no
-    masks of solid voxels, which are found tile by tile. Differentiable in the poses, in reverse
-    mode, but not in the softness.
-    """
-    sensors = sensor_array(sensor_set)
-    measured = read_softly(
-        tiled.bucketed, sensors.padded(poses), sensors, voxel, softness, asked=asked or Asked.of()
-    )
-    return measured.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
 @partial(jax.jit, static_argnames="asked")
@@ -59,12 +38,16 @@ def read_softly(
     *,
     asked: Asked,
 ) -> MetricValues:
-    """:func:`measure_softly` of padded arrays.
+    """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
+
+    ``poses`` are padded as ``sensors`` are. ``voxel`` is the edge of a voxel [m]. Every chunk of
+    ``tiled`` must have all tiles; it needs no masks of solid voxels, which are found tile by tile.
+    Differentiable in the poses, in reverse mode, but not in the softness.
 
     The result has the tiles' columns, and a row for each group of failures that there is room for.
     """
     numbers = Numbers(jax.lax.stop_gradient(softness))
-    failures = sensors.failures
+    failures, positions = sensors.failures, poses[:, :3]
 
     # What every tile needs for the gradient would be gigabytes, so it is found again. Only the
     # sights are kept: finding them again would take one more pass over all frames.
@@ -73,8 +56,10 @@ def read_softly(
         f = numbers.views(tile, poses, sensors, voxel / 2)
         parts = []
         for chunk in tiled.chunks:
+            shadows = numbers.shadows(positions, chunk.prisms)
             frames = numbers.frames(tile, chunk.prisms)
-            parts.append(count_tile(numbers, tile, f, poses[:, :3], None, frames, failures, asked))
+            given = numbers, tile, f, positions, shadows, frames, failures, asked
+            parts.append(count_tile(*given))
         counts, visible = join_frames(parts), f
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)

@@ -3,7 +3,8 @@
 To add a kind, write its spec, a subclass of :class:`~inspe_jax.sensing.sensors.Spec`, and here its
 catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches, layout files and catalogues
 work with the new kind then. Light and weather take nothing from it until ``conditions.toml`` has
-figures for it, and a profile does not change its reliability.
+figures for it, and a profile does not change its reliability. A recorder says that it cannot
+simulate the kind until it has a row in the recorder's own table.
 """
 
 from itertools import pairwise

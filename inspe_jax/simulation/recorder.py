@@ -105,8 +105,10 @@ class Recorder(Protocol):
 
 
 def stations_of(layout: Layout, recorded: Sequence[Image | Scan]) -> tuple[Station, ...]:
-    """The units of a layout as stations; ``recorded`` is what each sensor of the layout
-    recorded."""
+    """One :class:`Station` for each unit of a layout, with what its sensors recorded.
+
+    ``recorded`` has one image or scan for each sensor of the layout, in the layout's order.
+    """
     return tuple(
         Station(
             number=u + 1,

@@ -56,9 +56,10 @@ class Viewer:
     ) -> None:
         """Serve the page at once.
 
-        ``path`` is the layout's file. ``access`` says where to listen and who is let in; if not
-        given, only this machine, with the token of the address. If ``port`` is taken, the next
-        free one is used. Raises InspeError if no port can be opened.
+        ``path`` is the layout's file. ``access`` says on which address the viewer listens and who
+        may open the page. Without it, only browsers on this machine may, and only with the secret
+        token that ``url`` contains. If ``port`` is taken, the next free one is used. Raises
+        InspeError if no port can be opened.
         """
         self.case, self.weights = case, weights
         self.store = LayoutStore(path, layout, case.scene)

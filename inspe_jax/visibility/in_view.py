@@ -1,6 +1,6 @@
 """In view: does some ray of the sensor pass through the voxel? Traffic does not matter."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -44,8 +44,9 @@ def in_view_margins(
     """Two margins [m] of each voxel: in each sensor's field of view, and against its best ray.
 
     A voxel is in view, f(V_i) = 1, where both margins are positive. The paper walks every ray; here
-    six rays are found for each voxel, among which is one that passes through it if any does
-    (:func:`_candidates`), and the best margin is taken.
+    six rays are found for each voxel (:func:`_candidates`), and the best margin is taken. If any
+    ray passes through the voxel, one of the six does, except for a few voxels in very wide cameras
+    and on rows with a steep elevation.
 
     The first margin is the depth in the field of view, from its edges and the end of its reach. The
     second is that of the best ray; a voxel outside the field is first moved to the edge. Read
@@ -182,7 +183,7 @@ def _ray_margin(
 def _candidates(
     rays: Rays, to_world: Float[Array, "3 3"], offset: Point, half: Scalar
 ) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """The six rays of which one passes through each voxel, if any ray does.
+    """The six rays of which one passes through each voxel, if any ray does, with few exceptions.
 
     Returns a function of the row: −1, 0 and 1 are the row below the nearest one, the nearest, and
     the one above. It gives the row's coordinate and those of two columns.
@@ -280,25 +281,6 @@ def _between(a: Point, b: Point, t: Float[Array, " V"]) -> Point:
     """a + t·(b − a), with t clipped to 0 … 1."""
     t = jnp.clip(t, 0.0, 1.0)
     return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
-
-
-def view_margins(
-    poses: Float[Array, "S 6"],
-    centers: Float[Array, "V 3"],
-    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...],
-    half: float,
-) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    """:func:`in_view_margins` of all sensors; ``groups`` are the sensors of each ray grid."""
-    margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
-    field, ray = (in_order(part, groups) for part in zip(*margins, strict=True))
-    return field, ray
-
-
-def in_order(found: Sequence[Array], groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]) -> Array:
-    """Results of each group of sensors (s, …), put together in the order of the sensors."""
-    order = np.concatenate([index for _, index in groups])
-    whole = jnp.concatenate(found)
-    return whole if (order[1:] > order[:-1]).all() else whole[np.argsort(order)]
 
 
 def soft_view(

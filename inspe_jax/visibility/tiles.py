@@ -32,11 +32,12 @@ CLOSE = 1e-2
 
 
 class Tile(NamedTuple):
-    """Neighbouring columns of voxels; :class:`Tiles` has N of them along a leading axis.
+    """C neighbouring columns of up to Z voxels. In :class:`Tiles`, N tiles have a leading axis.
 
-    ``columns`` (2, C) are x and y, ``heights`` (Z, C) those of the voxels' centres. ``there`` (C,)
-    are masks of the voxels that exist; the others are padding. The columns are within ``radius`` of
-    ``center`` (2,), and the voxels' centres between ``low`` and ``high`` [m].
+    ``columns`` (2, C) are x and y of the columns [m]. ``heights`` (Z, C) are z of the voxels'
+    centres [m]. ``there`` (C,) is one mask for each column: a bit is 1 where the voxel exists, and
+    0 where it is padding. All columns are within ``radius`` of ``center`` (2,), and all centres of
+    voxels are between the heights ``low`` and ``high`` [m].
     """
 
     columns: Float[Array, "*N 2 C"]

@@ -36,15 +36,15 @@ def in_view_masks(
 def view_masks(
     rays: Rays, pose: Float[Array, "6"], tiles: Tile, half: Scalar
 ) -> UInt[Array, "N C"]:
-    """Masks of the voxels that one sensor has in view: both of :func:`in_view_margins` are
-    positive.
+    """Masks of the voxels that one sensor has in view: some ray passes through the voxel.
 
-    Level by level, in the tiles that the field of view touches, the nearest ray decides nearly all
-    voxels (:func:`_by_nearest_ray`). The six rays of :func:`_candidates` decide the rest, some 2 %.
-    (In very wide cameras and on steep rows the six rays miss a few voxels that their nearest ray
-    meets. Such a voxel is in view here.)
+    Only the tiles that the field of view touches are tested, one level after the other. For nearly
+    all voxels, the nearest ray decides (:func:`_by_nearest_ray`). For the rest, some 2 %, six rays
+    do, as in :func:`~inspe_jax.visibility.in_view.in_view_margins`. A few voxels are in view here
+    whose margins say otherwise: in very wide cameras and on rows with a steep elevation, the
+    nearest ray may pass through a voxel that all six rays miss.
 
-    It is compiled once for each kind of grid.
+    Grids of one kind share a compiled program if their arrays have equal shapes.
     """
     transform = transform_of(pose)
     x, y, up = transform.position

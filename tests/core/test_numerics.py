@@ -5,7 +5,6 @@ import pytest
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import (
-    EXACT,
     Groups,
     Softness,
     any_of,
@@ -64,7 +63,7 @@ def test_a_certain_reading_leaves_a_finite_gradient():
 
 
 def test_softness_is_one_width_or_one_for_each_kind():
-    assert Softness.of(0) == Softness.of(0.0) == EXACT
+    assert Softness.of(0) == Softness.of(0.0) == Softness()
     one = Softness.of(0.3)
     assert (float(one.field), one.ray, float(one.shadow)) == (pytest.approx(0.3), None, one.field)
     mixed = Softness.of(Softness(field=0.5, shadow=0.0))

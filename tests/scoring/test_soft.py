@@ -26,8 +26,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
 from inspe_jax.scoring.reading import Asked
-from inspe_jax.scoring.sensor_array import SensorSet
-from inspe_jax.scoring.soft import measure_softly
+from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
+from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_without_masks
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility import bitmask
@@ -105,6 +105,14 @@ READINGS = {
     "one width": 0.5,
     "all but shadows": Softness(0.5, 0.05, 0.0),
 }
+
+
+def measure_softly(tiled, poses, sensor_set, voxel, softness, asked=None):
+    """:func:`read_softly` of arrays that are not padded."""
+    sensors, asked = sensor_array(sensor_set), asked or Asked.of()
+    padded = sensors.padded(poses)
+    found = read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
+    return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
 @pytest.mark.parametrize("reading", ["one width", slow("all but shadows")])

@@ -44,11 +44,12 @@ _LEAST = 1e-6  # a gain smaller than this is rounding
 
 
 def lazy_greedy(table: Table) -> tuple[Picks, int]:
-    """Sensor by sensor, the candidate that adds most; and how many gains were worked out again.
+    """Place one sensor after the other, each time the one that adds most, at its best candidate.
 
-    What a candidate adds only falls as others are placed (Minoux 1978), so its gain of before is
-    an upper bound: a heap of bounds gives the best one after a few evaluations. A unit's first
-    sensor fixes its foot; its others choose among the candidates there.
+    Returns the chosen candidates, and how many gains were computed again. The gain of a candidate
+    only falls as other sensors are placed, so an earlier gain is an upper bound (Minoux 1978). A
+    heap of these bounds gives the best candidate after a few evaluations. The first sensor of a
+    unit fixes the unit's foot; its other sensors choose among the candidates there.
     """
     problem, tally, picks = table.problem, table.tally, Picks()
     heap: list[tuple[float, int, int, int]] = []  # (−bound, sensor, candidate, placed then)

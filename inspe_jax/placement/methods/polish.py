@@ -67,11 +67,12 @@ def choose(
 
 
 def turn(run: Run, state: State, gradient: bool) -> State:
-    """One turn of the better arm, of which Adam's asks for a ``gradient``, and its exact score.
+    """One turn: a burst or a pass of moves, as :func:`choose` says, then an exact score.
 
-    Needs ``count`` and ``passes``, the gradient steps and the passes of moves of the whole search,
-    which random numbers depend on. Towards the end an arm is left out that would not come to its
-    exact score.
+    A burst of Adam is possible only with ``gradient``. ``state`` is that of :func:`begin`, with
+    ``count`` and ``passes`` added: the gradient steps and the passes of moves of the whole search
+    so far. They select the random numbers. Near the end of the budget, an arm that would not reach
+    its exact score in time is not chosen, unless no arm would.
     """
     left = 1.0 - run.share(run.spent)
     arms = (ADAM, MOVES) if gradient else (MOVES,)

@@ -1,9 +1,10 @@
 """Finds the road user that each pixel of CARLA's instance pictures shows.
 
-The pictures hold numbers of the Unreal engine, and CARLA does not say which number an actor has. So
-numbers are matched by place: the points that a number's pixels show lie in the box of its road
-user. Limits: a number has 16 bits only, so two road users may share one; all its pixels then go to
-the road user with more of them. Pixels with points in no box belong to no road user.
+An instance picture gives each pixel a number of the Unreal engine. CARLA does not say which number
+an actor has, so numbers are matched by place. The pixels of a number show points in the world, and
+the number belongs to the road user whose box holds most of them. If no box holds any, it belongs to
+no road user. Limit: a number has 16 bits only, so two road users may share one. All its pixels then
+go to the one whose box holds more of them.
 """
 
 import numpy as np

@@ -17,8 +17,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.arrays import on_device, on_host
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.geometry import Prism, solid_top
-from inspe_jax.core.numerics import step
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.placement.candidate_views import view_from_poses
 from inspe_jax.placement.candidates import poses
@@ -353,8 +351,12 @@ class Problem:
     def voxel_weights(self, sample: Sample) -> VoxelWeights:
         """What each voxel of a sample counts for in C, O and IG."""
         parts = []
-        for part in sample.arrays:
-            free = np.asarray(_free(part, self.options["occlusion_reference"]), float)
+        for part, tiled in zip(sample.arrays, sample.scenes, strict=True):
+            (chunk,) = tiled.chunks
+            solid = tiled.tiles.by_voxel(np.asarray(chunk.solid).swapaxes(0, 1))  # (T, V)
+            free = metrics.counted_by_occlusion(
+                ~solid, solid, self.options["occlusion_reference"]
+            ).astype(float)
             weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
             entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
             frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts
@@ -419,14 +421,3 @@ def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:
     """``count`` evenly spread indices of ``total``, from a random first one."""
     count = min(count, total)
     return ((rng.uniform() + np.arange(count)) * total / count).astype(int).clip(0, total - 1)
-
-
-@partial(jax.jit, static_argnames="reference")
-def _free(part: SceneArrays, reference: str) -> Float[Array, "T V"]:
-    """1 for the voxels that occlusion counts in each frame: those outside vehicles, or inside."""
-
-    def of_frame(prisms: Prism) -> Array:
-        solid = step(solid_top(part.centered.columns, prisms)[:, None] - part.centered.heights)
-        return (solid if reference == "targets" else 1.0 - solid).reshape(-1)
-
-    return jax.lax.map(of_frame, part.centered.prisms)

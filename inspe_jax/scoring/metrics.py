@@ -98,11 +98,19 @@ def occlusion_terms(
 
     Under ``roi`` and ``covered``, voxels inside vehicles belong neither to V_orig nor to V_occ.
     """
-    counted = solid if reference == "targets" else free
+    counted = counted_by_occlusion(free, solid, reference)
     seen = union.count(counted)
     if reference == "covered":
         return seen, reading.count_both(covered, counted)
     return seen, jnp.broadcast_to(reading.count(counted), seen.shape)
+
+
+def counted_by_occlusion(free: Any, solid: Any, reference: str) -> Any:
+    """The voxels that occlusion counts: those inside vehicles under ``targets``, else the others.
+
+    ``free`` and ``solid`` are sets of any form, of the voxels outside and inside vehicles.
+    """
+    return solid if reference == "targets" else free
 
 
 def unknown_reference(reference: str) -> InspeError:

@@ -360,7 +360,7 @@ def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, mon
     first, second = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 2))
     assert (first.failed, second.failed) == (True, True)
     assert "Cannot allocate memory" in first.words
-    assert "cannot be handed" in second.words
+    assert "could not be sent" in second.words
 
 
 @pytest.mark.process

@@ -18,8 +18,9 @@ from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.layout import Layout
 
-SECONDS = 3000.0
+SECONDS = 5000.0
 """By a clock that counts work, so that a search repeats; several passes of finer moves."""
 
 
@@ -32,7 +33,10 @@ class Late(Problem):
     """A gradient, of nothing, whose first one takes until ``go`` is set."""
 
     def __init__(self, scene):
-        super().__init__(scene, strategy(scene, "Cam-c"))
+        whole = strategy(scene, "Cam-d1")
+        super().__init__(
+            scene, Layout(whole.poses[:2], whole.sensors[:2], whole.units[:1], "two cameras")
+        )
         self.go, self.callers = threading.Event(), []
 
     def slope(self, poses, on, softness):

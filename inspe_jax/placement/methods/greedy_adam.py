@@ -2,8 +2,9 @@
 
 Candidates find the places, which gradients do not jump between; gradients move all sensors at
 once, at a small price, where the score has a slope; and finer moves, which are judged hard, gain
-where it has none. So gradients are for sensors that are aimed. LiDARs are left to the moves: their
-rays are further apart than voxels are wide, so that which voxels they meet has no useful slope.
+where it has none. So gradients are for sensors that are aimed. Where there are only LiDARs it is
+greedy placement with its own exchanges and moves: their rays are further apart than voxels are
+wide, so that which voxels they meet has no useful slope.
 """
 
 import numpy as np
@@ -45,8 +46,8 @@ Sighted = tuple[Float[np.ndarray, " N"], Rows]
 
 
 def begin(run: Run) -> State:
-    """Before greedy placement; ``count`` are the gradient steps so far."""
-    return greedy.begin(run) | {"count": 0}
+    """Before greedy placement; ``count`` are the gradient steps so far, if any are to come."""
+    return greedy.begin(run) | ({"count": 0} if aimed(run.problem) else {})
 
 
 def ahead(run: Run) -> dict[str, CompileJob]:
@@ -76,9 +77,12 @@ def aimed(problem: Problem) -> bool:
 def step(run: Run, state: State) -> State | None:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
-    Units are not exchanged: moves gain more in the same time. A round has other candidates than
-    those before and often ends elsewhere.
+    Where no sensor is aimed it is a step of :mod:`greedy <inspe_jax.placement.methods.greedy>`.
+    Else units are not exchanged: bursts and moves gain more in the same time. A round has other
+    candidates than those before and often ends elsewhere.
     """
+    if not aimed(run.problem):
+        return greedy.step(run, state)
     if state["phase"] == "move":
         return _pass(run, state)
     if state["round"] == 0 and len(run.history) > 1 and run.done >= PLACING:

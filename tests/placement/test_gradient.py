@@ -19,6 +19,7 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.methods import greedy_adam
 from inspe_jax.placement.methods.adam import annealed, charted_score
+from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.methods.projected_gradient import scaled_score
 from inspe_jax.placement.methods.registry import GRADIENTS
 from inspe_jax.placement.problem import Problem, take
@@ -284,14 +285,14 @@ def small():
     return build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
 
 
-def passes(problem, evaluations, name="greedy-adam"):
+def passes(problem, evaluations, method=METHODS["greedy-adam"]):
     """States of a method, one after another, while there is time for gradients."""
     run = Run(problem, problem.space.start(problem.layout)[0], evaluations=evaluations)
     run.offer(run.start)
-    states = [METHODS[name].begin(run)]
+    states = [method.begin(run)]
     with contextlib.suppress(BudgetSpent):
         while run.done < 0.8:
-            states.append(METHODS[name].step(run, states[-1]))
+            states.append(method.step(run, states[-1]))
     return run, states
 
 
@@ -314,8 +315,8 @@ def test_where_no_sensor_is_aimed_it_is_greedy(small):
     assert greedy_adam.GRADIENT not in greedy_adam.ahead(
         Run(problem, problem.space.start(problem.layout)[0], seconds=1e6)
     )
-    run, _ = passes(problem, 1000)
-    other, _ = passes(problem, 1000, "greedy")
+    run, _ = passes(problem, 3000)
+    other, _ = passes(problem, 3000, GREEDY)
     assert [row.score for row in run.history] == [row.score for row in other.history]
     assert run.best > run.history[0].score
     assert "slope" not in problem.known

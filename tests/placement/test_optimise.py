@@ -56,7 +56,7 @@ class Hill:
 
 
 class Sample:
-    share = 0.25
+    cost = 0.25
 
 
 class Clock:

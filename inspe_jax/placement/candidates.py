@@ -20,7 +20,7 @@ SPACING = 8.0
 FEET = 48
 """Most feet on the coarsest lattice."""
 
-_ROWS = 64  # layouts in one compiled call
+_ROWS, _SOME = 64, 8  # layouts in one compiled call, where there are more than some, or not
 _FEW = 2  # so few layouts are faster without a compiled call
 _FAR = 1e3  # beyond any limit [m]
 
@@ -29,7 +29,7 @@ def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N
     """The feasible layout nearest to each."""
     if len(x) <= _FEW:
         return np.stack([space.project(row, np) for row in np.asarray(x, float)])
-    return _in_parts(_mapped(space)[0], x)
+    return _in_parts(_mapped(space)[0], x, _ROWS if len(x) > _SOME else _SOME)
 
 
 def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S 6"]:
@@ -44,9 +44,9 @@ def _mapped(space: Space) -> tuple[Any, Any]:
     return project, poses
 
 
-def _in_parts(function: Any, x: np.ndarray) -> np.ndarray:
+def _in_parts(function: Any, x: np.ndarray, rows: int = _ROWS) -> np.ndarray:
     """A function of M layouts, called on parts of one shape so that it compiles once."""
-    done = [np.asarray(function(part), float) for part in parts_of(x, _ROWS)]
+    done = [np.asarray(function(part), float) for part in parts_of(x, rows)]
     return np.concatenate(done)[: len(x)]
 
 

@@ -260,6 +260,11 @@ def _table(run: Run, state: State) -> Table:
     return table
 
 
+def forget(run: Run) -> None:
+    """Let go of a round's candidates, some 100 MB, when they are not looked at any more."""
+    _tables.pop(run, None)
+
+
 def _look(run: Run, state: State) -> State:
     table, part = _table(run, state), state["part"] + 1
     charge(run, table.tally, table.look(part - 1))
@@ -314,7 +319,7 @@ def _exchange(run: Run, state: State) -> State:
         return state
     again: State = {"unit": 0, "moved": 0}
     if not state["moved"]:
-        del _tables[run]  # some 100 MB that are not looked at any more
+        forget(run)
         return state | again | {"phase": "move", "now": state["x"]}
     x = table.layout(state["x"], picks)
     value = run.offer(x)

@@ -113,7 +113,9 @@ def test_without_its_row_a_map_is_not_known(tmp_path):
     path = tmp_path / "town.toy.yaml"
     path.write_text(MAP)
     assert not maps.is_map(path)
-    with pytest.raises(InspeError, match=r"town\.toy\.yaml"):
+    with pytest.raises(
+        InspeError, match=r"town\.toy\.yaml: not a map: its name must end in \.xodr"
+    ):
         maps.read_map(path, junction="north")
 
 

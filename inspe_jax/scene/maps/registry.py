@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
@@ -32,17 +33,16 @@ class MapFormat:
         return getattr(import_module(self.module), function)(*given, **options)
 
 
-_SUMO = MapFormat(
-    "SUMO network or OpenStreetMap",
-    (*NET_SUFFIXES, *OSM_SUFFIXES),
-    "inspe_jax.scene.maps.sumo.reader",
-    reader="read_sumo",
-)
 FORMATS = [
     MapFormat(
         "OpenDRIVE", (".xodr",), "inspe_jax.scene.maps.opendrive.reader", reader="read_opendrive"
     ),
-    _SUMO,
+    MapFormat(
+        "SUMO network or OpenStreetMap",
+        (*NET_SUFFIXES, *OSM_SUFFIXES),
+        "inspe_jax.scene.maps.sumo.reader",
+        reader="read_sumo",
+    ),
 ]
 """The formats. The first that fits a file's name reads it."""
 
@@ -58,9 +58,12 @@ def is_map(path: str | os.PathLike[str]) -> bool:
 
 
 def _format_of(path: str | os.PathLike[str]) -> MapFormat:
-    """The format of a file by its name; SUMO's reader says what is wrong with any other."""
+    """The format of a file by its name. Raises InspeError if no format has that name."""
     name = str(path).lower()
-    return next((row for row in FORMATS if name.endswith(row.suffixes)), _SUMO)
+    for row in FORMATS:
+        if name.endswith(row.suffixes):
+            return row
+    raise InspeError(f"{path}: not a map: its name must end in {', '.join(map_suffixes())}")
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:

@@ -182,7 +182,7 @@ def test_what_is_compiled_goes_with_its_problem(name):
     """Thousands of problems can be searched one after another: nothing outside keeps any."""
     scene = build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
     problem = Problem(scene, strategy(scene, "Cam-c"))
-    run = Run(problem, problem.space.start(problem.layout)[0], evaluations=2000)
+    run = Run(problem, problem.space.start(problem.layout)[0], evaluations=20_000)
     run.offer(run.start)
     state = METHODS[name].begin(run)
     while not problem.compiled:

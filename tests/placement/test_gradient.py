@@ -312,7 +312,7 @@ def test_where_no_sensor_is_aimed_it_is_greedy(small):
     """Score by score; and no gradient is compiled."""
     problem = Problem(small, strategy(small, "L-c"))
     assert not greedy_adam.aimed(problem)
-    assert greedy_adam.GRADIENT not in greedy_adam.ahead(
+    assert greedy_adam.GRADIENT not in METHODS["greedy-adam"].ahead(
         Run(problem, problem.space.start(problem.layout)[0], seconds=1e6)
     )
     run, _ = passes(problem, 3000)

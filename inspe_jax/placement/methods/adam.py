@@ -5,20 +5,22 @@ end, so that the edges of views are precise.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import run as on_all_cores
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem, per_problem
-from inspe_jax.placement.run import GRADIENT_COST, Method, Run, State
+from inspe_jax.placement.run import GRADIENT_COST, Run
 
 SOFTNESS = (3.0, 0.3)
 """Softness at the start and at the end of a search [m]."""
@@ -51,54 +53,91 @@ def annealed(ends: Any, done: float) -> float:
     return first * (last / first) ** min(max(done, 0.0), 1.0)
 
 
-def begin_adam(run: Run) -> State:
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Charted:
+    """M layouts in charts of their coordinates, and what Adam remembers of their slopes.
+
+    A layout stands ``z`` (M, N) typical steps from ``anchor`` (M, N), in the charts ``place``
+    (M, U). ``steps`` (M,) are Adam's so far, ``mean`` and ``square`` (M, N) its running means of
+    slopes and of their squares. Layouts of the same ``line`` (M,) take their mean slope. ``count``
+    is the number of steps since the search began.
+    """
+
+    anchor: Float[np.ndarray, "M N"]
+    z: Float[np.ndarray, "M N"]
+    place: Int[np.ndarray, "M U"]
+    steps: Int[np.ndarray, " M"] = field(metadata={KEY: "optax 0"})
+    mean: Float[np.ndarray, "M N"] = field(metadata={KEY: "optax 1"})
+    square: Float[np.ndarray, "M N"] = field(metadata={KEY: "optax 2"})
+    line: Int[np.ndarray, " M"]
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class AdamState(Charted):
+    """Adam's layouts; how often some were ``culled``; and what was spent [s, exact scores] when the
+    search ``began`` and when it last ``looked`` at the best of them."""
+
+    culled: int
+    began: Float[np.ndarray, "2"]
+    looked: Float[np.ndarray, "2"]
+
+
+CT = TypeVar("CT", bound=Charted)
+
+
+def begin_adam(run: Run) -> AdamState:
     """The given start and the best of some random layouts, in their charts."""
     problem = run.problem
     sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
     others = problem.space.random(run.rng(1), SCREENED)
     ranked = others[np.argsort(-run.rough(others, sample), kind="stable")]
-    return charted(problem, np.concatenate([run.start[None], ranked[: STARTS - 1]])) | {
-        "line": np.arange(STARTS),
-        "count": 0,
-        "culled": 0,
-        "began": run.spent,
-        "looked": run.spent,
-    }
+    x = np.concatenate([run.start[None], ranked[: STARTS - 1]])
+    now = run.spent
+    first = charted(problem, x, np.arange(STARTS))
+    return AdamState(**vars(first), culled=0, began=now, looked=now)
 
 
-def charted(problem: Problem, x: Float[np.ndarray, "M N"]) -> State:
-    """The state of layouts (M, N) in new charts, with Adam at rest."""
+def charted(
+    problem: Problem, x: Float[np.ndarray, "M N"], line: Int[np.ndarray, " M"], count: int = 0
+) -> Charted:
+    """Layouts (M, N) in new charts, with Adam at rest."""
+    anchor, place = _charts(problem, x)
+    still = np.zeros_like(anchor)
+    return Charted(anchor, still, place, *_moments(_at_rest(still)), line, count)
+
+
+def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
+    """The layouts' places in new charts, and which charts these are."""
     v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
-    anchor = on_host(np.stack(v), float)
-    z = np.zeros_like(anchor)
-    return {"anchor": anchor, "z": z, "place": np.stack(place), **_kept(_at_rest(z))}
+    return on_host(np.stack(v), float), np.stack(place)
 
 
-def _kept(optimiser: Any) -> State:
-    """The optimiser's arrays as a state keeps them; :func:`_optimiser_state` puts them back."""
-    return {f"optax {i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(optimiser))}
+def _moments(optimiser: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Optax's state as arrays: steps, mean and square of :class:`Charted`."""
+    steps, mean, square = map(np.asarray, jax.tree.leaves(optimiser))
+    return steps, mean, square
 
 
-def _optimiser_state(state: State) -> Any:
-    shape = jax.eval_shape(_at_rest, state["z"])
-    leaves, tree = jax.tree.flatten(shape)
-    return jax.tree.unflatten(tree, [jnp.asarray(state[f"optax {i}"]) for i in range(len(leaves))])
+def _optimiser_state(state: Charted) -> Any:
+    """The arrays of :func:`_moments` as optax's state."""
+    tree = jax.tree.structure(jax.eval_shape(_at_rest, state.z))
+    return jax.tree.unflatten(tree, map(jnp.asarray, (state.steps, state.mean, state.square)))
 
 
-def step_adam(run: Run, state: State) -> State | None:
+def step_adam(run: Run, state: AdamState) -> AdamState | None:
     """Some gradient steps of all layouts; at :data:`CULLS` the better ones replace the worse."""
     problem, done = run.problem, run.done
     if done >= _LAST:
         _offer_best(run, state)
         return None
-    state = dict(state)
-    began = run.share(state["began"])
-    if state["culled"] < len(CULLS) and done >= CULLS[state["culled"]]:
+    began = run.share(state.began)
+    if state.culled < len(CULLS) and done >= CULLS[state.culled]:
         state = _cull(run, state)
-    elif done >= run.share(state["looked"]) + LOOKS:
+    elif done >= run.share(state.looked) + LOOKS:
         x = layouts(problem, state)
-        run.offer(x[_ranked(run, x, state["count"])[0]])
-        state = charted_again(problem, state, x) | {"looked": run.spent}
+        run.offer(x[_ranked(run, x, state.count)[0]])
+        state = replace(_charted_again(problem, state, x), looked=run.spent)
 
     def now() -> tuple[float, float]:
         through = (run.done - began) / (_LAST - began)
@@ -107,25 +146,25 @@ def step_adam(run: Run, state: State) -> State | None:
     return advance(run, state, now, CHUNK)
 
 
-def advance(run: Run, state: State, now: Callable[[], tuple[float, float]], count: int) -> State:
+def advance(run: Run, state: CT, now: Callable[[], tuple[float, float]], count: int) -> CT:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
-    problem, line = run.problem, state["line"]
+    problem, line, z = run.problem, state.line, state.z
     optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
-    z, anchor, place = (state[k] for k in ("z", "anchor", "place"))
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
-    for k in range(state["count"], state["count"] + count):
+    for k in range(state.count, state.count + count):
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
         run.charge(len(line) * GRADIENT_COST * problem.sample_cost(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
-        rows = zip(z, anchor, place, drawn, strict=True)
+        rows = zip(z, state.anchor, state.place, drawn, strict=True)
         jobs = [("slope", partial(score, *row, softness)) for row in rows]
         slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
         moved, optimiser = move(z, mean @ np.stack(slopes), optimiser, rate)
         z = np.asarray(moved)
-    return state | _kept(optimiser) | {"z": z, "count": state["count"] + count}
+    steps, running, square = _moments(optimiser)
+    return replace(state, z=z, steps=steps, mean=running, square=square, count=state.count + count)
 
 
 @per_problem
@@ -169,10 +208,9 @@ def _mover(problem: Problem) -> Callable[..., Any]:
     return jax.jit(move)
 
 
-def layouts(problem: Problem, state: State) -> Float[np.ndarray, "M N"]:
+def layouts(problem: Problem, state: Charted) -> Float[np.ndarray, "M N"]:
     """Coordinates (M, N) of the layouts of a state."""
-    scale = problem.space.scale
-    rows = zip(state["anchor"] + scale * state["z"], state["place"], strict=True)
+    rows = zip(state.anchor + problem.space.scale * state.z, state.place, strict=True)
     return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
 
 
@@ -182,46 +220,40 @@ def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
     return np.argsort(-run.rough(x, sample), kind="stable")
 
 
-def _cull(run: Run, state: State) -> State:
-    """Keep the better half of the layouts, twice as often, in new charts.
+def _cull(run: Run, state: AdamState) -> AdamState:
+    """Keep the better half of the layouts, twice as often, in new charts, with Adam at rest.
 
-    Copies of one layout take the mean of their gradients, so each step has more samples. In a new
-    chart a unit that has reached the edge of a region of ground can go on into the next region.
+    Copies of one layout take the mean of their gradients, so each step has more samples.
     """
     x = layouts(run.problem, state)
-    kept = max(1, STARTS // 2 ** (state["culled"] + 1))
-    best = _ranked(run, x, state["culled"])[:kept]
+    kept = max(1, STARTS // 2 ** (state.culled + 1))
+    best = _ranked(run, x, state.culled)[:kept]
     run.offer(x[best[0]])
-    return (
-        state
-        | charted(run.problem, np.resize(x[best], x.shape))
-        | {
-            "line": np.arange(STARTS) % kept,
-            "culled": state["culled"] + 1,
-            "looked": run.spent,
-        }
-    )
+    line = np.arange(STARTS) % kept
+    fresh = charted(run.problem, np.resize(x[best], x.shape), line, state.count)
+    return AdamState(**vars(fresh), culled=state.culled + 1, began=state.began, looked=run.spent)
 
 
-def charted_again(problem: Problem, state: State, x: Float[np.ndarray, "M N"]) -> State:
-    """The same layouts in new charts, with their momentum.
+def _charted_again(problem: Problem, state: AdamState, x: Float[np.ndarray, "M N"]) -> AdamState:
+    """The same layouts in new charts, with Adam's memory.
 
     A unit that has reached the edge of a region of ground can go on into the next region.
     """
-    fresh = charted(problem, x)
-    return state | {key: fresh[key] for key in ("anchor", "z", "place")}
+    anchor, place = _charts(problem, x)
+    return replace(state, anchor=anchor, z=np.zeros_like(anchor), place=place)
 
 
-def _offer_best(run: Run, state: State) -> None:
+def _offer_best(run: Run, state: AdamState) -> None:
     x = layouts(run.problem, state)
-    _, first = np.unique(state["line"], return_index=True)
+    _, first = np.unique(state.line, return_index=True)
     for row in x[first]:
         run.offer(row)
 
 
-ADAM = Method(
+ADAM = method_of(
     "adam",
     "Adam on the soft score, from 3 m to 0.3 m softness, several layouts at once",
+    AdamState,
     begin_adam,
     step_adam,
 )

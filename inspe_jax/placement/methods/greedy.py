@@ -6,16 +6,19 @@ that what it adds to any layout is a sum over bits (:mod:`inspe_jax.placement.sa
 
 import heapq
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from inspe_jax.placement.candidate_table import Picks, Table
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, coordinates, poses, project
 from inspe_jax.placement.compile_ahead import CompileJob
+from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.run import Method, Run, State
+from inspe_jax.placement.run import Run
 from inspe_jax.placement.sample_score import SampleScore, times
 
 TRIES = 64
@@ -199,21 +202,64 @@ _passes: "WeakKeyDictionary[Run, tuple[tuple[int, ...], SampleScore, dict[int, n
 """The sample of each run's present pass, and what the sensors see of it."""
 
 
-def begin(run: Run) -> State:
+@dataclass(frozen=True)
+class Placing:
+    """Before a sensor is placed in a round; ``part`` parts of its candidates were looked at.
+
+    ``phase`` is ``look``, or ``place`` when that is all of them.
+    """
+
+    round: int = 0
+    part: int = 0
+    phase: str = "look"
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Exchanging:
+    """All sensors are placed, at the candidates ``picks`` (S,); next, ``unit`` chooses again.
+
+    ``x`` (N,) is the best layout of the round and ``value`` its exact score. ``moved`` units have
+    chosen other candidates in this pass.
+    """
+
+    round: int
+    x: Float[np.ndarray, " N"]
+    value: float
+    picks: Int[np.ndarray, " S"]
+    unit: int = 0
+    moved: int = 0
+    phase: str = "exchange"
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """Next, finer moves of ``unit``, of at most ``width`` typical steps, after ``passes`` passes.
+
+    ``x`` (N,) is the best layout of the round and ``value`` its exact score; ``now`` (N,) is the
+    layout with the moves since that score, of which there are ``moved``.
+    """
+
+    round: int
+    x: Float[np.ndarray, " N"]
+    value: float
+    now: Float[np.ndarray, " N"]
+    width: float = WIDTH
+    unit: int = 0
+    moved: int = 0
+    passes: int = field(default=0, metadata={KEY: "pass"})
+    phase: str = "move"
+
+
+GreedyState = Placing | Exchanging | Moving
+P = TypeVar("P", bound=Placing)
+
+
+def begin(run: Run) -> Placing:
     """Before the first round."""
-    return _round(0)
+    return Placing()
 
 
-def next_round(state: State) -> State:
-    """Before the round after a state's."""
-    return _round(state["round"] + 1)
-
-
-def _round(number: int) -> State:
-    return {"round": number, "phase": "look", "part": 0}
-
-
-def step(run: Run, state: State) -> State:
+def step(run: Run, state: GreedyState) -> GreedyState:
     """A piece of a round: looking, placing, exchanging, moving.
 
     A round sees what the candidates see; places sensors greedily; takes out unit after unit and
@@ -223,7 +269,15 @@ def step(run: Run, state: State) -> State:
     another sample and candidates between the first ones.
     """
     run.wait(VIEWS)
-    return _PHASES[state["phase"]](run, state)
+    match state:
+        case Placing(phase="look"):
+            return look(run, state)
+        case Placing():
+            return place(run, state)
+        case Exchanging():
+            return _exchange(run, state)
+        case Moving():
+            return _move(run, state)
 
 
 def ahead(run: Run) -> dict[str, CompileJob]:
@@ -248,15 +302,17 @@ def charge(run: Run, tally: SampleScore, views: float) -> None:
     run.charge(views * VIEW_COST * tally.sample.cost / len(run.problem.layout))
 
 
-def _table(run: Run, state: State) -> Table:
-    """The round's candidates as far as they have been looked at, from memory or once more."""
-    number, looked = state["round"], state["part"]
+def _table(run: Run, number: int, looked: int | None = None) -> Table:
+    """A round's candidates, with so many parts looked at, or all; from memory or once more."""
     held, table = _tables.get(run, (-1, None))
-    if table is None or held != number or sum(len(k.bits) for k in table.kinds) != looked:
-        table = Table.of(run.problem, run.rng(0, number), first=number == 0)
-        for part in range(looked):
-            table.look(part)
-        _tables[run] = number, table
+    if table is not None and held == number:
+        looked = len(table.parts) if looked is None else looked
+        if sum(len(kind.bits) for kind in table.kinds) == looked:
+            return table
+    table = Table.of(run.problem, run.rng(0, number), first=number == 0)
+    for part in range(len(table.parts) if looked is None else looked):
+        table.look(part)
+    _tables[run] = number, table
     return table
 
 
@@ -265,72 +321,62 @@ def forget(run: Run) -> None:
     _tables.pop(run, None)
 
 
-def _look(run: Run, state: State) -> State:
-    table, part = _table(run, state), state["part"] + 1
+def look(run: Run, state: P) -> P:
+    """Look at a further part of the candidates."""
+    table, part = _table(run, state.round, state.part), state.part + 1
     charge(run, table.tally, table.look(part - 1))
     # A first layout soon: as soon as some candidates of every kind have been looked at.
-    if state["round"] == 0 and part == len(table.kinds) < len(table.parts):
+    if state.round == 0 and part == len(table.kinds) < len(table.parts):
         picks, _ = lazy_greedy(table)
         run.offer(table.layout(run.start, picks))
     if part >= len(table.kinds):  # one chunk of each kind
         run.problem.known.add(VIEWS)
-    return state | {"part": part, "phase": "place" if part == len(table.parts) else "look"}
+    return replace(state, part=part, phase="place" if part == len(table.parts) else "look")
 
 
-def _place(run: Run, state: State) -> State:
-    table = _table(run, state)
+def place(run: Run, state: Placing) -> Exchanging | Moving:
+    """Place all sensors greedily, and score the layout exactly.
+
+    If some sensor found no place, candidates are not exchanged.
+    """
+    table = _table(run, state.round)
     charge(run, table.tally, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
     picks, _ = lazy_greedy(table)
     x = table.layout(run.start, picks)
     value = run.offer(x)
-    whole = len(picks) == len(run.problem.layout)
-    picked = np.array([picks.get(s, -1) for s in range(len(run.problem.layout))])
-    state = moving(state, x, value, WIDTH) | {"picks": picked}
-    return state | {"phase": "exchange" if whole else "move"}
+    sensors = range(len(run.problem.layout))
+    if len(picks) < len(sensors):
+        return Moving(state.round, x, value, x)
+    return Exchanging(state.round, x, value, np.array([picks[s] for s in sensors]))
 
 
-def moving(state: State, x: Float[np.ndarray, " N"], value: float, width: float) -> State:
-    """Before the first finer moves of a round, from a layout and its exact score."""
-    return state | {
-        "x": x,
-        "now": x,
-        "value": value,
-        "unit": 0,
-        "moved": 0,
-        "pass": 0,
-        "width": width,
-        "phase": "move",
-    }
-
-
-def _exchange(run: Run, state: State) -> State:
-    table = _table(run, state)
-    members = run.problem.layout.members()[state["unit"]]
+def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
+    table = _table(run, state.round)
+    members = run.problem.layout.members()[state.unit]
     looked = sum(len(table.kind_of(s).foot) for s in members)
     charge(run, table.tally, EXCHANGE_COST * looked)
-    before = dict(enumerate(state["picks"].tolist()))
-    picks = exchange(table, before, state["unit"])
-    state = state | {
-        "picks": np.array([picks[s] for s in range(len(picks))]),
-        "moved": state["moved"] + (picks != before),
-        "unit": state["unit"] + 1,
-    }
-    if state["unit"] < len(run.problem.layout.units):
+    before = dict(enumerate(state.picks.tolist()))
+    picks = exchange(table, before, state.unit)
+    state = replace(
+        state,
+        picks=np.array([picks[s] for s in range(len(picks))]),
+        moved=state.moved + (picks != before),
+        unit=state.unit + 1,
+    )
+    if state.unit < len(run.problem.layout.units):
         return state
-    again: State = {"unit": 0, "moved": 0}
-    if not state["moved"]:
+    if not state.moved:
         forget(run)
-        return state | again | {"phase": "move", "now": state["x"]}
-    x = table.layout(state["x"], picks)
-    value = run.offer(x)
-    if value > state["value"]:
-        again |= {"x": x, "value": value}
-    return state | again
+        return Moving(state.round, state.x, state.value, state.x)
+    x, value = table.layout(state.x, picks), state.value
+    if (score := run.offer(x)) > value:
+        state = replace(state, x=x, value=score)
+    return replace(state, unit=0, moved=0)
 
 
-def _move(run: Run, state: State) -> State:
-    problem, number, u = run.problem, state["pass"], state["unit"]
-    x, key = state["now"], (state["round"], number, u)
+def _move(run: Run, state: Moving) -> Moving | Placing:
+    problem, u = run.problem, state.unit
+    x, key = state.now, (state.round, state.passes, u)
     held = _passes.pop(run, None)
     if held is not None and held[0] == key:
         _, tally, rows = held
@@ -339,31 +385,30 @@ def _move(run: Run, state: State) -> State:
         rows = sights(problem, tally, x, range(len(problem.layout)))
     tried = TRIES * len(problem.layout.members()[u])
     charge(run, tally, (u == 0) * len(rows) + MOVE_COST * tried)
-    new, rows = finer(problem, tally, x, rows, u, state["width"], run.rng(2, *key))
+    new, rows = finer(problem, tally, x, rows, u, state.width, run.rng(2, *key))
     _passes[run] = (*key[:2], u + 1), tally, rows
-    moved = state["moved"] + (new is not x)
-    state = state | {"now": new, "moved": moved, "unit": u + 1}
+    moved = state.moved + (new is not x)
+    state = replace(state, now=new, moved=moved, unit=u + 1)
     units = len(problem.layout.units)
     if u + 1 < units:
         return state
-    state |= {"unit": 0, "pass": number + 1}
-    if (number + 1) % PASSES:
+    state = replace(state, unit=0, passes=state.passes + 1)
+    if state.passes % PASSES:
         return state
-    better = bool(moved) and (value := run.offer(new)) > state["value"]
+    better = bool(moved) and (value := run.offer(new)) > state.value
     if better:
-        state |= {"x": new, "value": value}
-    if not better or 2 * moved < units * PASSES:
-        state["width"] *= FINER
-    if state["width"] < NARROW:
-        return next_round(state)
-    return state | {"now": state["x"], "moved": 0}
+        state = replace(state, x=new, value=value)
+    narrower = not better or 2 * moved < units * PASSES
+    width = state.width * (FINER if narrower else 1.0)
+    if width < NARROW:
+        return Placing(state.round + 1)
+    return replace(state, now=state.x, moved=0, width=width)
 
 
-_PHASES = {"look": _look, "place": _place, "exchange": _exchange, "move": _move}
-
-GREEDY = Method(
+GREEDY = method_of(
     "greedy",
     "sensor by sensor the best candidate pose, then exchanges and finer moves",
+    {"look": Placing, "place": Placing, "exchange": Exchanging, "move": Moving},
     begin,
     step,
     ahead,

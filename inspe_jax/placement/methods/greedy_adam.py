@@ -7,6 +7,8 @@ greedy placement with its own exchanges and moves: their rays are further apart 
 wide, so that which voxels they meet has no useful slope.
 """
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -15,8 +17,9 @@ from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import advance, charted, layouts
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge, finer, sights
+from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.run import Method, Run, State
+from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import SampleScore
 
 PLACING = 0.4
@@ -39,21 +42,52 @@ Eight times eight come as far as 64 at once in about half the charged work, on t
 GRADIENT = "gradient"
 """What is compiled ahead, after what greedy placement needs."""
 
+ONE_LINE = np.zeros(1, int)
+"""The line of a single layout."""
+
 Rows = dict[int, Bool[np.ndarray, " W"]]
 """What each sensor sees of a sample."""
 Sighted = tuple[Float[np.ndarray, " N"], Rows]
 """A layout, and what its sensors see of a sample."""
 
 
-def begin(run: Run) -> State:
-    """Before greedy placement; ``count`` are the gradient steps so far, if any are to come."""
-    return greedy.begin(run) | ({"count": 0} if aimed(run.problem) else {})
+@dataclass(frozen=True)
+class Placing(greedy.Placing):
+    """Greedy placement of a round; ``count`` gradient steps were done in those before."""
+
+    count: int = 0
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Improving:
+    """Before a pass of bursts and moves: ``x`` (N,) is the layout and ``value`` its exact score.
+
+    Moves are at most ``width`` typical steps. The next burst has this ``softness`` [m] and
+    ``rate``, in typical steps; ``count`` gradient steps were done. ``careful``: what is found is
+    judged exactly piece by piece, since a pass gained nothing.
+    """
+
+    round: int
+    x: Float[np.ndarray, " N"]
+    value: float
+    count: int
+    width: float = greedy.WIDTH
+    passes: int = field(default=0, metadata={KEY: "pass"})
+    softness: float = SOFTNESS
+    rate: float = RATE
+    careful: bool = False
+    phase: str = "move"
+
+
+def begin(run: Run) -> Placing:
+    """Before greedy placement."""
+    return Placing()
 
 
 def ahead(run: Run) -> dict[str, CompileJob]:
     """What greedy placement needs compiled; then the gradient, if it will be of use in time."""
     jobs, problem, began = greedy.ahead(run), run.problem, run.spent
-    if "slope" in problem.known or not aimed(problem):
+    if "slope" in problem.known:
         return jobs
     _ = problem.arrays
 
@@ -62,8 +96,8 @@ def ahead(run: Run) -> dict[str, CompileJob]:
         if run.share(run.spent + COMPILES * took) >= UNTIL:
             return False
         trial = Run(problem, run.start, evaluations=np.finfo(float).max)
-        burst = charted(problem, run.start[None]) | {"line": np.zeros(1, int), "count": 0}
-        advance(trial, burst, lambda: (SOFTNESS, RATE), 1)
+        start = charted(problem, run.start[None], ONE_LINE)
+        advance(trial, start, lambda: (SOFTNESS, RATE), 1)
         return True
 
     return jobs | {GRADIENT: gradient}
@@ -74,70 +108,67 @@ def aimed(problem: Problem) -> bool:
     return any(sensor.spec.aimed for sensor in problem.layout.sensors)
 
 
-def step(run: Run, state: State) -> State | None:
+def step(run: Run, state: Placing | Improving) -> Placing | Improving:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
-    Where no sensor is aimed it is a step of :mod:`greedy <inspe_jax.placement.methods.greedy>`.
-    Else units are not exchanged: bursts and moves gain more in the same time. A round has other
+    Units are not exchanged: bursts and moves gain more in the same time. A round has other
     candidates than those before and often ends elsewhere.
     """
-    if not aimed(run.problem):
-        return greedy.step(run, state)
-    if state["phase"] == "move":
+    if isinstance(state, Improving):
         return _pass(run, state)
-    if state["round"] == 0 and len(run.history) > 1 and run.done >= PLACING:
-        return _moving(run, state, run.best_x, run.best)
-    after = state | greedy.step(run, state)
-    if after["phase"] in ("exchange", "move"):
-        return _moving(run, after, after["x"], after["value"])
-    return after
+    if state.round == 0 and len(run.history) > 1 and run.done >= PLACING:
+        return _improving(run, state, run.best_x, run.best)
+    run.wait(greedy.VIEWS)
+    if state.phase == "look":
+        return greedy.look(run, state)
+    placed = greedy.place(run, state)
+    return _improving(run, state, placed.x, placed.value)
 
 
-def _moving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> State:
+def _improving(run: Run, state: Placing, x: Float[np.ndarray, " N"], value: float) -> Improving:
     """Before the first pass of a round, from a layout and its exact score."""
     greedy.forget(run)
-    first = {"softness": SOFTNESS, "rate": RATE, "careful": False}
-    return greedy.moving(state, x, value, greedy.WIDTH) | first
+    return Improving(state.round, x, value, state.count)
 
 
-def _pass(run: Run, state: State) -> State:
+def _pass(run: Run, state: Improving) -> Placing | Improving:
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly.
 
     At first all together. Once that gained nothing, what gains on a sample is as often a loss in
     the whole scene; from then on, the bursts and each unit's moves are judged, and taken back, on
     their own.
     """
-    problem, key, careful = run.problem, (state["round"], state["pass"]), state["careful"]
+    problem, key, careful = run.problem, (state.round, state.passes), state.careful
     tally = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
     charge(run, tally, len(problem.layout))
-    rows = sights(problem, tally, state["x"], range(len(problem.layout)))
-    at, value, moved = (state["x"], rows), state["value"], 0
-    if aimed(problem) and run.done < UNTIL and run.ready(GRADIENT):
-        new, changed = _bursts(run, state, tally, rows)
-        state = state | changed
+    first = state.x, sights(problem, tally, state.x, range(len(problem.layout)))
+    at, value, moved, start = first, state.value, 0, state.value
+    if run.done < UNTIL and run.ready(GRADIENT):
+        new, state = _bursts(run, state, tally, first[1])
         at, value = _better(run, at, value, new) if careful else (new, value)
     for u, sensors in enumerate(members):
         rng, new = run.rng(2, *key, u), at
         for _ in range(GENERATIONS * len(sensors)):
             charge(run, tally, MOVE_COST * TRIES * len(sensors))
-            new = finer(problem, tally, *new, u, state["width"], rng, TRIES)
+            new = finer(problem, tally, *new, u, state.width, rng, TRIES)
         before = at
         at, value = _better(run, at, value, new) if careful else (new, value)
         moved += at[0] is not before[0]
     if not careful:
-        at, value = _better(run, (state["x"], rows), value, at)
-    gained = value > state["value"]
-    width = state["width"] * (FINER if not gained or 2 * moved < len(members) else 1.0)
+        at, value = _better(run, first, value, at)
+    gained = value > start
+    width = state.width * (FINER if not gained or 2 * moved < len(members) else 1.0)
     if width < greedy.NARROW:
-        return state | greedy.next_round(state)
-    return state | {
-        "x": at[0],
-        "value": value,
-        "width": width,
-        "pass": state["pass"] + 1,
-        "careful": careful or not gained,
-    }
+        return Placing(state.round + 1, count=state.count)
+    return replace(
+        state,
+        x=at[0],
+        value=value,
+        width=width,
+        passes=state.passes + 1,
+        careful=careful or not gained,
+    )
 
 
 def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted, float]:
@@ -147,26 +178,47 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
     return new, score
 
 
-def _bursts(run: Run, state: State, tally: SampleScore, rows: Rows) -> tuple[Sighted, State]:
-    """Bursts of Adam, each at rest at first, until one gains nothing on the sample."""
-    problem, x = run.problem, state["x"]
-    count, softness, rate = (state[key] for key in ("count", "softness", "rate"))
+def _bursts(
+    run: Run, state: Improving, tally: SampleScore, rows: Rows
+) -> tuple[Sighted, Improving]:
+    """Bursts of Adam, each at rest at first, until one gains nothing on the sample.
+
+    Returns the layout, and the state with what the next burst begins with; ``rows`` are what the
+    sensors see of the sample now.
+    """
+    problem, x = run.problem, state.x
+    count, softness, rate = state.count, state.softness, state.rate
     while True:
-        start = charted(problem, x[None]) | {"line": np.zeros(1, int), "count": count}
+        start = charted(problem, x[None], ONE_LINE, count)
         after = advance(run, start, lambda: (softness, rate), BURST)
-        count, new = after["count"], layouts(problem, after)[0]
+        count, new = after.count, layouts(problem, after)[0]
         charge(run, tally, len(problem.layout))
         seen = sights(problem, tally, new, range(len(problem.layout)))
         if tally.value(seen) <= tally.value(rows):
             break
         x, rows = new, seen
-    return (x, rows), {"count": count, "softness": softness * CALMER, "rate": rate * CALMER}
+    calmer = replace(state, count=count, softness=softness * CALMER, rate=rate * CALMER)
+    return (x, rows), calmer
 
 
-GREEDY_ADAM = Method(
+_AIMED = method_of(
     "greedy-adam",
-    "rounds of greedy placement over candidate poses, improved by Adam and by finer moves",
+    "greedy placement, then Adam and finer moves; greedy where there are only LiDARs",
+    {"look": Placing, "place": Placing, "move": Improving},
     begin,
     step,
     ahead,
+)
+
+
+def _for(run: Run) -> Method:
+    """The method for a run's sensors."""
+    return _AIMED if aimed(run.problem) else greedy.GREEDY
+
+
+GREEDY_ADAM = replace(
+    _AIMED,
+    begin=lambda run: _for(run).begin(run),
+    step=lambda run, state: _for(run).step(run, state),
+    ahead=lambda run: _for(run).ahead(run),
 )

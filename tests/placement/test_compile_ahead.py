@@ -179,9 +179,13 @@ def test_it_compiles_for_the_precision_of_the_search(double):
 
 @pytest.mark.parametrize("way", ["pass", "import os, signal; os.kill(os.getpid(), signal.SIGINT)"])
 def test_the_end_of_the_process_waits_for_xla_but_not_after_ctrl_c(way):
-    """A job that is in C and comes back to Python, as XLA does."""
+    """A job that is in C and comes back to Python, as XLA does.
+
+    A shell's background jobs, and so what they start, ignore Ctrl-C unless told otherwise.
+    """
     code = f"""
-import threading, time
+import signal, threading, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from inspe_jax.placement.compile_ahead import Ahead
 Ahead({{"a": lambda: time.sleep(2.0) or print("over", flush=True) or True}})
 later = threading.Timer(0.5, lambda: exec({way!r}))

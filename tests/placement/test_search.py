@@ -494,7 +494,7 @@ def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start)
 
 def test_every_round_looks_at_candidates_of_its_own(problem, start):
     run = Heard(problem, start, 1.0)
-    first, second, again = (greedy._table(run, greedy._round(n)).kinds[0] for n in (0, 1, 0))
+    first, second, again = (greedy._table(run, number).kinds[0] for number in (0, 1, 0))
     assert set(first.yaw.round(6)).isdisjoint(second.yaw.round(6))
     np.testing.assert_array_equal(first.yaw, again.yaw)
 

@@ -21,7 +21,7 @@ from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
-from inspe_jax.visibility.in_view import TOGETHER, in_view_margins
+from inspe_jax.visibility.in_view import TOGETHER, density_view, in_view_margins, transform_of
 from inspe_jax.visibility.shadows import shadow_ceilings, soft_sight
 
 
@@ -61,17 +61,44 @@ def sight(
     return jax.lax.map(one, sensors)
 
 
+SensorsOfGrids = tuple[tuple[RayGrid, tuple[int, ...]], ...]
+"""The sensors of each ray grid, by number."""
+
+
+def of_grids(read, poses: Float[Array, "S 6"], groups: SensorsOfGrids) -> Array:
+    """``read`` of each grid and its sensors' poses, in the sensors' order; a row or more each."""
+    found = [read(grid, poses[jnp.array(s)]) for grid, s in groups]
+    order = np.argsort(np.concatenate([index for _, index in groups]))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[order], *found)
+
+
 def view_margins(
     poses: Float[Array, "S 6"],
     centers: Float[Array, "V 3"],
-    groups: tuple[tuple[RayGrid, tuple[int, ...]], ...],
+    groups: SensorsOfGrids,
     half: float,
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    """:func:`in_view_margins` of all sensors; ``groups`` are the sensors of each ray grid."""
-    margins = [in_view_margins(grid, poses[jnp.array(s)], centers, half) for grid, s in groups]
-    order = np.argsort(np.concatenate([index for _, index in groups]))
-    field, ray = (jnp.concatenate(part)[order] for part in zip(*margins, strict=True))
-    return field, ray
+    """:func:`in_view_margins` of all sensors."""
+    return of_grids(lambda grid, at: in_view_margins(grid, at, centers, half), poses, groups)
+
+
+def views(
+    poses: Float[Array, "S 6"],
+    centers: Float[Array, "V 3"],
+    groups: SensorsOfGrids,
+    half: float,
+    softness: Softness,
+) -> Float[Array, "S V"]:
+    """f of all sensors, all voxels at once."""
+    if softness.rays == "exact":
+        field, ray = view_margins(poses, centers, groups, half)
+        return step(field, softness.field) * step(ray)
+
+    def chances(grid: RayGrid, at: Float[Array, "s 6"]) -> Float[Array, "s V"]:
+        each = partial(density_view, grid.rays, half, centers=centers, softness=softness.field)
+        return jnp.stack([each(transform_of(pose)) for pose in at])
+
+    return of_grids(chances, poses, groups)
 
 
 def measure(
@@ -79,7 +106,7 @@ def measure(
     poses: Float[Array, "S 6"],
     sensor_set: SensorSet,
     voxel: float,
-    softness: Softness = Softness(),  # noqa: B008  # it is a tuple
+    softness: Softness = Softness(),  # noqa: B008  # it does not change
     *,
     occlusion_reference: str = "roi",
     visibility: str = "in_view",
@@ -89,8 +116,7 @@ def measure(
     ``voxel`` is the edge of a voxel [m]. Differentiable in the poses where ``softness`` is not 0.
     """
     ground = field.centered
-    in_field, on_ray = view_margins(poses, ground.centers, sensor_set.groups, voxel / 2)
-    f = step(in_field, softness.field) * step(on_ray, softness.ray)  # (S, V)
+    f = views(poses, ground.centers, sensor_set.groups, voxel / 2, softness)
     failures = Groups.of_rows(sensor_set.failures, len(poses))
     seen = accumulate_frames(
         ground,

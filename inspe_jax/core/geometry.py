@@ -66,6 +66,12 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
     )
 
 
+def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """[w]×, the matrix whose product with a vector v is w × v."""
+    zero = jnp.zeros_like(w[0])
+    return jnp.array([[zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero]])
+
+
 def ray_cube_margin(
     direction: Point,
     reach: float | Float[Array, ""],

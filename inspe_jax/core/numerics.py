@@ -5,7 +5,9 @@ margin as a chance. Chances are combined after reading. The product of three mar
 inside, 0.7 m each, is 0.34, and its reading would be far from certain.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -45,32 +47,40 @@ def certain_beyond(width: Width) -> float | Float[Array, ""]:
     return 0.0 if exact(width) else REACH * width  # type: ignore[operator]  # it is no None
 
 
-class Softness(NamedTuple):
-    """The width [m] with which each kind of margin is read; None, the default, reads it exactly.
+RAYS = ("exact", "density")
+"""The two readings of rays; see :class:`Softness`."""
 
-    ``field``: from the edges of a field of view and the end of its reach. ``ray``: from the nearest
-    ray to a voxel. ``shadow``: from a sight line to the sides and the top of a vehicle.
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Softness:
+    """How margins are read. ``field`` and ``shadow`` are widths [m]; None, the default, is exact.
+
+    ``field``: from the edges of a field of view and the end of its reach. ``shadow``: from a sight
+    line to the sides and the top of a vehicle. ``rays``: ``exact``, where a voxel is in view if a
+    ray passes through it, which has no slope; or ``density``, the chance of that under a random
+    phase of the grid (:mod:`inspe_jax.visibility.ray_density`), which is smooth.
     """
 
     field: Width = None
-    ray: Width = None
     shadow: Width = None
+    rays: str = dataclasses.field(default="exact", metadata={"static": True})
 
     @classmethod
     def of(cls, value: Any) -> "Softness":
         """A Softness from one width [m], traced or not, or from a Softness. 0 reads exactly.
 
-        One width is used for ``field`` and ``shadow``; rays are then read exactly, with no slope.
-        The reason: as a sensor moves, its rays leave some voxels and enter others, and both changes
-        nearly cancel in the score. Where rays are dense, the slopes of single rays are many times
-        that of the score, so they are noise to a search. Where rays are further apart than voxels
-        are wide, a Softness whose ``ray`` is a fifth of the other widths may help.
+        One width is used for ``field`` and ``shadow``; rays are then read as a density. The reason:
+        as a sensor moves, its rays leave some voxels and enter others. Which ray meets which voxel
+        has no useful slope; how dense rays are has one.
 
-        Raises InspeError if a width is negative or not a finite number.
+        Raises InspeError if a width is negative or not a finite number, or ``rays`` is unknown.
         """
-        given = value if isinstance(value, Softness) else cls(field=value, shadow=value)
-        widths = []
-        for width in given:
+        whole = isinstance(value, Softness)
+        if whole and value.rays not in RAYS:
+            raise InspeError(f"rays '{value.rays}': one of {', '.join(RAYS)}")
+        widths: list[Width] = []
+        for width in (value.field, value.shadow) if whole else (value,):
             if width is not None and not isinstance(width, jax.core.Tracer):
                 try:
                     width = float(width + 0)  # + 0 refuses text
@@ -79,12 +89,13 @@ class Softness(NamedTuple):
                 if not 0 <= width < float("inf"):
                     raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
             widths.append(None if exact(width) else jnp.asarray(width, float))
-        return cls(*widths)
+        rays = value.rays if whole else "exact" if widths[0] is None else "density"
+        return cls(widths[0], widths[-1], rays)
 
     @property
     def exact(self) -> bool:
-        """Whether every margin is read exactly."""
-        return all(width is None for width in self)
+        """Whether everything is read exactly."""
+        return self.field is None and self.shadow is None and self.rays == "exact"
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:

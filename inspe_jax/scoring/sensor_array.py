@@ -109,7 +109,7 @@ def sensor_array(sensor_set: SensorSet, spare: int = 0) -> SensorArray:
     each = len(sensor_set.failures) == count
     groups = room if each else bucket(len(sensor_set.failures), SENSORS)
     return SensorArray(
-        RayTable(*(np.stack(column) for column in zip(*tables, strict=True))),
+        jax.tree.map(lambda *numbers: np.stack(numbers), *tables),
         np.array(kind, np.int32),
         reliability,
         Groups.of_rows(sensor_set.failures, room, groups),

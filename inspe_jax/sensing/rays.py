@@ -22,15 +22,29 @@ _MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no der
 _ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
 
 
+class Edges(NamedTuple):
+    """The edges of a field of view: two rows and two columns.
+
+    ``row`` and ``column`` (2,) are their coordinates, the first and the last. ``row_turn`` and
+    ``column_turn`` (2, 2) are the cosines and the sines of their angles.
+    """
+
+    row: Float[Array | np.ndarray, "*S 2"]
+    column: Float[Array | np.ndarray, "*S 2"]
+    row_turn: Float[Array | np.ndarray, "*S 2 2"]
+    column_turn: Float[Array | np.ndarray, "*S 2 2"]
+
+
 class RayTable(NamedTuple):
     """The numbers of a grid of rays as arrays, so that one compiled program serves every grid.
 
     ``rows`` (R,) are the coordinates of the rows, ascending and padded with the last one.
     ``nearest`` (K,) is the number of the nearest row at each of K even steps from the first row on;
-    there are ``steps`` of them to a unit. ``reach`` is in metres. ``row_edges`` and
-    ``column_edges`` (2,) are the coordinates of the first and the last row and column.
-    ``row_turn`` and ``column_turn`` (2, 2) are the cosines and the sines of the edges' angles.
-    ``wide``: the columns take up more than half a turn.
+    there are ``steps`` of them to a unit. ``reach`` is in metres. ``edges`` are the first and the
+    last rows and columns of rays; ``outer`` lie half a spacing further out, and there are
+    ``column_count`` column spacings between them. ``counts`` (N,) are numbers of row spacings, from
+    the outer first row to each of N even steps on the way to the outer last one; there are
+    ``count_steps`` steps to a unit. ``wide``: the columns take up more than half a turn.
     """
 
     rows: Float[Array | np.ndarray, "*S R"]
@@ -41,10 +55,10 @@ class RayTable(NamedTuple):
     columns_per_unit: Float[Array | np.ndarray, "*S"]
     column_count: Int[Array | np.ndarray, "*S"]
     reach: Float[Array | np.ndarray, "*S"]
-    row_edges: Float[Array | np.ndarray, "*S 2"]
-    column_edges: Float[Array | np.ndarray, "*S 2"]
-    row_turn: Float[Array | np.ndarray, "*S 2 2"]
-    column_turn: Float[Array | np.ndarray, "*S 2 2"]
+    edges: Edges
+    outer: Edges
+    counts: Float[Array | np.ndarray, "*S N"]
+    count_steps: Float[Array | np.ndarray, "*S"]
     wide: Bool[Array | np.ndarray, "*S"]
 
 
@@ -81,7 +95,7 @@ class Rays:
         It is from a table with steps of an eighth of the least row spacing, so a point about midway
         between two rows may get either.
         """
-        index = jnp.round((row - self.table.row_edges[0]) * self.table.steps)
+        index = jnp.round((row - self.table.edges.row[0]) * self.table.steps)
         last = self.table.nearest.shape[0] - 1
         found = jnp.asarray(self.table.nearest)[jnp.clip(index, 0, last).astype(jnp.int32)]
         return found.astype(jnp.int32)
@@ -92,7 +106,7 @@ class Rays:
 
     def column_index(self, column: Float[Array, "*n"]) -> Int[Array, "*n"]:
         """Index of the column at or before a column coordinate; it may lie outside the grid."""
-        first = self.table.column_edges[0]
+        first = self.table.edges.column[0]
         return jnp.floor((column - first) * self.table.columns_per_unit).astype(jnp.int32)
 
     def column_at(self, index: Int[Array, "*n"]) -> Float[Array, "*n"]:
@@ -104,25 +118,38 @@ class Rays:
             index = jnp.where(index >= count, index - count, index)
         else:
             index = jnp.clip(index, 0, count - 1)
-        return self.table.column_edges[0] + index.astype(float) * self.table.column_step
+        return self.table.edges.column[0] + index.astype(float) * self.table.column_step
 
-    def field_margin(self, q: Point) -> Float[Array, "*n"]:
-        """How deep points lie in the field of view [m]; negative outside.
+    def field_margin(self, q: Point, edges: Edges) -> Float[Array, "*n"]:
+        """How deep points lie in the field of view within ``edges`` [m]; negative outside.
 
         It is the least distance to an edge row, an edge column and the end of the reach.
         """
-        table = self.table
-        distance = jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _MIN_DISTANCE**2))
-        above, below = (self.square_row(q, k) for k in range(2))
-        margin = jnp.minimum(jnp.minimum(table.reach - distance, above), -below)
-        if self.wraps:
-            return margin
-        after, before = (self.square_column(q, k) for k in range(2))
+        above, below = (self.square_row(q, edges, k) for k in range(2))
+        margin = jnp.minimum(jnp.minimum(self.table.reach - _distance(q), above), -below)
+        return margin if self.wraps else jnp.minimum(margin, self.column_margin(q, edges))
+
+    def column_margin(self, q: Point, edges: Edges) -> Float[Array, "*n"]:
+        """How far points lie between the first and the last column of ``edges`` [m]."""
+        after, before = (self.square_column(q, edges, k) for k in range(2))
         # A field of more than half a turn is the union of the two half-spaces, else their overlap.
         both = jnp.minimum(after, -before)
-        if not self.slants:
-            both = jnp.where(table.wide, jnp.maximum(after, -before), both)
-        return jnp.minimum(margin, both)
+        if self.slants:
+            return both
+        return jnp.where(self.table.wide, jnp.maximum(after, -before), both)
+
+    def rows_below(self, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """How many row spacings lie between the outer first row and a row coordinate.
+
+        Linear between the rows, and beyond the outer ones as far as the end spacing goes on.
+        """
+        table = self.table
+        counts = jnp.asarray(table.counts, float)
+        at = (row - table.outer.row[0]) * table.count_steps
+        last = counts.shape[0] - 1
+        before = jax.lax.stop_gradient(jnp.clip(jnp.floor(at), 0, last - 1)).astype(jnp.int32)
+        low, high = counts[before], counts[before + 1]
+        return low + (at - before.astype(at.dtype)) * (high - low)
 
     # Each kind defines the following in its own coordinates.
 
@@ -146,7 +173,7 @@ class Rays:
         """How far points lie beyond a row [m]; linear in the point, or nearly so."""
         raise NotImplementedError
 
-    def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
+    def square_row(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Perpendicular distance of points beyond the first row (0) or the last (1) [m]."""
         raise NotImplementedError
 
@@ -154,7 +181,7 @@ class Rays:
         """How far points lie beyond the first column (0) or the last (1) [m]; linear."""
         raise NotImplementedError
 
-    def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
+    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Perpendicular distance of points beyond the first column (0) or the last (1) [m]."""
         raise NotImplementedError
 
@@ -164,6 +191,13 @@ class Rays:
 
     def column_normal(self, q: Point) -> Point:
         """A direction in which the column coordinate of points grows."""
+        raise NotImplementedError
+
+    def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
+        """Gradients of the row and of the column coordinate with respect to the point [1/m].
+
+        Points nearer than ``near`` [m] have those at that distance: at 0 they are infinite.
+        """
         raise NotImplementedError
 
     # For most voxels the ray nearest to the centre decides whether any ray passes through.
@@ -195,7 +229,7 @@ class Rays:
     def _nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Coordinate of the nearest column, not wrapped."""
         table = self.table
-        first, count = table.column_edges[0], jnp.asarray(table.column_count)
+        first, count = table.edges.column[0], jnp.asarray(table.column_count)
         index = jnp.round((column - first) * table.columns_per_unit)
         if not self.wraps:
             index = jnp.clip(index, 0, (count - 1).astype(index.dtype))
@@ -225,17 +259,19 @@ class SphericalRays(Rays):
         """Distance above the cone of elevation ``row``."""
         return q[2] * jnp.cos(row) - _plan(q) * jnp.sin(row)
 
-    def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
+    def square_row(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Distance above the cone of that row's elevation."""
-        cos, sin = self.table.row_turn
+        cos, sin = edges.row_turn
         return q[2] * cos[edge] - _plan(q) * sin[edge]
 
     def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
         """Distance to the left of the half-plane of that column's azimuth."""
-        cos, sin = self.table.column_turn
-        return q[1] * cos[edge] - q[0] * sin[edge]
+        return self.square_column(q, self.table.edges, edge)
 
-    square_column = beyond_edge
+    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
+        """Distance to the left of the half-plane of that column's azimuth."""
+        cos, sin = edges.column_turn
+        return q[1] * cos[edge] - q[0] * sin[edge]
 
     def row_normal(self, q: Point) -> Point:
         """Upward along the meridian."""
@@ -245,6 +281,12 @@ class SphericalRays(Rays):
     def column_normal(self, q: Point) -> Point:
         """Leftward along the parallel."""
         return -q[1], q[0], jnp.zeros_like(q[0])
+
+    def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
+        """Of elevation and azimuth; ``near`` is from the axis."""
+        plan = jnp.maximum(_plan(q), near)
+        up, left = 1.0 / (plan * (plan * plan + q[2] * q[2])), 1.0 / (plan * plan)
+        return _scaled(self.row_normal(q), up), _scaled(self.column_normal(q), left)
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
         """Along the meridian to the nearest row, and along the parallel to the nearest column.
@@ -309,15 +351,17 @@ class PinholeRays(Rays):
 
     def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
         """Distance to the left of the plane through that column, along y."""
-        return q[1] - self.table.column_edges[edge] * q[0]
+        return q[1] - self.table.edges.column[edge] * q[0]
 
-    def square_row(self, q: Point, edge: int) -> Float[Array, "*n"]:
+    def square_row(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Distance above the plane through that row."""
-        return (q[2] - self.table.row_edges[edge] * q[0]) * self.table.row_turn[0, edge]
+        cos, sin = edges.row_turn
+        return q[2] * cos[edge] - q[0] * sin[edge]
 
-    def square_column(self, q: Point, edge: int) -> Float[Array, "*n"]:
+    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Distance to the left of the plane through that column."""
-        return self.beyond_edge(q, edge) * self.table.column_turn[0, edge]
+        cos, sin = edges.column_turn
+        return q[1] * cos[edge] - q[0] * sin[edge]
 
     def row_normal(self, q: Point) -> Point:
         """Gradient of z/x, times x²."""
@@ -326,6 +370,11 @@ class PinholeRays(Rays):
     def column_normal(self, q: Point) -> Point:
         """Gradient of y/x, times x²."""
         return -q[1], jnp.maximum(q[0], _MIN_DISTANCE), jnp.zeros_like(q[0])
+
+    def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
+        """Of the tangents z/x and y/x; ``near`` is in front of the camera."""
+        scale = 1.0 / jnp.maximum(q[0], near) ** 2
+        return _scaled(self.row_normal(q), scale), _scaled(self.column_normal(q), scale)
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
         """Within the plane x = const through the point; behind the sensor there is no ray."""
@@ -349,7 +398,7 @@ class PinholeRays(Rays):
         def left_of(column: Any) -> Any:
             return (y - column * x) / extent((-column * one, one, zero))
 
-        column, (first, last) = self._nearest_column(self.column(q)), self.table.column_edges
+        column, (first, last) = self._nearest_column(self.column(q)), self.table.edges.column
         step = self.table.column_step
         other = column + jnp.where(self.column(q) > column, 1.0, -1.0) * step
         exists = (other > first - step / 2) & (other < last + step / 2)
@@ -361,3 +410,12 @@ class PinholeRays(Rays):
 def _plan(q: Point) -> Float[Array, "*n"]:
     """Distance from the z axis [m], at least :data:`_MIN_DISTANCE`."""
     return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _MIN_DISTANCE**2))
+
+
+def _distance(q: Point) -> Float[Array, "*n"]:
+    """Distance from the sensor [m], at least :data:`_MIN_DISTANCE`."""
+    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _MIN_DISTANCE**2))
+
+
+def _scaled(vector: Point, by: Float[Array, "*n"]) -> Point:
+    return vector[0] * by, vector[1] * by, vector[2] * by

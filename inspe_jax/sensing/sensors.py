@@ -13,10 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import wide_bucket
-from inspe_jax.sensing.rays import Kind, PinholeRays, Rays, RayTable, SphericalRays
+from inspe_jax.sensing.rays import Edges, Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
 """Smallest lengths of a grid's tables of rows. Longer tables have 4, 16, … times that."""
+COUNTS = 1024
+"""Length of the table that counts rows."""
 
 
 class Pose(NamedTuple):
@@ -78,7 +80,13 @@ class RayGrid:
         """The grid's numbers, in tables of a few fixed lengths."""
         rows, (first, last) = np.asarray(self.rows, float), self.column_limits
         nearest, steps = self._nearest
-        ends, sides = np.array([rows[0], rows[-1]]), np.array([first, last])
+        ends = self.outer_rows
+        at = np.linspace(ends[0], ends[1], COUNTS)
+        # Halfway between rows a spacing ends: there the count is whole.
+        counts = np.interp(
+            at, [ends[0], *rows, ends[1]], [0.0, *(np.arange(len(rows)) + 0.5), len(rows)]
+        )
+        half = self.column_step / 2
         return RayTable(
             _filled(rows, ROWS),
             _filled(nearest, STEPS),
@@ -88,12 +96,27 @@ class RayGrid:
             np.array(1.0 / self.column_step),
             np.array(self.column_count, np.int32),
             np.array(self.reach),
-            ends,
-            sides,
-            self._turn(ends),
-            self._turn(sides),
+            self._edges(rows[[0, -1]], np.array([first, last])),
+            self._edges(ends, np.array([first - half, last + half])),
+            counts,
+            np.array((COUNTS - 1) / (ends[1] - ends[0])),
             np.array(last - first > np.pi),
         )
+
+    @property
+    def outer_rows(self) -> Float[np.ndarray, "2"]:
+        """Coordinates half a spacing beyond the first and the last row.
+
+        A single row has no spacing; that of the columns is taken for it.
+        """
+        rows = np.asarray(self.rows, float)
+        if len(rows) == 1:
+            return rows[[0, 0]] + np.array([-0.5, 0.5]) * self.column_step
+        return np.array([rows[0] - (rows[1] - rows[0]) / 2, rows[-1] + (rows[-1] - rows[-2]) / 2])
+
+    def _edges(self, row: Float[np.ndarray, "2"], column: Float[np.ndarray, "2"]) -> Edges:
+        """Edges at two rows and two columns."""
+        return Edges(row, column, self._turn(row), self._turn(column))
 
     def _turn(self, coordinate: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
         """Cosines and sines of the angles at coordinates."""

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax.core.geometry import Point, ray_cube_margin, rotation
-from inspe_jax.core.numerics import Softness, certain_beyond, step
+from inspe_jax.core.geometry import Point, cross_matrix, ray_cube_margin, rotation
+from inspe_jax.core.numerics import Softness, Width, certain_beyond, step
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.visibility.ray_density import in_view_chance
 from inspe_jax.visibility.tiles import Tile
 
 Scalar = float | Float[Array, ""]
@@ -96,7 +97,8 @@ def _to_voxels(transform: RigidTransform, centers: Float[Array, "V 3"]) -> Point
 def _field_margin(
     rays: Rays, half: Scalar, transform: RigidTransform, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    return rays.field_margin(to_body(transform.to_world, _to_voxels(transform, centers))) + half
+    q = to_body(transform.to_world, _to_voxels(transform, centers))
+    return rays.field_margin(q, rays.table.edges) + half
 
 
 def _margins(
@@ -237,7 +239,7 @@ def _candidates(
         for edge, outward in enumerate((1.0, -1.0)):
             # Inside is left of the first column's plane and right of the last one's. But a field
             # of view of more than half a turn reaches behind those planes.
-            outside = (rays.column(aim) - rays.table.column_edges[edge]) * outward < 0
+            outside = (rays.column(aim) - rays.table.edges.column[edge]) * outward < 0
             beyond = jnp.where(outside, jnp.minimum(rays.beyond_edge(aim, edge) * outward, 0), 0)
             inner = corner(q, rays.column_normal(aim), jnp.full_like(beyond, outward))
             gain = rays.beyond_edge(inner, edge) * outward - beyond
@@ -298,13 +300,17 @@ def soft_view(
     no sensor, and nothing is in view.
     """
     levels, columns = tile.heights.shape
+    dense = softness.rays == "density"
 
     def view(kind: Kind, table: RayTable, pose: Array) -> Array:
-        transform = transform_of(pose)
+        rays, transform = kind.rays(table), transform_of(pose)
         xy = jnp.broadcast_to(tile.columns.T, (levels, columns, 2))
         centers = jnp.concatenate([xy, tile.heights[:, :, None]], -1).reshape(-1, 3)
-        field, ray = _margins(kind.rays(table), half, transform, centers)
-        f = step(field, softness.field) * step(ray, softness.ray)
+        if dense:
+            f = density_view_by_motions(rays, half, transform, centers, softness.field)
+        else:
+            field, ray = _margins(rays, half, transform, centers)
+            f = step(field, softness.field) * step(ray)
         z = jnp.arange(levels, dtype=tile.there.dtype)[:, None]
         return f.reshape(levels, columns) * ((tile.there[None] >> z) & 1).astype(f.dtype)
 
@@ -314,22 +320,79 @@ def soft_view(
     wide = half + certain_beyond(softness.field)
     transform = transform_of(jax.lax.stop_gradient(pose))
     by_kind = jnp.stack(
-        [may_touch_field(each.rays(table), wide, transform, tile) for each in kinds]
+        [may_touch_field(each.rays(table), wide, transform, tile, dense) for each in kinds]
     )
     touched = (by_kind & (kind == np.arange(len(kinds), dtype=np.int32))).any()
     branches: list[Any] = [*(partial(view, each) for each in kinds), nothing]
     return jax.lax.switch(jnp.where(touched, kind, len(kinds)), branches, table, pose)
 
 
+def density_view(
+    rays: Rays,
+    half: Scalar,
+    transform: RigidTransform,
+    centers: Float[Array, "V 3"],
+    softness: Width,
+) -> Float[Array, " V"]:
+    """The chance that some ray passes through each voxel, under a random phase of the grid.
+
+    ``softness`` [m] is that of the field's edges. Only the transform has a gradient.
+    """
+    to_world = transform.to_world
+    x, y, z = (
+        (2 * half * to_world[k, 0], 2 * half * to_world[k, 1], 2 * half * to_world[k, 2])
+        for k in range(3)
+    )
+    return in_view_chance(
+        rays, to_body(to_world, _to_voxels(transform, centers)), (x, y, z), softness
+    )
+
+
+density_view_by_motions = jax.custom_vjp(density_view)
+"""The same; its gradient is found in forward mode, from the sensor's six motions.
+
+Each motion is one pass over the voxels. In reverse mode XLA finds each of a dozen slopes in a pass
+that begins anew, which takes twice to three times as long."""
+
+
+def _by_motions_forward(
+    rays: Rays, half: Scalar, transform: RigidTransform, centers: Array, softness: Width
+) -> tuple[Array, tuple[Array, Array]]:
+    to_world = transform.to_world
+    view = partial(density_view, rays, half, centers=centers, softness=softness)
+
+    def slope(motion: Float[Array, "6"]) -> Float[Array, " V"]:
+        """Along a shift [m] and a turn [rad] about the body's axes."""
+        moves = RigidTransform(to_world @ motion[:3], to_world @ cross_matrix(motion[3:]))
+        return jax.jvp(view, (transform,), (moves,))[1]
+
+    slopes = jax.lax.map(slope, jnp.eye(6, dtype=to_world.dtype))
+    return view(transform), (slopes, to_world)
+
+
+def _by_motions_backward(kept: tuple[Array, Array], wanted: Float[Array, " V"]) -> tuple:
+    """Of a turn by w, ``to_world`` changes by to_world·[w]×, whose scalar product with the
+    gradient to_world·[g]×/2 is w·g."""
+    slopes, to_world = kept
+    along = slopes @ wanted
+    turned = to_world @ cross_matrix(along[3:]) / 2
+    return None, None, RigidTransform(to_world @ along[:3], turned), None, None
+
+
+density_view_by_motions.defvjp(_by_motions_forward, _by_motions_backward)
+
+
 def may_touch_field(
-    rays: Rays, half: Scalar, transform: RigidTransform, tile: Tile
+    rays: Rays, half: Scalar, transform: RigidTransform, tile: Tile, outer: bool = False
 ) -> Bool[Array, ""]:
     """Whether a sphere around a tile's voxels touches the field of view.
 
-    If it does not, none of the voxels is in the field.
+    If it does not, none of the voxels is in the field. ``outer``: of rays as a density, whose field
+    ends half a spacing beyond the outermost rays.
     """
     middle = (tile.low + tile.high) / 2
     radius = jnp.hypot(tile.radius, middle - tile.low) + 3.0**0.5 * half + SLACK
     x, y, z = transform.position
     offset = tile.center[0] - x, tile.center[1] - y, middle - z
-    return rays.field_margin(to_body(transform.to_world, offset)) > -radius
+    edges = rays.table.outer if outer else rays.table.edges
+    return rays.field_margin(to_body(transform.to_world, offset), edges) > -radius

@@ -102,7 +102,9 @@ def _by_nearest_ray(
         turned = (sum(to_world[k, m] * direction[m] for m in range(3)) for k in range(3))
         return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
 
-    miss = (rays.field_margin(q) < -corner) | rays.between(q, half + SLACK, extent)
+    miss = (rays.field_margin(q, rays.table.edges) < -corner) | rays.between(
+        q, half + SLACK, extent
+    )
     return hit, miss
 
 

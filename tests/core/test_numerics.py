@@ -65,12 +65,15 @@ def test_a_certain_reading_leaves_a_finite_gradient():
 def test_softness_is_one_width_or_one_for_each_kind():
     assert Softness.of(0) == Softness.of(0.0) == Softness()
     one = Softness.of(0.3)
-    assert (float(one.field), one.ray, float(one.shadow)) == (pytest.approx(0.3), None, one.field)
+    assert (float(one.field), one.shadow, one.rays) == (pytest.approx(0.3), one.field, "density")
     mixed = Softness.of(Softness(field=0.5, shadow=0.0))
-    assert (float(mixed.field), mixed.ray, mixed.shadow) == (0.5, None, None)
-    for bad in (-1.0, Softness(ray=-0.1), float("nan"), float("inf")):
+    assert (float(mixed.field), mixed.shadow, mixed.rays) == (0.5, None, "exact")
+    assert not Softness(rays="density").exact
+    for bad in (-1.0, Softness(shadow=-0.1), float("nan"), float("inf")):
         with pytest.raises(InspeError, match="softness"):
             Softness.of(bad)
+    with pytest.raises(InspeError, match="rays 'dense': one of exact, density"):
+        Softness.of(Softness(0.5, 0.5, "dense"))
 
 
 def test_dot_keeps_single_precision_over_two_million_terms():

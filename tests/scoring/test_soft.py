@@ -68,12 +68,12 @@ def surrogate(scene, layout):
 
 @pytest.mark.parametrize("name", ["Cam-c/L-c", slow("L-d2"), slow("Cam-d1")])
 def test_softness_to_zero_is_the_exact_score(name):
-    """Within 1e-4 at a softness of 0.1 mm, all metrics."""
+    """Within 1e-4 at a softness of 0.1 mm, all metrics, where rays are read exactly."""
     place = inspe_jax.built_in("t_junction")
     scene = inspe_jax.build_scene(place, radius=25, voxel=0.5, frames=5, density="high")
     layout = inspe_jax.strategy(scene, name)
     exact = inspe_jax.evaluate(scene, layout)
-    soft = inspe_jax.evaluate(scene, layout, softness=1e-4)
+    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4))
     for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
         assert getattr(soft, metric) == pytest.approx(getattr(exact, metric), abs=1e-4), metric
     for ours, theirs in zip(soft.contributions, exact.contributions, strict=True):
@@ -96,14 +96,15 @@ def test_softness_to_zero_under_every_option(reference, visibility):
     layout = random_layout(scene, [CAMERA, LIDAR], 3, heights=(3.0, 8.0))
     options = dict(occlusion_reference=reference, visibility=visibility)
     exact = inspe_jax.evaluate(scene, layout, **options)
-    soft = inspe_jax.evaluate(scene, layout, softness=1e-4, **options)
+    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4), **options)
     assert soft.occlusion == pytest.approx(exact.occlusion, abs=1e-4)
     assert soft.information_gain == pytest.approx(exact.information_gain, abs=1e-4)
 
 
 READINGS = {
     "one width": 0.5,
-    "all but shadows": Softness(0.5, 0.05, 0.0),
+    "all but shadows": Softness(0.5, 0.0, "density"),
+    "rays exact": Softness(0.5, 0.5),
 }
 
 
@@ -115,7 +116,7 @@ def measure_softly(tiled, poses, sensor_set, voxel, softness, asked=None):
     return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
-@pytest.mark.parametrize("reading", ["one width", slow("all but shadows")])
+@pytest.mark.parametrize("reading", ["one width", slow("all but shadows"), slow("rays exact")])
 def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
     scene = world(radius=25.0, voxel=1.0, frames=23, count=12)
@@ -206,20 +207,20 @@ def test_gradients_are_those_of_differences(double, seed):
         )
 
 
-def test_single_rays_have_slopes_where_they_are_asked_for(double):
-    """Coverage by few channels, of which none is at the edge: with soft rays, and without."""
+def test_rays_have_slopes_as_a_density(double):
+    """Coverage by few channels, of which none is at the edge: as a density, and exactly."""
     scene = world(radius=10.0, voxel=1.0, count=0)
     layout = place_sensors((NEAR, [1.0, 2.0, 5.0, 0.0, 0.05, 0.4]))
 
-    def coverage(poses, ray):
-        softness, moved = Softness(ray=ray), layout.with_poses(poses)
+    def coverage(poses, rays):
+        softness, moved = Softness(rays=rays), layout.with_poses(poses)
         return inspe_jax.evaluate(scene, moved, weights=(1, 0, 0), softness=softness).surrogate
 
     at = jnp.asarray(layout.poses)
-    soft = partial(coverage, ray=0.05)
+    soft = partial(coverage, rays="density")
     assert np.abs(jax.grad(soft)(at)).max() > 1e-3
     check_grads(soft, (at,), order=1, modes=["rev"], atol=1e-3, rtol=1e-3, eps=1e-7)
-    assert not np.abs(jax.grad(partial(coverage, ray=0.0))(at)).any()
+    assert not np.abs(jax.grad(partial(coverage, rays="exact"))(at)).any()
 
 
 def test_layouts_are_scored_and_differentiated_many_at_once():
@@ -448,4 +449,4 @@ def test_softness_that_is_no_number_is_refused(softness):
 @pytest.mark.parametrize("nothing", [0, 0.0, np.int64(0), np.zeros(()), jnp.zeros(())])
 def test_softness_of_nothing_is_exact(nothing):
     assert Softness.of(nothing).exact
-    assert Softness.of(Softness(nothing, None, nothing)).exact
+    assert Softness.of(Softness(nothing, nothing)).exact

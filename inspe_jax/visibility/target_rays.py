@@ -1,0 +1,173 @@
+"""Rays on a target: how many a road user gets where it stands, slab by slab of its height.
+
+A target is an upright box whose heading is not known: results are means over headings. Rays are a
+density (:mod:`inspe_jax.visibility.ray_density`), so a number is the mean over random phases of the
+grid. It is smooth in the sensor's pose.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from inspe_jax.core.numerics import arctan2
+from inspe_jax.sensing.rays import Rays
+from inspe_jax.visibility.in_view import RigidTransform, to_body
+
+HEADINGS = 6
+"""Headings of a target, evenly spread over half a turn, that a number is the mean of."""
+PLANES = 6
+"""Upright planes through the sensor that cut a target, at the nodes of Gauss and Legendre."""
+BESIDE = 1.02
+"""A sensor stands at least so many half diagonals away from a target's middle, in plan: one that is
+straight above is taken to stand beside it."""
+
+_LEAST = 1e-9
+
+Returned = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
+"""The share of rays that come back from a distance [m]."""
+
+
+@partial(jax.jit, static_argnames=("size", "returned"))
+def rays_on_target(
+    rays: Rays,
+    transform: RigidTransform,
+    feet: Float[Array, "L 3"],
+    slabs: Float[Array, " Z+1"],
+    *,
+    size: tuple[float, float, float],
+    returned: Returned | None = None,
+) -> Float[Array, "L Z"]:
+    """The expected number of rays on each slab of a target that stands at each of L feet.
+
+    ``size`` is length, width and height [m]. ``slabs`` are the heights above the foot [m] between
+    which the slabs lie, ascending; what is above the target has no rays. Those on its top belong to
+    the highest slab. Traffic does not matter. ``returned`` is the share of rays that count.
+
+    Upright planes through the sensor cut the target. In each, rays on a slab have elevations from
+    its lower to its upper edge at the front, or to the far edge of the top where the sensor is
+    higher than that. Their number is this angle, times the angle between planes, times the density
+    of rays there.
+    """
+    half = np.array(size[:2]) / 2
+    to = feet - transform.position[None]
+    away = jnp.sqrt(jnp.maximum(to[:, 0] ** 2 + to[:, 1] ** 2, _LEAST))
+    cos, sin = to[:, 0] / away, to[:, 1] / away  # the bearing of the target
+    away = jnp.maximum(away, BESIDE * float(np.hypot(*half)))
+    edges = jnp.minimum(slabs, size[2])
+    low, high = to[:, 2:] + edges[None, :-1], to[:, 2:] + edges[None, 1:]  # (L, Z)
+    on_top = (edges[:-1] < size[2]) & (edges[1:] >= size[2])
+
+    def in_plane(plane: tuple[Array, Array, Array]) -> Float[Array, "L Z"]:
+        heading, node, weight = plane
+        left, right = _sides(away, half, heading)
+        turn = (left + right) / 2 + node * (left - right) / 2
+        wide = weight * (left - right) / 2
+        front, back = _chord(away, half, heading, turn)
+        x = cos * jnp.cos(turn) - sin * jnp.sin(turn)
+        y = sin * jnp.cos(turn) + cos * jnp.sin(turn)
+        over = on_top[None] & (high < 0)
+        far = jnp.where(over, back[:, None], front[:, None])
+        least, most = arctan2(low, _wide(front, low)), arctan2(high, far)
+        middle = (least + most) / 2
+        # Half of the way up the front; on the top the far edge is further.
+        distance = front[:, None] / jnp.maximum(jnp.cos(middle), 0.05)
+        number = _rays_within(
+            rays, transform.to_world, (x[:, None], y[:, None]), middle, most - least, wide[:, None]
+        )
+        number = jnp.where((distance <= rays.table.reach) & (most > least), number, 0.0)
+        return number if returned is None else number * returned(distance)
+
+    turns = (np.arange(HEADINGS) + 0.5) * np.pi / HEADINGS
+    nodes, weights = np.polynomial.legendre.leggauss(PLANES)
+    planes = np.repeat(turns, PLANES), np.tile(nodes, HEADINGS), np.tile(weights, HEADINGS)
+    found = jax.lax.map(in_plane, tuple(jnp.asarray(part, float) for part in planes))
+    return found.sum(0) / HEADINGS
+
+
+def _wide(column: Float[Array, " L"], like: Float[Array, "L Z"]) -> Float[Array, "L Z"]:
+    return jnp.broadcast_to(column[:, None], like.shape)
+
+
+def _sides(
+    away: Float[Array, " L"], half: np.ndarray, heading: Float[Array, ""]
+) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
+    """Bearings of the left and the right end of a rectangle ``away`` metres ahead [rad]."""
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    ends = [
+        arctan2(
+            jnp.full_like(away, i * half[0]) * sin + j * half[1] * cos,
+            away + i * half[0] * cos - j * half[1] * sin,
+        )
+        for i, j in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    ]
+    most, least = jnp.maximum, jnp.minimum
+    return (
+        most(most(ends[0], ends[1]), most(ends[2], ends[3])),
+        least(least(ends[0], ends[1]), least(ends[2], ends[3])),
+    )
+
+
+def _chord(
+    away: Float[Array, " L"],
+    half: np.ndarray,
+    heading: Float[Array, ""],
+    bearing: Float[Array, " L"],
+) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
+    """Where a line at a bearing enters and leaves a rectangle ``away`` metres ahead [m]."""
+    enters, leaves = jnp.zeros_like(away), jnp.full_like(away, jnp.inf)
+    turned = bearing - heading
+    for start, along, side in (
+        (-away * jnp.cos(heading), jnp.cos(turned), half[0]),
+        (away * jnp.sin(heading), jnp.sin(turned), half[1]),
+    ):
+        safe = jnp.where(jnp.abs(along) < _LEAST, _LEAST, along)
+        one, other = (-side - start) / safe, (side - start) / safe
+        enters = jnp.maximum(enters, jnp.minimum(one, other))
+        leaves = jnp.minimum(leaves, jnp.maximum(one, other))
+    return enters, jnp.maximum(leaves, enters)
+
+
+def _rays_within(
+    rays: Rays,
+    to_world: Float[Array, "3 3"],
+    bearing: tuple[Float[Array, "L 1"], Float[Array, "L 1"]],
+    elevation: Float[Array, "L Z"],
+    tall: Float[Array, "L Z"],
+    wide: Float[Array, "L 1"],
+) -> Float[Array, "L Z"]:
+    """The expected number of rays within ``tall`` by ``wide`` radians about directions.
+
+    ``bearing`` is x and y of a unit vector in plan. The part of the angles that is outside of the
+    grid is left out.
+    """
+    x, y = bearing
+    cos, sin = jnp.cos(elevation), jnp.sin(elevation)
+    ahead = to_body(to_world, (x * cos, y * cos, sin))
+    aside = to_body(to_world, (-y * cos, x * cos, jnp.zeros_like(sin)))
+    upward = to_body(to_world, (-x * sin, -y * sin, cos))
+    row_slope, column_slope = rays.slopes(ahead, _LEAST)
+    row_up, row_aside = _dot(row_slope, upward), _dot(row_slope, aside)
+    column_up, column_aside = _dot(column_slope, upward), _dot(column_slope, aside)
+    # Rows and columns, in their coordinates, for each unit of solid angle.
+    dense = jnp.abs(row_up * column_aside - row_aside * column_up)
+    row, table = rays.row(ahead), rays.table
+    reach = jnp.maximum(jnp.abs(row_up) * tall + jnp.abs(row_aside) * wide, _LEAST**0.5) / 2
+    count = jnp.asarray(table.row_count).astype(row.dtype)
+    rows = jnp.clip(rays.rows_below(row + reach), 0.0, count)
+    rows = (rows - jnp.clip(rays.rows_below(row - reach), 0.0, count)) / (2 * reach)
+    number = dense * rows * jnp.asarray(table.columns_per_unit) * tall * wide
+    if not rays.wraps:
+        spread = jnp.maximum(jnp.abs(column_aside) * wide, _LEAST**0.5)
+        first, last = table.outer.column
+        column = rays.column(ahead)
+        inside = jnp.minimum(column + spread / 2, last) - jnp.maximum(column - spread / 2, first)
+        number *= jnp.clip(inside / spread, 0.0, 1.0)
+    return jnp.where(ahead[0] > 0, number, 0.0) if rays.slants else number
+
+
+def _dot(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

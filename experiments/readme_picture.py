@@ -1,8 +1,8 @@
 """Claim: the README's pictures are real results, and this is how they are made.
 
 Scores the eight corner cameras of the built-in four-way and draws how often each
-column is seen; the same as ``inspe score four_way Cam-d1 --plot four_way.png``. And, where there
-is Chromium, takes a picture of what ``inspe view roundabout Cam-d1`` serves.
+column is seen; the same as ``inspe score four_way Cam-d1 --plot four_way.png``. Draws what a
+pedestrian gets with Cam-d1/L-d1, as ``inspe targets`` does. And, where there is Chromium, takes a picture of what ``inspe view roundabout Cam-d1`` serves.
 """
 
 import tempfile
@@ -15,6 +15,7 @@ import inspe_jax
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.figures import plan_view
 from inspe_jax.report.sheet import save_figure
+from inspe_jax.report.targets import targets_view
 from inspe_jax.viewer.app import Viewer
 
 
@@ -31,6 +32,10 @@ def main() -> None:
     row = {name: getattr(scores, name) for name in names}
     write_results(options.out / "four_way.csv", [row], dict(scene.settings))
     print(f"wrote {picture}, .csv and .json")
+    both = inspe_jax.strategy(scene, "Cam-d1/L-d1")
+    picture = options.out / "targets.png"
+    save_figure(targets_view(scene, both, inspe_jax.target_view(scene, both)), picture)
+    print(f"wrote {picture}")
     if CHROMIUM is None:
         print("no Chromium here: view.png is left out")
         return

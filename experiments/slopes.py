@@ -13,6 +13,7 @@ much as 0.1 rad. A coordinate that a sensor does not feel, as the yaw of a spinn
 nothing to agree on, and counts little.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -107,7 +108,7 @@ def feasible(scene: Scene, spec: Any, count: int, rng: np.random.Generator) -> L
     poses = np.array(layout.poses, float)
     poses[:, 2] = np.maximum(poses[:, 2], 2.0)
     poses[:, 3 : 4 if spec.aimed else 5] = 0.0
-    return layout.with_poses(poses)
+    return replace(layout, poses=poses)
 
 
 def main() -> None:

@@ -29,6 +29,7 @@ from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
 from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
+from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.catalogue import Device, device, devices
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
@@ -60,6 +61,7 @@ __all__ = [
     "Sensor",
     "Softness",
     "Study",
+    "TargetView",
     "TrafficFrames",
     "Unit",
     "VoxelGrid",
@@ -85,5 +87,6 @@ __all__ = [
     "save_scene",
     "strategy",
     "sweep",
+    "target_view",
     "tolerance",
 ]

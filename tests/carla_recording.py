@@ -20,9 +20,9 @@ from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.scene import Scene, build_scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
+from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.lidar_noise import LidarNoise
 from inspe_jax.simulation.recorder import Recording, Server
 
 TOWN, JUNCTION = "Town10HD", 189

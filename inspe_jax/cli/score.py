@@ -309,6 +309,54 @@ def score(
 
 
 @app.command()
+def targets(
+    source: SceneArgument = DEFAULT_SCENE,
+    sensors: LayoutArgument = DEFAULT_LAYOUT,
+    road_user: Annotated[
+        str, typer.Option(help="Who stands there: car, truck, cyclist or pedestrian.")
+    ] = "pedestrian",
+    record: Annotated[
+        str | None,
+        typer.Option(
+            "--json", metavar="FILE|-", help="Write the numbers as JSON; - prints them instead."
+        ),
+    ] = None,
+    plot: PlotOption = None,
+    light: LightOption = "midday",
+    weather: WeatherOption = "clear",
+    profile: ProfileOption = None,
+) -> None:
+    """Show what a road user gets at each place: LiDAR returns, and pixels a metre of the cameras.
+
+    Returns are expected numbers, behind traffic, mean over its frames. Pixels a metre are those of
+    the best camera without traffic, with the bands of EN 62676-4.
+
+    Examples:
+
+    - `inspe targets four_way L-d1`
+    - `inspe targets four_way Cam-d1/L-d1 --plot targets.png`
+    - `inspe targets j189.npz layout.yaml --road-user cyclist --weather fog:100 --json -`
+    """
+    from inspe_jax.core.files import check_output
+    from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.report.targets import targets_record, targets_table, targets_view
+    from inspe_jax.scoring.targets import target_view
+    from inspe_jax.sensing.conditions import Conditions
+
+    check_output(plot, FORMATS)
+    check_record(record)
+    conditions = Conditions.of(light, weather)
+    with busy(f"reading {source}"):
+        world, placed = scene_and_layout(source, sensors, profile)
+    with busy("counting rays"):
+        view = target_view(world, placed, road_user, conditions=conditions)
+    show(targets_table(world, view), targets_record(world, placed, view), record)
+    if plot:
+        save_figure(targets_view(world, conditions.layout(placed), view), plot)
+        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+
+
+@app.command()
 def metrics() -> None:
     """List the metrics of a layout's score: name, symbol, usual weight in P_sm, and meaning.
 

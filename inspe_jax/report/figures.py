@@ -347,11 +347,18 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
     )  # fmt: skip
 
 
-def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) -> None:
+def draw_badges(
+    ax: Axes,
+    layout: Layout,
+    poses: np.ndarray,
+    side: float = MAP,
+    numbers: Sequence[int] | None = None,
+) -> None:
     """Draw a dot at each sensor and its number beside it; a camera's number is in front of it.
 
-    ``side`` is that of the map [inch].
+    ``side`` is that of the map [inch]. ``numbers`` are 1, 2, … unless given.
     """
+    numbers = range(1, len(poses) + 1) if numbers is None else numbers
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
@@ -363,7 +370,7 @@ def draw_badges(ax: Axes, layout: Layout, poses: np.ndarray, side: float = MAP) 
         kind, color = sensor.spec.kind, SENSOR_COLORS[sensor.spec.kind]
         ax.plot([foot[0], place[0]], [foot[1], place[1]], color=color, lw=0.7, zorder=6)
         ax.plot(*foot[:2], _MARKERS[kind], ms=3.5, mfc=color, mec="white", mew=0.4, zorder=6)
-        _badge(ax, place, k + 1, kind)
+        _badge(ax, place, numbers[k], kind)
 
 
 def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> None:

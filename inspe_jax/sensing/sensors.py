@@ -204,6 +204,11 @@ class Spec:
         return f"{len(self.grid.rows)}"
 
     @property
+    def pixels_per_column(self) -> float | None:
+        """Pixels of a picture to a column of rays; None for a sensor without pictures."""
+        return None
+
+    @property
     def field_of_view(self) -> tuple[float, float]:
         """Angle from edge to edge, horizontal and vertical [rad]."""
         right, left = self.azimuth_limits
@@ -264,6 +269,11 @@ class CameraSpec(Spec):
     def resolution(self) -> str:
         """Pixels of the picture."""
         return f"{self.width} × {self.height}"
+
+    @property
+    def pixels_per_column(self) -> float:
+        """Pixels of the full picture to a column of rays, of which there are fewer."""
+        return self.width / self.grid.column_count
 
     @property
     def field_of_view(self) -> tuple[float, float]:

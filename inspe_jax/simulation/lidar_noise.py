@@ -1,32 +1,12 @@
 """What is wrong with a LiDAR's returns: some are lost, and ranges are noisy.
 
-The same model for every backend. Returns are dropped at random as CARLA drops them.
+The same for every backend. Returns are dropped at random as CARLA drops them.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-ATTENUATION = 0.004
-"""Intensity is exp(−this · range), as in CARLA and in public data sets [1/m]."""
-
-
-@dataclass(frozen=True)
-class LidarNoise:
-    """The noise of a LiDAR.
-
-    ``range`` is the standard deviation of the range [m]. ``lost`` is the share of all returns that
-    is lost. Of returns with an intensity below ``weak`` more are lost: the share grows linearly
-    from 0 at this intensity to ``weakest_lost`` at intensity 0.
-
-    The defaults are settings of a public roadside data set.
-    """
-
-    range: float = 0.02
-    lost: float = 0.3
-    weak: float = 0.7
-    weakest_lost: float = 0.4
+from inspe_jax.sensing.lidar_returns import ATTENUATION, LidarNoise
 
 
 def apply_noise(
@@ -42,10 +22,8 @@ def apply_noise(
     """
     lost = rng.random((2, len(direction)))
     error = rng.standard_normal(len(direction)) * noise.range
-    intensity = np.exp(-ATTENUATION * distance)
-    weak = np.clip(1 - intensity / noise.weak, 0, 1) if noise.weak > 0 else 0.0
     back = np.isfinite(distance) & (lost[0] >= noise.lost)
-    back &= lost[1] >= weak * noise.weakest_lost
+    back &= lost[1] >= noise.weak_lost(distance)
     far = np.clip(distance[back] + error[back], 0.0, None)
     points = np.column_stack([direction[back] * far[:, None], np.exp(-ATTENUATION * far)])
     return points.astype(np.float32)

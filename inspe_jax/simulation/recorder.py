@@ -10,8 +10,8 @@ import numpy as np
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.simulation.frame import Frame, Image, Scan, Station
-from inspe_jax.simulation.lidar_noise import LidarNoise
 
 LAYERS = ("depth", "instance", "semantic")
 """What a camera can record in addition to its pictures."""

@@ -5,7 +5,6 @@ density (:mod:`inspe_jax.visibility.ray_density`), so a number is the mean over 
 grid. It is smooth in the sensor's pose.
 """
 
-from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import arctan2
+from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.visibility.in_view import RigidTransform, to_body
 
@@ -27,11 +27,8 @@ straight above is taken to stand beside it."""
 
 _LEAST = 1e-9
 
-Returned = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
-"""The share of rays that come back from a distance [m]."""
 
-
-@partial(jax.jit, static_argnames=("size", "returned"))
+@partial(jax.jit, static_argnames=("size", "noise"))
 def rays_on_target(
     rays: Rays,
     transform: RigidTransform,
@@ -39,13 +36,13 @@ def rays_on_target(
     slabs: Float[Array, " Z+1"],
     *,
     size: tuple[float, float, float],
-    returned: Returned | None = None,
+    noise: LidarNoise | None = None,
 ) -> Float[Array, "L Z"]:
     """The expected number of rays on each slab of a target that stands at each of L feet.
 
     ``size`` is length, width and height [m]. ``slabs`` are the heights above the foot [m] between
     which the slabs lie, ascending; what is above the target has no rays. Those on its top belong to
-    the highest slab. Traffic does not matter. ``returned`` is the share of rays that count.
+    the highest slab. Traffic does not matter. With ``noise``, only the rays that come back count.
 
     Upright planes through the sensor cut the target. In each, rays on a slab have elevations from
     its lower to its upper edge at the front, or to the far edge of the top where the sensor is
@@ -79,13 +76,31 @@ def rays_on_target(
             rays, transform.to_world, (x[:, None], y[:, None]), middle, most - least, wide[:, None]
         )
         number = jnp.where((distance <= rays.table.reach) & (most > least), number, 0.0)
-        return number if returned is None else number * returned(distance)
+        return number if noise is None else number * noise.share_returned(distance, jnp)
 
     turns = (np.arange(HEADINGS) + 0.5) * np.pi / HEADINGS
     nodes, weights = np.polynomial.legendre.leggauss(PLANES)
     planes = np.repeat(turns, PLANES), np.tile(nodes, HEADINGS), np.tile(weights, HEADINGS)
     found = jax.lax.map(in_plane, tuple(jnp.asarray(part, float) for part in planes))
     return found.sum(0) / HEADINGS
+
+
+@partial(jax.jit, static_argnames="height")
+def columns_per_metre(
+    rays: Rays, transform: RigidTransform, feet: Float[Array, "L 3"], *, height: float
+) -> Float[Array, " L"]:
+    """Columns of rays a metre across a target, seen square on, ``height`` metres above each foot.
+
+    For a pinhole it is f / depth along the optical axis in the middle of the picture, and more
+    towards its sides. It is 0 where the point is outside of the field of view or the reach.
+    """
+    to = feet + jnp.array([[0.0, 0.0, height]], feet.dtype) - transform.position[None]
+    plan = jnp.sqrt(jnp.maximum(to[:, 0] ** 2 + to[:, 1] ** 2, _LEAST))
+    q = to_body(transform.to_world, (to[:, 0], to[:, 1], to[:, 2]))
+    aside = -to[:, 1] / plan, to[:, 0] / plan, jnp.zeros_like(plan)
+    number = jnp.abs(_dot(rays.slopes(q, _LEAST)[1], to_body(transform.to_world, aside)))
+    inside = rays.field_margin(q, rays.table.outer) > 0
+    return jnp.where(inside, number * jnp.asarray(rays.table.columns_per_unit), 0.0)
 
 
 def _wide(column: Float[Array, " L"], like: Float[Array, "L Z"]) -> Float[Array, "L Z"]:

@@ -89,6 +89,21 @@ def test_score_prints_a_table_and_the_same_numbers_as_json(inspe, files):
     assert len(record["contributions"]) == 2
 
 
+def test_targets_prints_tables_and_the_same_numbers_as_json(inspe, files):
+    given = ("targets", "s.npz", "layout.yaml", "--road-user", "cyclist")
+    status, table, _ = inspe(*given, "--plot", "targets.png")
+    assert status == 0
+    assert "on a cyclist" in table
+    assert (files / "targets.png").stat().st_size > 10_000
+    status, text, _ = inspe(*given, "--json", "-")
+    record = json.loads(text)
+    assert record["road_user"] == "cyclist"
+    assert f"{record['lidar_returns']['all']['median']:.1f}" in table
+    status, _, error = inspe("targets", "s.npz", "layout.yaml", "--road-user", "dog")
+    assert status == 2
+    assert "one of car, truck, cyclist, pedestrian" in error
+
+
 def test_plots_are_written(inspe, files):
     assert inspe("score", "s.npz", "layout.yaml", "--plot", "plan.png")[0] == 0
     assert inspe("scene", "s.npz", "--plot", "scene.svg")[0] == 0

@@ -18,6 +18,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.embedded.camera import SHADOWED, SunlitPoints
@@ -26,7 +27,6 @@ from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
 from inspe_jax.simulation.embedded.static_world import BUILDING, CROWN, POLE, ROOF, TRUNK
-from inspe_jax.simulation.lidar_noise import LidarNoise
 from inspe_jax.simulation.recorder import LAYERS, Recording
 from inspe_jax.visibility import raycast
 

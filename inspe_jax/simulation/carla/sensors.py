@@ -13,9 +13,9 @@ from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.core.carla_frame import flip
 from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.simulation.embedded.light import light_of
-from inspe_jax.simulation.lidar_noise import ATTENUATION
 
 FAR = 1000.0
 """The largest depth that CARLA's depth camera can tell [m]."""

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Scan
-from inspe_jax.simulation.lidar_noise import LidarNoise, apply_noise
+from inspe_jax.simulation.lidar_noise import apply_noise
 
 SECTORS = 12
 """Number of parts of a turn. Road users stand still within a part, and move from part to part."""

@@ -1,0 +1,157 @@
+"""What a road user gets at each place: tables, records and maps of LiDAR returns and px/m."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from rich.console import Group, RenderableType
+
+from inspe_jax.report.figures import KEYS, OUTLINE, column_raster, draw_badges, draw_layer
+from inspe_jax.report.layers import MapLayer
+from inspe_jax.report.sheet import WIDTH, fit, frame_map, house_style
+from inspe_jax.report.tables import table_of
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.targets import BANDS, FEW, TargetView
+from inspe_jax.sensing.layout import Layout
+
+RETURNS: tuple[tuple[float, str, str], ...] = (
+    (0.0, "< 1", "#202020"),
+    (1.0, f"1 – {FEW:g}", "#d55e00"),
+    (FEW, f"{FEW:g} – 16", "#f0e442"),
+    (16.0, "16 – 64", "#9ecae1"),
+    (64.0, "≥ 64", "#2171b5"),
+)
+"""Kinds of columns by LiDAR returns on a target: least number, words and colour."""
+_PIXEL_COLORS = ("#202020", "#7a3b00", "#d55e00", "#f0e442", "#9ecae1", "#2171b5")
+PIXELS: tuple[tuple[float, str, str], ...] = tuple(
+    (least, words, color)
+    for (least, words), color in zip(
+        (
+            (0.0, f"< {BANDS['monitor']:g}"),
+            *((least, f"{name}, ≥ {least:g}") for name, least in BANDS.items()),
+        ),
+        _PIXEL_COLORS,
+        strict=True,
+    )
+)
+"""Kinds of columns by pixels a metre: the bands of EN 62676-4."""
+
+_SIDE, _LEFT, _GAP, _HEAD, _BELOW = 3.10, 0.48, 0.30, 0.80, 1.35  # [inch]
+
+
+def banded(
+    name: str, values: Float[np.ndarray, " L"], bands: tuple[tuple[float, str, str], ...]
+) -> MapLayer:
+    """A layer whose columns have the kind of the highest band that they reach."""
+    number = np.searchsorted([least for least, _, _ in bands], values, side="right") - 1.0
+    return MapLayer(name, name, number, kinds=tuple((words, color) for _, words, color in bands))
+
+
+def _shares(
+    scene: Scene, values: Float[np.ndarray, " L"]
+) -> list[tuple[str, Float[np.ndarray, " l"]]]:
+    """The values of each region that the scene has, and of all of them."""
+    label = scene.voxels.region
+    there = [region for region in Region if (label == region).any()]
+    return [*((region.key, values[label == region]) for region in there), ("all", values)]
+
+
+def targets_table(scene: Scene, view: TargetView) -> RenderableType:
+    """By region: how many LiDAR returns and how many pixels a metre a road user gets."""
+    parts: list[RenderableType] = []
+    points, pixels = view.points_on_target, view.pixel_density
+    if points.any():
+        table = table_of(
+            f"LiDAR returns on a {view.road_user}, mean over frames: share of places", "region",
+            "median", "10 %", *(words for _, words, _ in RETURNS),
+        )  # fmt: skip
+        for region, values in _shares(scene, points):
+            kinds = banded("", values, RETURNS).values
+            each = [f"{(kinds == k).mean():.0%}" for k in range(len(RETURNS))]
+            low, middle = np.percentile(values, [10, 50])
+            table.add_row(region, f"{middle:.1f}", f"{low:.1f}", *each)
+        parts += [table, ""]
+    if pixels.any():
+        names = (f"{name}\n≥ {least:g}" for name, least in BANDS.items())
+        table = table_of("Pixels a metre of the best camera, no traffic: share of places", "region",
+                         "median", *names)  # fmt: skip
+        for region, values in _shares(scene, pixels):
+            each = [f"{(values >= least).mean():.0%}" for least in BANDS.values()]
+            table.add_row(region, f"{np.median(values):.1f}", *each)
+        parts += [table, ""]
+    return Group(*parts)
+
+
+def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, Any]:
+    """The same as a record for JSON: shares by region."""
+
+    def of(values: np.ndarray, least: dict[str, float]) -> dict[str, Any]:
+        return {
+            region: dict(
+                median=float(np.median(part)),
+                shares={name: float((part >= number).mean()) for name, number in least.items()},
+            )
+            for region, part in _shares(scene, values)
+        }
+
+    returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
+    return dict(
+        scene=scene.name,
+        layout=layout.name,
+        road_user=view.road_user,
+        lidar_returns=of(view.points_on_target, returns),
+        pixels_per_metre=of(view.pixel_density, BANDS),
+    )
+
+
+def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0) -> Figure:
+    """Maps of how many LiDAR returns and pixels a metre a road user gets at each place.
+
+    There is one map for each that the layout has. Raises InspeError if there is no such ``frame``.
+    """
+    wanted = [
+        (f"LiDAR returns on a {view.road_user},\nmean over frames of traffic",
+         banded("returns", view.points_on_target, RETURNS), "lidar"),
+        (f"pixels a metre across a {view.road_user},\nbest camera, without traffic (EN 62676-4)",
+         banded("pixels", view.pixel_density, PIXELS), "camera"),
+    ]  # fmt: skip
+    has = {"lidar": view.points_in_the_open.any(), "camera": view.pixels.any()}
+    maps = [part for part in wanted if has[part[2]]] or wanted[:1]
+    poses = np.asarray(layout.poses, float)
+    reach = max(
+        scene.voxels.radius, float(np.hypot(*(poses[:, :2] - scene.voxels.center[:2]).T).max())
+    )
+    height = _HEAD + _SIDE + _BELOW
+    with house_style():
+        fig = Figure(figsize=(WIDTH, height), facecolor="white")
+        left = _LEFT / WIDTH
+        title = fit(f"What a {view.road_user} gets: {layout.name} at {scene.name}", 68)
+        fig.text(left, 1 - 0.10 / height, title, size=10, weight="bold", va="top",
+                 parse_math=False)  # fmt: skip
+        facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
+        fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
+        for k, (words, layer, kind) in enumerate(maps):
+            x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
+            ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
+            frame_map(ax, scene, reach)
+            raster, extent = column_raster(scene.voxels, layer.values)
+            # Only the sensors that the map is of, with their numbers in the layout.
+            own = [s for s, each in enumerate(layout.sensors) if each.spec.kind == kind]
+            few = replace(layout, poses=poses[own], sensors=tuple(layout.sensors[s] for s in own))
+            draw_layer(ax, scene, few, poses[own], layer, raster, extent, frame)
+            draw_badges(ax, few, poses[own], _SIDE, [s + 1 for s in own])
+            ax.set_title(words, size=7.5, loc="left", pad=4)
+            if k:
+                ax.set(ylabel="")
+            handles = [
+                Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds
+            ]
+            fig.legend(
+                handles=handles, loc="upper left", ncols=2, columnspacing=1.6,
+                bbox_to_anchor=(x, (_BELOW - 0.45) / height), **KEYS,
+            )  # fmt: skip
+    return fig

@@ -1,0 +1,142 @@
+"""LiDAR returns and pixels a metre: against rays cast into traffic with Embree, and by hand."""
+
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, place_sensors, triangles, with_boxes, world
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.report.targets import PIXELS, banded, targets_record, targets_view
+from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
+from inspe_jax.scoring.targets import BANDS, target_view
+from inspe_jax.sensing.lidar_returns import LidarNoise
+
+ALL_RETURN = LidarNoise(lost=0.0, weakest_lost=0.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=20.0, voxel=0.5, frames=6, count=10, seed=7)
+
+
+@pytest.fixture(scope="module")
+def lidars():
+    return place_sensors(
+        (LIDAR, [9.0, 9.0, 5.0, 0.0, 0.0, 0.3]), (LIDAR, [-9.0, -9.0, 4.0, 0.0, 0.03, 1.0])
+    )
+
+
+@pytest.mark.parametrize("name", ["pedestrian", "car"])
+def test_returns_behind_traffic_are_those_of_rays_that_are_cast(scene, lidars, name):
+    """Some columns, six frames, eight headings: rays that meet the target before any vehicle.
+
+    In the mean over these columns within 5 %, and each within 15 % and three returns: traffic hides
+    whole slabs here, by the line to the middle of the column, and parts of slabs there.
+    """
+    caster = pytest.importorskip("inspe_jax.simulation.embedded.embree").Caster
+    pytest.importorskip("embreex")
+    user = ROAD_USERS[CLASSES.index(name)]
+    view = target_view(scene, lidars, name, noise=ALL_RETURN)
+    traffic, columns = scene.traffic, scene.voxels.columns
+    away = np.abs(columns[:, None, None] - traffic.center[None, ..., :2]).max(-1)
+    free = np.where(traffic.valid[None], away, 99.0).min((1, 2)) > 4.0
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(np.flatnonzero(free), 8, replace=False)
+    body, found = LIDAR.grid.directions(), np.zeros(len(chosen))
+    headings = np.arange(8) * np.pi / 8 + 0.1
+    for k in range(traffic.frame_count):
+        around = triangles(scene, k)
+        for i, column in enumerate(chosen):
+            for yaw in headings:
+                flat = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(user.size[:2]) / 2
+                corners = np.array([[*row, z] for z in (0.0, user.size[2]) for row in flat])
+                turned = corners @ rotation(np.array([0, 0, yaw]), np).T
+                target = with_faces(turned + [*columns[column], 0.0])
+                world_of = caster(np.concatenate([target, around]))
+                for pose in np.asarray(lidars.poses):
+                    to = [*columns[column], 1.0] - pose[:3]
+                    toward = body @ (rotation(pose[3:], np).T @ to) / np.linalg.norm(to)
+                    near = body[toward > np.cos(min(2.5, 4.0 / np.linalg.norm(to[:2]) + 0.3))]
+                    hits = world_of.cast(pose[:3], near @ rotation(pose[3:], np).T, 50.0)
+                    found[i] += ((hits.face >= 0) & (hits.face < 12)).sum()
+    found /= traffic.frame_count * len(headings)
+    expected = view.points_on_target[chosen]
+    assert (expected < 0.98 * view.points_in_the_open.sum(0)[chosen]).sum() >= 3
+    assert expected.mean() == pytest.approx(found.mean(), rel=0.05)
+    np.testing.assert_allclose(expected, found, rtol=0.15, atol=3.0)
+
+
+def with_faces(corners):
+    """Eight corners, the bottom's first, as triangles."""
+    faces = [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6], [0, 4, 5], [0, 5, 1]]
+    faces += [[1, 5, 6], [1, 6, 2], [2, 6, 7], [2, 7, 3], [3, 7, 4], [3, 4, 0]]
+    return corners[np.array(faces)]
+
+
+def test_pixels_a_metre_by_hand():
+    """f / depth in the middle of the picture; nothing behind the camera or out of reach."""
+    scene = world(radius=35.0, voxel=1.0, count=0)
+    layout = place_sensors((CAMERA, [0.5, 0.5, 0.86, 0.0, 0.0, 0.0]))
+    view = target_view(scene, layout)
+    columns = scene.voxels.columns
+    ahead = np.flatnonzero((columns[:, 1] == 0.5) & (columns[:, 0] > 1))
+    depth = columns[ahead, 0] - 0.5
+    expected = np.where(depth < 30.0, CAMERA.focal / depth, 0.0)
+    np.testing.assert_allclose(view.pixel_density[ahead], expected, rtol=1e-4)
+    assert not view.pixel_density[columns[:, 0] < 0].any()
+    assert not view.points_on_target.any()
+    # Aside it is more: a metre square on to the line of sight is further across the picture.
+    aside = np.flatnonzero((columns == [10.5, 5.5]).all(1))
+    away = np.hypot(10.0, 5.0)
+    across = CAMERA.focal * away / 10.0**2  # d(y/x) over a metre along (−5, 10)/away
+    assert view.pixel_density[aside][0] == pytest.approx(across, rel=1e-4)
+
+
+def test_a_wall_of_a_truck_hides_a_pedestrian_and_noise_thins_what_is_left(lidars):
+    scene = with_boxes(world(radius=20.0, voxel=0.5), (0.0, 5.0, 0.0, 30.0, 1.0, 3.9))
+    one = place_sensors((LIDAR, [0.0, 9.0, 3.0, 0.0, 0.0, 0.0]))
+    open_, behind = (target_view(scene, one, noise=noise) for noise in (ALL_RETURN, LidarNoise()))
+    south = (scene.voxels.columns == [0.25, -5.75]).all(1)
+    assert open_.points_in_the_open[0, south][0] > 10
+    assert open_.points[0, south][0] == 0.0
+    assert open_.seen[0, south][0] == 0.0
+    kept = behind.points_in_the_open[0, south][0] / open_.points_in_the_open[0, south][0]
+    assert kept == pytest.approx(0.7, abs=0.001)  # near enough that none is weak
+
+
+def test_fog_takes_what_is_far(scene, lidars):
+    fog = inspe_jax.Conditions.of(weather="fog:50")
+    clear, dim = target_view(scene, lidars), target_view(scene, lidars, conditions=fog)
+    assert dim.points_on_target.sum() < 0.9 * clear.points_on_target.sum()
+    assert (dim.points <= clear.points + 1e-4).all()
+
+
+def test_without_traffic_nothing_is_hidden(lidars):
+    view = target_view(world(radius=20.0, voxel=1.0, count=0), lidars)
+    np.testing.assert_allclose(view.points, view.points_in_the_open, rtol=1e-6)
+    assert (view.seen == 1.0).all()
+
+
+def test_who_is_no_road_user_is_named(scene, lidars):
+    with pytest.raises(InspeError, match="did you mean pedestrian"):
+        target_view(scene, lidars, "pedestrain")
+
+
+def test_bands_and_records():
+    kinds = banded("", np.array([0.0, 12.4, 12.5, 62.5, 249.0, 1e3]), PIXELS).values
+    assert kinds.tolist() == [0, 0, 1, 3, 4, 5]
+    assert list(BANDS.values()) == [12.5, 25.0, 62.5, 125.0, 250.0]  # EN 62676-4
+
+
+def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
+    view = target_view(scene, lidars)
+    assert len(targets_view(scene, lidars, view).axes) == 1
+    both = place_sensors((LIDAR, [9.0, 9.0, 5.0, 0, 0, 0]), (CAMERA, [9.0, -9.0, 5.0, 0, -0.2, 2]))
+    view = target_view(scene, both)
+    assert len(targets_view(scene, both, view).axes) == 2
+    record = targets_record(scene, both, view)
+    shares = record["lidar_returns"]["all"]["shares"]
+    values = view.points_on_target
+    assert shares["at least 5"] == pytest.approx((values >= 5).mean())
+    assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS)

@@ -2,7 +2,8 @@
 
 Scores the eight corner cameras of the built-in four-way and draws how often each
 column is seen; the same as ``inspe score four_way Cam-d1 --plot four_way.png``. Draws what a
-pedestrian gets with Cam-d1/L-d1, as ``inspe targets`` does. And, where there is Chromium, takes a picture of what ``inspe view roundabout Cam-d1`` serves.
+pedestrian gets with Cam-d1/L-d1, as ``inspe targets`` does. And, where there is Chromium, takes a
+picture of what ``inspe view roundabout Cam-d1`` serves.
 """
 
 import tempfile

@@ -82,8 +82,9 @@ def against_soft(scene: Scene, layout: Layout, rays: str) -> list[float]:
     """The cosine with differences of the soft score, for each of :data:`STEPS`."""
     poses = np.asarray(layout.poses, float)
     with at_precision(True):
-        of = jax.jit(score(scene, layout, rays))
-        slope = np.asarray(jax.jit(jax.grad(score(scene, layout, rays)))(jnp.asarray(poses)))
+        # Not compiled as a whole: what is compiled within serves every device of a kind.
+        of = score(scene, layout, rays)
+        slope = np.asarray(jax.grad(of)(jnp.asarray(poses)))
         found = []
         for step in STEPS:
             values = [float(of(jnp.asarray(row))) for row in moved(poses, step)]
@@ -133,7 +134,6 @@ def main() -> None:
             exact = against_exact(whole, layout, rays, np.asarray(layout.poses, float) + shifts)
             steps = {f"step_{step:g}": value for step, value in zip(STEPS, soft, strict=True)}
             rows.append(dict(device=name, rays=rays, **steps, exact=exact))
-        jax.clear_caches()
 
     table = Table(
         "device", "rays", *(f"{step:g}" for step in STEPS), "exact score",

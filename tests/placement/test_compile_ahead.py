@@ -12,6 +12,7 @@ import pytest
 
 from inspe_jax.placement.compile_ahead import Ahead
 from inspe_jax.placement.methods import greedy_adam
+from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.methods.greedy_adam import GRADIENT, GREEDY_ADAM
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Run
@@ -74,36 +75,40 @@ def search(problem, method, each=lambda run, state: None, **budget):
     return run
 
 
-def test_where_the_gradient_is_never_ready_it_is_placement_and_finer_moves(late):
+def test_where_the_gradient_is_never_ready_it_is_greedy(late):
+    """Score by score, with exchanges and moves of its own."""
     states = []
     found = search(late, GREEDY_ADAM, lambda run, state: states.append(state))
     assert len(late.callers) == 1  # and that one waits
-    assert states[-1]["count"] == 0
-    assert max(state.get("pass", 0) for state in states) > 3
-    placed = [row.best for row in found.history][2]
-    assert found.best > placed
+    assert {state["phase"] for state in states} >= {"look", "place", "exchange", "move"}
+    other = search(late, GREEDY)
+    assert [row.score for row in found.history] == [row.score for row in other.history]
 
 
 def test_adam_is_tried_as_soon_as_the_gradient_is_ready(late):
-    """One gradient of nothing serves to tell: that it is ready, and that it gains nothing."""
+    """One gradient of nothing serves to tell: that it is ready, and that it gains nothing.
+
+    It begins from the best layout so far, whatever greedy placement is at.
+    """
     states, at = [], []
 
     def each(run, state):
         states.append(state)
-        if state.get("pass") == 1 and not late.go.is_set():
+        if state["phase"] == "move" and not late.go.is_set():
             late.go.set()
             run.wait(GRADIENT)
-            at.append(len(states))
+            at.append((len(states), run.best))
 
     search(late, GREEDY_ADAM, each)
-    counts = [state["count"] for state in states]
-    assert counts[at[0] - 1] == 0
-    assert counts[at[0]] == greedy_adam.BURST
+    (number, best), *_ = at
+    assert states[number]["phase"] == "improve"
+    assert states[number]["value"] == best
+    assert states[number + 1]["count"] == greedy_adam.BURST
 
 
 def test_a_gradient_that_is_ready_too_late_is_left(late):
     def each(run, state):
-        assert state["count"] == 0
+        assert state["phase"] != "improve"
         if run.done >= greedy_adam.UNTIL:
             late.go.set()
             run.wait(GRADIENT)
@@ -117,7 +122,7 @@ def test_a_gradient_that_will_not_be_ready_in_time_is_not_begun(late, monkeypatc
     states = []
     search(late, GREEDY_ADAM, lambda run, state: states.append(state))
     assert not late.callers
-    assert states[-1]["count"] == 0
+    assert all(state["phase"] != "improve" for state in states)
 
 
 def test_with_a_budget_in_evaluations_nothing_is_done_beside_the_search(late):

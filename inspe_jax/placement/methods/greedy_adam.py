@@ -2,9 +2,9 @@
 
 Candidates find the places, which gradients do not jump between; gradients move all sensors at
 once, at a small price, where the score has a slope; and finer moves, which are judged hard, gain
-where it has none. So gradients are for sensors that are aimed. Where there are only LiDARs it is
-greedy placement with its own exchanges and moves: their rays are further apart than voxels are
-wide, so that which voxels they meet has no useful slope.
+where it has none. As long as the gradient is not compiled, it is greedy placement with its own
+exchanges and moves. So it is where there are only LiDARs: there exchanges gain more in the same
+time than bursts do.
 """
 
 from dataclasses import dataclass, field, replace
@@ -76,7 +76,7 @@ class Improving:
     softness: float = SOFTNESS
     rate: float = RATE
     careful: bool = False
-    phase: str = "move"
+    phase: str = "improve"
 
 
 def begin(run: Run) -> Placing:
@@ -108,15 +108,22 @@ def aimed(problem: Problem) -> bool:
     return any(sensor.spec.aimed for sensor in problem.layout.sensors)
 
 
-def step(run: Run, state: Placing | Improving) -> Placing | Improving:
+State = Placing | greedy.Exchanging | greedy.Moving | Improving
+
+
+def step(run: Run, state: State) -> State:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
-    Units are not exchanged: bursts and moves gain more in the same time. A round has other
-    candidates than those before and often ends elsewhere.
+    Once the gradient is compiled, units are not exchanged: bursts and moves gain more in the same
+    time. A round has other candidates than those before and often ends elsewhere.
     """
     if isinstance(state, Improving):
         return _pass(run, state)
-    if state.round == 0 and len(run.history) > 1 and run.done >= PLACING:
+    if not run.ready(GRADIENT) or run.done >= UNTIL:
+        found = greedy.step(run, state)
+        return Placing(**vars(found)) if isinstance(found, greedy.Placing) else found
+    late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
+    if late or not isinstance(state, Placing):
         return _improving(run, state, run.best_x, run.best)
     run.wait(greedy.VIEWS)
     if state.phase == "look":
@@ -125,10 +132,10 @@ def step(run: Run, state: Placing | Improving) -> Placing | Improving:
     return _improving(run, state, placed.x, placed.value)
 
 
-def _improving(run: Run, state: Placing, x: Float[np.ndarray, " N"], value: float) -> Improving:
+def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> Improving:
     """Before the first pass of a round, from a layout and its exact score."""
     greedy.forget(run)
-    return Improving(state.round, x, value, state.count)
+    return Improving(state.round, x, value, getattr(state, "count", 0))
 
 
 def _pass(run: Run, state: Improving) -> Placing | Improving:
@@ -204,7 +211,13 @@ def _bursts(
 _AIMED = method_of(
     "greedy-adam",
     "greedy placement, then Adam and finer moves; greedy where there are only LiDARs",
-    {"look": Placing, "place": Placing, "move": Improving},
+    {
+        "look": Placing,
+        "place": Placing,
+        "exchange": greedy.Exchanging,
+        "move": greedy.Moving,
+        "improve": Improving,
+    },
     begin,
     step,
     ahead,

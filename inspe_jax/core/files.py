@@ -7,6 +7,7 @@ import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -209,7 +210,10 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's."""
+    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's, and records as
+    mappings."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

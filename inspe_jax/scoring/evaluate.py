@@ -122,8 +122,9 @@ def evaluate(
     ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and
     ``visibility`` for information gain is one of :data:`VISIBILITIES`; without them, the scene's
     profile decides. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
-    view and shadows are read; or a :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are
-    the light and the weather that the sensors work in.
+    view and shadows are read, and then rays are read as a density; or a
+    :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are the light and the weather that
+    the sensors work in.
 
     With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
     differentiable in P. The exact score is a step function, with gradient 0. The

@@ -1,5 +1,6 @@
 """The soft reading: its limits, its ranks, its gradients; against the exact one and differences."""
 
+import json
 from functools import partial
 
 import jax
@@ -25,6 +26,7 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
+from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
@@ -430,6 +432,14 @@ def test_the_field_of_view_has_a_depth_in_metres():
     outside = 0.5 - 3.0 / np.hypot(1, left)  # square on to the edge
     np.testing.assert_allclose(field[0], [10.5, 0.5, outside], atol=1e-3)
     assert ray[0, 0] > 0
+
+
+def test_a_record_of_soft_scores_says_how_they_were_read():
+    scene = world(**TINY)
+    layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
+    scores = inspe_jax.evaluate(scene, layout, softness=Softness(0.5, 0.25, "density"))
+    record = json.loads(json.dumps(scores_record(scores, scene, layout)))
+    assert record["settings"]["softness"] == dict(field=0.5, shadow=0.25, rays="density")
 
 
 @pytest.mark.parametrize("softness", [-1.0, np.float32(-1), jnp.asarray(-1.0)])

@@ -18,7 +18,7 @@ from inspe_jax.visibility.centered_scene import poses_about_center
 
 SOFTNESS = 0.2
 """Softness of the slopes [m]: the width over which edges of fields of view and shadows are blurred.
-Which voxels single rays meet is read exactly, and has no slope."""
+Rays are read as a density."""
 POSITION_STEP = 0.1
 """Shift for which slopes along x, y and z are given [m]."""
 LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""))

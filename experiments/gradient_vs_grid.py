@@ -273,12 +273,15 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
     return text
 
 
-def draw(history: list[dict[str, str]], path: Path) -> None:
-    """Median best score against the time that was counted, a panel a cell."""
+def draw(history: list[dict[str, str]], clock: str, path: Path) -> None:
+    """Median best score against the time that was counted, a panel a cell.
+
+    ``clock`` says what was counted.
+    """
     found = courses(history)
     places = list(dict.fromkeys(at[0] for at in found))
     mixes = list(dict.fromkeys(at[1] for at in found))
-    figure = Figure(figsize=(3.4 * len(mixes) + 1.6, 2.1 * len(places) + 0.8), layout="constrained")
+    figure = Figure(figsize=(3.4 * len(mixes), 2.1 * len(places) + 1.2), layout="constrained")
     axes = figure.subplots(len(places), len(mixes), squeeze=False)
     for i, place in enumerate(places):
         for j, mix in enumerate(mixes):
@@ -288,6 +291,8 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
                 ax.set_axis_off()
                 continue
             end = max(t for runs in all_runs for steps in runs.values() for t, _ in steps)
+            last = [np.median([s[-1][1] for s in runs.values()]) for runs in all_runs]
+            ax.set_ylim(min(last) - 0.05, max(last) + 0.01)  # the start is far below
             for k, name in enumerate(METHODS):
                 runs = found.get((place, mix, name))
                 if not runs:
@@ -299,14 +304,19 @@ def draw(history: list[dict[str, str]], path: Path) -> None:
             ax.set_title(f"{place}, {mix}", fontsize=9)
             ax.tick_params(labelsize=8)
             if i == len(places) - 1:
-                ax.set_xlabel("time [s]", fontsize=9)
+                ax.set_xlabel(clock, fontsize=9)
             if j == 0:
                 ax.set_ylabel("exact P_sm", fontsize=9)
     keys: dict[str, Any] = {}
     for ax in axes.flat:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             keys.setdefault(label, handle)
-    figure.legend(list(keys.values()), list(keys), loc="outside right upper", fontsize=9)
+    seeds = len({row["seed"] for row in history})
+    words = f"median of {seeds} seeds" if seeds > 1 else "one seed"
+    figure.legend(
+        list(keys.values()), list(keys), loc="outside upper center", fontsize=9, title=words,
+        ncols=len(keys),
+    )  # fmt: skip
     figure.savefig(path, dpi=110)
 
 
@@ -339,7 +349,8 @@ def main() -> None:
     text = summary(rows, steps)
     write_text(given.out / f"{stem}.md", text)
     console.print(text, highlight=False)
-    draw(steps, given.out / f"{stem}.png")
+    clock = "processor time [s]" if given.processor else "wall time [s]"
+    draw(steps, clock if given.cold else f"{clock}, compiled", given.out / f"{stem}.png")
 
 
 if __name__ == "__main__":

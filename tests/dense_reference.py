@@ -90,7 +90,7 @@ def views(
     softness: Softness,
 ) -> Float[Array, "S V"]:
     """f of all sensors, all voxels at once."""
-    if softness.rays == "exact":
+    if softness.rays != "density":
         field, ray = view_margins(poses, centers, groups, half)
         return step(field, softness.field) * step(ray)
 

@@ -205,6 +205,15 @@ def triangles(scene: Scene, frame: int, depth: float = 50.0) -> np.ndarray:
     return np.concatenate(found)
 
 
+def box_triangles(foot: Any, size: Any, yaw: float) -> np.ndarray:
+    """One upright box on its foot as triangles (12, 3, 3)."""
+    flat = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.asarray(size[:2]) / 2
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    corners = flat @ turn.T
+    solid = [np.column_stack([corners, np.full(4, z)]) for z in (0.0, size[2])]
+    return (np.concatenate(solid) + np.asarray(foot))[_FACES]
+
+
 def embree_line_of_sight(scene: Scene, layout: Layout, frame: int) -> np.ndarray:
     """Line of sight (S, V) by Embree: no triangle between each sensor and each voxel's centre."""
     # No wheel on every platform; then this oracle is left out.

@@ -326,10 +326,10 @@ def targets(
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
 ) -> None:
-    """Show what a road user gets at each place: LiDAR returns, and pixels a metre of the cameras.
+    """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
-    Returns are expected numbers, behind traffic, mean over its frames. Pixels a metre are those of
-    the best camera without traffic, with the bands of EN 62676-4.
+    Returns are expected numbers, behind traffic, mean over its frames. Pixels per metre are those
+    of the best camera without traffic, with the bands of EN 62676-4.
 
     Examples:
 
@@ -350,7 +350,7 @@ def targets(
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions)
-    show(targets_table(world, view), targets_record(world, placed, view), record)
+    show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     if plot:
         save_figure(targets_view(world, conditions.layout(placed), view), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)

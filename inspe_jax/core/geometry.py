@@ -66,6 +66,11 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
     )
 
 
+def dot3(a: Point, b: Point) -> Float[Array, "*n"]:
+    """Scalar product of vectors given by their components."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """[w]×, the matrix whose product with a vector v is w × v."""
     zero = jnp.zeros_like(w[0])

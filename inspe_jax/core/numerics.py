@@ -59,25 +59,27 @@ class Softness:
     ``field``: from the edges of a field of view and the end of its reach. ``shadow``: from a sight
     line to the sides and the top of a vehicle. ``rays``: ``exact``, where a voxel is in view if a
     ray passes through it, which has no slope; or ``density``, the chance of that under a random
-    phase of the grid (:mod:`inspe_jax.visibility.ray_density`), which is smooth.
+    phase of the grid (:mod:`inspe_jax.visibility.ray_density`), which is smooth. None, the default,
+    is ``density`` where a width is given. As the widths go to 0, a score with exact rays becomes
+    the exact score, and one with a density its mean over phases.
     """
 
     field: Width = None
     shadow: Width = None
-    rays: str = dataclasses.field(default="exact", metadata={"static": True})
+    rays: str | None = dataclasses.field(default=None, metadata={"static": True})
 
     @classmethod
     def of(cls, value: Any) -> "Softness":
         """A Softness from one width [m], traced or not, or from a Softness. 0 reads exactly.
 
-        One width is used for ``field`` and ``shadow``; rays are then read as a density. The reason:
+        One width is used for ``field`` and ``shadow``. Rays are a density if nothing else is said:
         as a sensor moves, its rays leave some voxels and enter others. Which ray meets which voxel
         has no useful slope; how dense rays are has one.
 
         Raises InspeError if a width is negative or not a finite number, or ``rays`` is unknown.
         """
         whole = isinstance(value, Softness)
-        if whole and value.rays not in RAYS:
+        if whole and value.rays not in (None, *RAYS):
             raise InspeError(f"rays '{value.rays}': one of {', '.join(RAYS)}")
         widths: list[Width] = []
         for width in (value.field, value.shadow) if whole else (value,):
@@ -89,13 +91,14 @@ class Softness:
                 if not 0 <= width < float("inf"):
                     raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
             widths.append(None if exact(width) else jnp.asarray(width, float))
-        rays = value.rays if whole else "exact" if widths[0] is None else "density"
+        soft = any(width is not None for width in widths)
+        rays = (value.rays if whole else None) or ("density" if soft else "exact")
         return cls(widths[0], widths[-1], rays)
 
     @property
     def exact(self) -> bool:
         """Whether everything is read exactly."""
-        return self.field is None and self.shadow is None and self.rays == "exact"
+        return self.field is None and self.shadow is None and self.rays != "density"
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:

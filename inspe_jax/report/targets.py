@@ -17,6 +17,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.targets import BANDS, FEW, TargetView
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.queries import check_frame
 
 RETURNS: tuple[tuple[float, str, str], ...] = (
     (0.0, "< 1", "#202020"),
@@ -38,7 +39,7 @@ PIXELS: tuple[tuple[float, str, str], ...] = tuple(
         strict=True,
     )
 )
-"""Kinds of columns by pixels a metre: the bands of EN 62676-4."""
+"""Kinds of columns by pixels per metre: the bands of EN 62676-4."""
 
 _SIDE, _LEFT, _GAP, _HEAD, _BELOW = 3.10, 0.48, 0.30, 0.80, 1.35  # [inch]
 
@@ -60,26 +61,32 @@ def _shares(
     return [*((region.key, values[label == region]) for region in there), ("all", values)]
 
 
-def targets_table(scene: Scene, view: TargetView) -> RenderableType:
-    """By region: how many LiDAR returns and how many pixels a metre a road user gets."""
+def _measured(layout: Layout) -> dict[str, bool]:
+    """Which of the two a layout's sensors have: returns, and pixels."""
+    pictures = [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
+    return dict(returns=not all(pictures), pixels=any(pictures))
+
+
+def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableType:
+    """By region: how many LiDAR returns and how many pixels per metre a road user gets."""
     parts: list[RenderableType] = []
-    points, pixels = view.points_on_target, view.pixel_density
-    if points.any():
+    has = _measured(layout)
+    if has["returns"]:
         table = table_of(
             f"LiDAR returns on a {view.road_user}, mean over frames: share of places", "region",
             "median", "10 %", *(words for _, words, _ in RETURNS),
         )  # fmt: skip
-        for region, values in _shares(scene, points):
+        for region, values in _shares(scene, view.points_on_target):
             kinds = banded("", values, RETURNS).values
             each = [f"{(kinds == k).mean():.0%}" for k in range(len(RETURNS))]
             low, middle = np.percentile(values, [10, 50])
             table.add_row(region, f"{middle:.1f}", f"{low:.1f}", *each)
         parts += [table, ""]
-    if pixels.any():
+    if has["pixels"]:
         names = (f"{name}\n≥ {least:g}" for name, least in BANDS.items())
-        table = table_of("Pixels a metre of the best camera, no traffic: share of places", "region",
-                         "median", *names)  # fmt: skip
-        for region, values in _shares(scene, pixels):
+        table = table_of("Pixels per metre of the best camera, no traffic: share of places",
+                         "region", "median", *names)  # fmt: skip
+        for region, values in _shares(scene, view.pixel_density):
             each = [f"{(values >= least).mean():.0%}" for least in BANDS.values()]
             table.add_row(region, f"{np.median(values):.1f}", *each)
         parts += [table, ""]
@@ -87,7 +94,7 @@ def targets_table(scene: Scene, view: TargetView) -> RenderableType:
 
 
 def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, Any]:
-    """The same as a record for JSON: shares by region."""
+    """The same as a record for JSON: medians and shares by region."""
 
     def of(values: np.ndarray, least: dict[str, float]) -> dict[str, Any]:
         return {
@@ -98,29 +105,30 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
             for region, part in _shares(scene, values)
         }
 
-    returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
-    return dict(
-        scene=scene.name,
-        layout=layout.name,
-        road_user=view.road_user,
-        lidar_returns=of(view.points_on_target, returns),
-        pixels_per_metre=of(view.pixel_density, BANDS),
-    )
+    has = _measured(layout)
+    record: dict[str, Any] = dict(scene=scene.name, layout=layout.name, road_user=view.road_user)
+    if has["returns"]:
+        returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
+        record["lidar_returns"] = of(view.points_on_target, returns)
+    if has["pixels"]:
+        record["pixels_per_metre"] = of(view.pixel_density, BANDS)
+    return record
 
 
 def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0) -> Figure:
-    """Maps of how many LiDAR returns and pixels a metre a road user gets at each place.
+    """Maps of how many LiDAR returns and pixels per metre a road user gets at each place.
 
     There is one map for each that the layout has. Raises InspeError if there is no such ``frame``.
     """
-    wanted = [
-        (f"LiDAR returns on a {view.road_user},\nmean over frames of traffic",
-         banded("returns", view.points_on_target, RETURNS), "lidar"),
-        (f"pixels a metre across a {view.road_user},\nbest camera, without traffic (EN 62676-4)",
-         banded("pixels", view.pixel_density, PIXELS), "camera"),
-    ]  # fmt: skip
-    has = {"lidar": view.points_in_the_open.any(), "camera": view.pixels.any()}
-    maps = [part for part in wanted if has[part[2]]] or wanted[:1]
+    check_frame(scene, frame)
+    has = _measured(layout)
+    maps: list[tuple[str, MapLayer, bool]] = []
+    if has["returns"]:
+        words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
+        maps.append((words, banded("returns", view.points_on_target, RETURNS), False))
+    if has["pixels"]:
+        words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
+        maps.append((words, banded("pixels", view.pixel_density, PIXELS), True))
     poses = np.asarray(layout.poses, float)
     reach = max(
         scene.voxels.radius, float(np.hypot(*(poses[:, :2] - scene.voxels.center[:2]).T).max())
@@ -134,13 +142,17 @@ def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int =
                  parse_math=False)  # fmt: skip
         facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
         fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
-        for k, (words, layer, kind) in enumerate(maps):
+        for k, (words, layer, pictures) in enumerate(maps):
             x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
             ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
             frame_map(ax, scene, reach)
             raster, extent = column_raster(scene.voxels, layer.values)
             # Only the sensors that the map is of, with their numbers in the layout.
-            own = [s for s, each in enumerate(layout.sensors) if each.spec.kind == kind]
+            own = [
+                s
+                for s, each in enumerate(layout.sensors)
+                if (each.spec.focal_pixels is not None) == pictures
+            ]
             few = replace(layout, poses=poses[own], sensors=tuple(layout.sensors[s] for s in own))
             draw_layer(ax, scene, few, poses[own], layer, raster, extent, frame)
             draw_badges(ax, few, poses[own], _SIDE, [s + 1 for s in own])

@@ -1,9 +1,8 @@
-"""What a road user gets where it stands: LiDAR returns, and pixels a metre.
+"""What a road user gets where it stands: LiDAR returns, and pixels per metre.
 
-Practitioners ask how many LiDAR points fall on a pedestrian there, and how many pixels a metre a
+Practitioners ask how many LiDAR points fall on a pedestrian there, and how many pixels per metre a
 camera has there. Both are found for a target that stands at each column of the region of interest.
-Returns are means over the frames of traffic, which hides part of the target; the numbers are
-linear in what is hidden, so these means are exact.
+Returns are means over the frames of traffic, which hides slabs of the target.
 """
 
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.queries import check_layout
-from inspe_jax.visibility.target_rays import columns_per_metre, rays_on_target
+from inspe_jax.visibility.target_rays import picture_scale, rays_on_target
 
 BANDS: dict[str, float] = {
     "monitor": 12.5,
@@ -34,38 +33,38 @@ BANDS: dict[str, float] = {
     "recognise": 125.0,
     "identify": 250.0,
 }
-"""Least pixels a metre across a target for each task of an operator: EN 62676-4:2015, 6.7."""
+"""Least pixels per metre across a target for each task of an operator: EN 62676-4:2015, 6.7."""
 
 FEW = 5.0
-"""Fewer LiDAR returns than this are few: data sets of driving do not score such boxes."""
+"""Fewer LiDAR returns on a target than this are called few: a convention."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class TargetView:
     """What a layout's sensors have on one road user that stands at each of L columns.
 
-    ``points`` (S, L) are expected LiDAR returns of each sensor, the mean over the frames of
-    traffic; ``points_in_the_open`` (S, L) without traffic. They are 0 for cameras. ``pixels``
-    (S, L) are pixels a metre across the middle of the target, without traffic; 0 for LiDARs, and
-    where the target's middle is out of the picture or of reach. ``seen`` (S, L) is the share of
+    ``returns`` (S, L) are expected LiDAR returns of each sensor, the mean over the frames of
+    traffic; ``returns_in_the_open`` (S, L) without traffic. They are 0 for cameras.
+    ``pixels_per_metre`` (S, L) are those across the middle of the target, without traffic; 0 for
+    LiDARs, and where the target's middle is out of the picture or of reach. ``seen`` (S, L) is the share of
     the target's height, mean over frames, that traffic leaves in line of sight.
     """
 
     road_user: str
-    points: Float[np.ndarray, "S L"]
-    points_in_the_open: Float[np.ndarray, "S L"]
-    pixels: Float[np.ndarray, "S L"]
+    returns: Float[np.ndarray, "S L"]
+    returns_in_the_open: Float[np.ndarray, "S L"]
+    pixels_per_metre: Float[np.ndarray, "S L"]
     seen: Float[np.ndarray, "S L"]
 
     @property
     def points_on_target(self) -> Float[np.ndarray, " L"]:
         """Expected LiDAR returns of all sensors together, mean over frames."""
-        return self.points.sum(0)
+        return self.returns.sum(0)
 
     @property
     def pixel_density(self) -> Float[np.ndarray, " L"]:
-        """Pixels a metre [px/m] of the camera that has most, without traffic."""
-        return self.pixels.max(0)
+        """Pixels per metre [px/m] of the camera that has most, without traffic."""
+        return self.pixels_per_metre.max(0)
 
 
 def target_view(
@@ -76,7 +75,7 @@ def target_view(
     conditions: Conditions = FAIR,
     noise: LidarNoise | None = None,
 ) -> TargetView:
-    """LiDAR returns and pixels a metre on a road user that stands at each column of a scene.
+    """LiDAR returns and pixels per metre on a road user that stands at each column of a scene.
 
     ``road_user`` is one of :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in its typical size and
     with any heading. ``conditions`` shorten what a sensor reaches; ``noise`` says which returns are
@@ -94,19 +93,21 @@ def target_view(
     centered = about_center(scene)
     ground = grid.ground[:, None] - grid.center[2]
     feet = jnp.asarray(np.concatenate([np.asarray(centered.columns), ground], 1), float)
+    height = user.size[2]
     edges = np.arange(grid.level_count + 1) * grid.spacing
-    slabs, height = jnp.asarray(edges, float), user.size[2]
+    edges[-1] = max(edges[-1], height)  # what is higher than the levels is seen as the last one
+    slabs = jnp.asarray(edges, float)
     points, free, pixels = (np.zeros((len(layout), len(feet))) for _ in range(3))
     for s, pose in enumerate(poses_about_center(scene, layout)):
         spec = layout.sensors[s].spec
         at = spec.grid.rays, transform_of(jnp.asarray(pose, float)), feet
-        if spec.pixels_per_column is None:
+        if spec.focal_pixels is None:
             found = rays_on_target(*at, slabs, size=user.size, noise=noise or LidarNoise())
             free[s] = np.asarray(found).sum(1)
             points[s] = (np.asarray(found) * sight[s]).sum(1)
         else:
-            columns = columns_per_metre(*at, height=height / 2)
-            pixels[s] = np.asarray(columns) * spec.pixels_per_column
+            scale = picture_scale(*at, height=height / 2)
+            pixels[s] = np.asarray(scale) * spec.focal_pixels
     within = np.diff(np.minimum(edges, height))
     return TargetView(road_user, points, free, pixels, sight @ (within / within.sum()))
 
@@ -132,5 +133,5 @@ def _line_of_sight(scene: Scene, layout: Layout) -> Float[np.ndarray, "S L Z"]:
     counts = count_all(tiled, views, positions, None, Asked.of(visibility="past_others"))
     assert counts.sights is not None  # past_others counts them
     shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in counts.sights[: len(layout)]]
-    found = np.stack(shares) / max(tiled.frame_count, 1)
+    found = np.stack(shares) / tiled.frame_count
     return found.reshape(len(layout), -1, scene.voxels.level_count)

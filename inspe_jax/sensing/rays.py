@@ -196,7 +196,8 @@ class Rays:
     def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
         """Gradients of the row and of the column coordinate with respect to the point [1/m].
 
-        Points nearer than ``near`` [m] have those at that distance: at 0 they are infinite.
+        They grow without bound towards the axis of a LiDAR and the picture plane of a camera.
+        Points nearer to it than ``near`` [m] have those at that distance.
         """
         raise NotImplementedError
 
@@ -283,10 +284,13 @@ class SphericalRays(Rays):
         return -q[1], q[0], jnp.zeros_like(q[0])
 
     def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
-        """Of elevation and azimuth; ``near`` is from the axis."""
-        plan = jnp.maximum(_plan(q), near)
-        up, left = 1.0 / (plan * (plan * plan + q[2] * q[2])), 1.0 / (plan * plan)
-        return _scaled(self.row_normal(q), up), _scaled(self.column_normal(q), left)
+        """Of elevation and azimuth."""
+        plan = _plan(q)
+        at = jnp.maximum(plan, near)
+        x, y = q[0] / plan, q[1] / plan
+        across = 1.0 / (at * at + q[2] * q[2])
+        up = -q[2] * x * across, -q[2] * y * across, at * across
+        return up, (-y / at, x / at, jnp.zeros_like(at))
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
         """Along the meridian to the nearest row, and along the parallel to the nearest column.
@@ -372,9 +376,10 @@ class PinholeRays(Rays):
         return -q[1], jnp.maximum(q[0], _MIN_DISTANCE), jnp.zeros_like(q[0])
 
     def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
-        """Of the tangents z/x and y/x; ``near`` is in front of the camera."""
-        scale = 1.0 / jnp.maximum(q[0], near) ** 2
-        return _scaled(self.row_normal(q), scale), _scaled(self.column_normal(q), scale)
+        """Of the tangents z/x and y/x."""
+        each = 1.0 / jnp.maximum(q[0], near)
+        square, none = each * each, jnp.zeros_like(each)
+        return (-q[2] * square, none, each), (-q[1] * square, each, none)
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
         """Within the plane x = const through the point; behind the sensor there is no ray."""
@@ -415,7 +420,3 @@ def _plan(q: Point) -> Float[Array, "*n"]:
 def _distance(q: Point) -> Float[Array, "*n"]:
     """Distance from the sensor [m], at least :data:`_MIN_DISTANCE`."""
     return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _MIN_DISTANCE**2))
-
-
-def _scaled(vector: Point, by: Float[Array, "*n"]) -> Point:
-    return vector[0] * by, vector[1] * by, vector[2] * by

@@ -204,8 +204,8 @@ class Spec:
         return f"{len(self.grid.rows)}"
 
     @property
-    def pixels_per_column(self) -> float | None:
-        """Pixels of a picture to a column of rays; None for a sensor without pictures."""
+    def focal_pixels(self) -> float | None:
+        """Focal length of its pictures [px]; None for a sensor without pictures."""
         return None
 
     @property
@@ -271,9 +271,9 @@ class CameraSpec(Spec):
         return f"{self.width} × {self.height}"
 
     @property
-    def pixels_per_column(self) -> float:
-        """Pixels of the full picture to a column of rays, of which there are fewer."""
-        return self.width / self.grid.column_count
+    def focal_pixels(self) -> float:
+        """Of the full picture, which has more pixels than rays."""
+        return self.focal
 
     @property
     def field_of_view(self) -> tuple[float, float]:

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from inspe_jax.core.geometry import Point
-from inspe_jax.core.numerics import Width, step
+from inspe_jax.core.geometry import Point, dot3
+from inspe_jax.core.numerics import REACH, Width, step
 from inspe_jax.sensing.rays import Rays
 
-_LEAST = 1e-6  # a zonogon's least extent [spacings], slant, and extent in coordinates
+_LEAST = 1e-6  # what numbers that are divided by are at least, in whatever unit they have
 
 Edges = tuple[Point, Point, Point]
 """The three edge vectors of boxes [m]."""
@@ -47,12 +47,13 @@ class Footprint(NamedTuple):
 def footprint(rays: Rays, q: Point, edges: Edges) -> Footprint:
     """The footprints of boxes centred at points ``q``, in the body frame.
 
-    A box is taken as small beside its distance, and as no nearer than half its diagonal. Over
-    several rows with uneven spacings, the number of rows that it spans is exact.
+    A box is taken as small beside its distance, and no nearer to the axis of a LiDAR or the picture
+    plane of a camera than half its diagonal. The number of rows that it spans is counted, so that
+    it may reach over several rows with uneven spacings.
     """
-    near = jnp.sqrt(sum(_dot(edge, edge) for edge in edges)) / 2
+    near = jnp.sqrt(sum(dot3(edge, edge) for edge in edges)) / 2
     up, left = rays.slopes(q, near)
-    rise, run = ([_dot(slope, edge) for edge in edges] for slope in (up, left))
+    rise, run = ([dot3(slope, edge) for edge in edges] for slope in (up, left))
     span, spread = (sum(jnp.abs(x) for x in parts) for parts in (rise, run))
     row, columns = rays.row(q), jnp.asarray(rays.table.columns_per_unit)
     tall = rays.rows_below(row + span / 2) - rays.rows_below(row - span / 2)
@@ -81,7 +82,7 @@ def footprint(rays: Rays, q: Point, edges: Edges) -> Footprint:
         sum(faces) * rows * columns,
         spread / _length(left),
         span / _length(up),
-        sum(jnp.abs(_dot(q, edge)) for edge in edges) / _length(q),
+        sum(jnp.abs(dot3(q, edge)) for edge in edges) / _length(q),
     )
 
 
@@ -118,13 +119,14 @@ def in_view_chance(rays: Rays, q: Point, edges: Edges, softness: Width) -> Float
 
     ``softness`` [m] is that of the edges of the field. They lie half a spacing beyond the outermost
     rays. The less of a voxel is inside, the less likely a ray meets it: an edge is also blurred by
-    the part of the voxel over which the chance falls from its value inside to 0.
+    the part of the voxel over which the chance falls from its value inside to 0: its extent, or
+    that of one spacing where the voxel has several. Along the line of sight, half of it.
     """
     of, outer = footprint(rays, q, edges), rays.table.outer
 
     def within(margin: Array, extent: Array, number: Array | float) -> Array:
         falls = extent / jnp.maximum(number, 1.0)
-        width = falls / 6 + (0.0 if softness is None else softness)
+        width = falls / (2 * REACH) + (0.0 if softness is None else softness)
         return step(margin + (extent - falls) / 2, width)
 
     chance = hit_chance(of) * within(jnp.asarray(rays.table.reach) - _length(q), of.depth, 2.0)
@@ -135,10 +137,6 @@ def in_view_chance(rays: Rays, q: Point, edges: Edges, softness: Width) -> Float
     return chance
 
 
-def _dot(a: Point, b: Point) -> Float[Array, "*n"]:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def _length(a: Point) -> Float[Array, "*n"]:
     """Length of a vector, at least a little, so that it has a gradient at 0."""
-    return jnp.sqrt(jnp.maximum(_dot(a, a), _LEAST**2))
+    return jnp.sqrt(jnp.maximum(dot3(a, a), _LEAST**2))

@@ -2,9 +2,11 @@
 
 A target is an upright box whose heading is not known: results are means over headings. Rays are a
 density (:mod:`inspe_jax.visibility.ray_density`), so a number is the mean over random phases of the
-grid. It is smooth in the sensor's pose.
+grid. It has a slope in the sensor's pose, except where a plane of the target passes out of reach or
+its top comes into sight.
 """
 
+import functools
 from functools import partial
 
 import jax
@@ -12,20 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from inspe_jax.core.geometry import dot3
 from inspe_jax.core.numerics import arctan2
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.visibility.in_view import RigidTransform, to_body
 
-HEADINGS = 6
+HEADINGS = 12
 """Headings of a target, evenly spread over half a turn, that a number is the mean of."""
+OFFSET = 0.5 - 12**-0.5
+"""Where in its part of the half turn each heading is. Widths have kinks at quarter turns. With this
+offset they bring no error to first order, and in the middle of each part about 1 %."""
 PLANES = 6
 """Upright planes through the sensor that cut a target, at the nodes of Gauss and Legendre."""
-BESIDE = 1.02
-"""A sensor stands at least so many half diagonals away from a target's middle, in plan: one that is
-straight above is taken to stand beside it."""
-
-_LEAST = 1e-9
+_LEAST = 1e-9  # what numbers that are divided by are at least, in whatever unit they have
+_SMALL = 3e-5  # the least part of a grid, in its coordinates, in which rays are counted
 
 
 @partial(jax.jit, static_argnames=("size", "noise"))
@@ -47,13 +50,15 @@ def rays_on_target(
     Upright planes through the sensor cut the target. In each, rays on a slab have elevations from
     its lower to its upper edge at the front, or to the far edge of the top where the sensor is
     higher than that. Their number is this angle, times the angle between planes, times the density
-    of rays there.
+    of rays there in the middle. So a camera's pixels on a target as near as it is large, which fills
+    much of the picture, are not counted well.
     """
     half = np.array(size[:2]) / 2
     to = feet - transform.position[None]
-    away = jnp.sqrt(jnp.maximum(to[:, 0] ** 2 + to[:, 1] ** 2, _LEAST))
-    cos, sin = to[:, 0] / away, to[:, 1] / away  # the bearing of the target
-    away = jnp.maximum(away, BESIDE * float(np.hypot(*half)))
+    square = to[:, 0] ** 2 + to[:, 1] ** 2
+    away = jnp.sqrt(jnp.maximum(square, _LEAST))
+    # The bearing of the target; any, for one straight below.
+    cos, sin = jnp.where(square > _LEAST, to[:, 0] / away, 1.0), to[:, 1] / away
     edges = jnp.minimum(slabs, size[2])
     low, high = to[:, 2:] + edges[None, :-1], to[:, 2:] + edges[None, 1:]  # (L, Z)
     on_top = (edges[:-1] < size[2]) & (edges[1:] >= size[2])
@@ -70,15 +75,15 @@ def rays_on_target(
         far = jnp.where(over, back[:, None], front[:, None])
         least, most = arctan2(low, _wide(front, low)), arctan2(high, far)
         middle = (least + most) / 2
-        # Half of the way up the front; on the top the far edge is further.
-        distance = front[:, None] / jnp.maximum(jnp.cos(middle), 0.05)
+        up = jnp.where(over, high, (low + high) / 2)
+        distance = jnp.sqrt(((front[:, None] + far) / 2) ** 2 + up * up)
         number = _rays_within(
             rays, transform.to_world, (x[:, None], y[:, None]), middle, most - least, wide[:, None]
         )
         number = jnp.where((distance <= rays.table.reach) & (most > least), number, 0.0)
         return number if noise is None else number * noise.share_returned(distance, jnp)
 
-    turns = (np.arange(HEADINGS) + 0.5) * np.pi / HEADINGS
+    turns = (np.arange(HEADINGS) + OFFSET) * np.pi / HEADINGS
     nodes, weights = np.polynomial.legendre.leggauss(PLANES)
     planes = np.repeat(turns, PLANES), np.tile(nodes, HEADINGS), np.tile(weights, HEADINGS)
     found = jax.lax.map(in_plane, tuple(jnp.asarray(part, float) for part in planes))
@@ -86,21 +91,23 @@ def rays_on_target(
 
 
 @partial(jax.jit, static_argnames="height")
-def columns_per_metre(
+def picture_scale(
     rays: Rays, transform: RigidTransform, feet: Float[Array, "L 3"], *, height: float
 ) -> Float[Array, " L"]:
-    """Columns of rays a metre across a target, seen square on, ``height`` metres above each foot.
+    """How far a metre across a target is in the picture, ``height`` metres above each foot [1/m].
 
-    For a pinhole it is f / depth along the optical axis in the middle of the picture, and more
-    towards its sides. It is 0 where the point is outside of the field of view or the reach.
+    The metre is level, and square on to the line of sight in plan. In a camera's tangents it is
+    1 / depth along the optical axis in the middle of the picture, and more towards its sides; times
+    the focal length in pixels, it is pixels per metre. It is 0 where the point is outside of the
+    field of view or the reach.
     """
     to = feet + jnp.array([[0.0, 0.0, height]], feet.dtype) - transform.position[None]
     plan = jnp.sqrt(jnp.maximum(to[:, 0] ** 2 + to[:, 1] ** 2, _LEAST))
     q = to_body(transform.to_world, (to[:, 0], to[:, 1], to[:, 2]))
-    aside = -to[:, 1] / plan, to[:, 0] / plan, jnp.zeros_like(plan)
-    number = jnp.abs(_dot(rays.slopes(q, _LEAST)[1], to_body(transform.to_world, aside)))
+    aside = to_body(transform.to_world, (-to[:, 1] / plan, to[:, 0] / plan, jnp.zeros_like(plan)))
+    row, column = (dot3(slope, aside) for slope in rays.slopes(q, _LEAST))
     inside = rays.field_margin(q, rays.table.outer) > 0
-    return jnp.where(inside, number * jnp.asarray(rays.table.columns_per_unit), 0.0)
+    return jnp.where(inside, jnp.sqrt(row * row + column * column), 0.0)
 
 
 def _wide(column: Float[Array, " L"], like: Float[Array, "L Z"]) -> Float[Array, "L Z"]:
@@ -110,8 +117,12 @@ def _wide(column: Float[Array, " L"], like: Float[Array, "L Z"]) -> Float[Array,
 def _sides(
     away: Float[Array, " L"], half: np.ndarray, heading: Float[Array, ""]
 ) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """Bearings of the left and the right end of a rectangle ``away`` metres ahead [rad]."""
+    """Bearings of the left and the right end of a rectangle ``away`` metres ahead [rad].
+
+    Around a sensor that is inside, it takes up the whole turn.
+    """
     cos, sin = jnp.cos(heading), jnp.sin(heading)
+    inside = (jnp.abs(away * cos) < half[0]) & (jnp.abs(away * sin) < half[1])
     ends = [
         arctan2(
             jnp.full_like(away, i * half[0]) * sin + j * half[1] * cos,
@@ -119,11 +130,9 @@ def _sides(
         )
         for i, j in ((1, 1), (1, -1), (-1, 1), (-1, -1))
     ]
-    most, least = jnp.maximum, jnp.minimum
-    return (
-        most(most(ends[0], ends[1]), most(ends[2], ends[3])),
-        least(least(ends[0], ends[1]), least(ends[2], ends[3])),
-    )
+    left = functools.reduce(jnp.maximum, ends)
+    right = functools.reduce(jnp.minimum, ends)
+    return jnp.where(inside, np.pi, left), jnp.where(inside, -np.pi, right)
 
 
 def _chord(
@@ -165,24 +174,20 @@ def _rays_within(
     aside = to_body(to_world, (-y * cos, x * cos, jnp.zeros_like(sin)))
     upward = to_body(to_world, (-x * sin, -y * sin, cos))
     row_slope, column_slope = rays.slopes(ahead, _LEAST)
-    row_up, row_aside = _dot(row_slope, upward), _dot(row_slope, aside)
-    column_up, column_aside = _dot(column_slope, upward), _dot(column_slope, aside)
+    row_up, row_aside = dot3(row_slope, upward), dot3(row_slope, aside)
+    column_up, column_aside = dot3(column_slope, upward), dot3(column_slope, aside)
     # Rows and columns, in their coordinates, for each unit of solid angle.
     dense = jnp.abs(row_up * column_aside - row_aside * column_up)
     row, table = rays.row(ahead), rays.table
-    reach = jnp.maximum(jnp.abs(row_up) * tall + jnp.abs(row_aside) * wide, _LEAST**0.5) / 2
+    reach = jnp.maximum(jnp.abs(row_up) * tall + jnp.abs(row_aside) * wide, _SMALL) / 2
     count = jnp.asarray(table.row_count).astype(row.dtype)
     rows = jnp.clip(rays.rows_below(row + reach), 0.0, count)
     rows = (rows - jnp.clip(rays.rows_below(row - reach), 0.0, count)) / (2 * reach)
     number = dense * rows * jnp.asarray(table.columns_per_unit) * tall * wide
     if not rays.wraps:
-        spread = jnp.maximum(jnp.abs(column_aside) * wide, _LEAST**0.5)
+        spread = jnp.maximum(jnp.abs(column_aside) * wide + jnp.abs(column_up) * tall, _SMALL)
         first, last = table.outer.column
         column = rays.column(ahead)
         inside = jnp.minimum(column + spread / 2, last) - jnp.maximum(column - spread / 2, first)
         number *= jnp.clip(inside / spread, 0.0, 1.0)
     return jnp.where(ahead[0] > 0, number, 0.0) if rays.slants else number
-
-
-def _dot(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -63,11 +63,11 @@ def test_a_certain_reading_leaves_a_finite_gradient():
 
 
 def test_softness_is_one_width_or_one_for_each_kind():
-    assert Softness.of(0) == Softness.of(0.0) == Softness()
+    assert Softness.of(0) == Softness.of(0.0) == Softness.of(Softness())
     one = Softness.of(0.3)
     assert (float(one.field), one.shadow, one.rays) == (pytest.approx(0.3), one.field, "density")
     mixed = Softness.of(Softness(field=0.5, shadow=0.0))
-    assert (float(mixed.field), mixed.shadow, mixed.rays) == (0.5, None, "exact")
+    assert (float(mixed.field), mixed.shadow, mixed.rays) == (0.5, None, "density")
     assert not Softness(rays="density").exact
     for bad in (-1.0, Softness(shadow=-0.1), float("nan"), float("inf")):
         with pytest.raises(InspeError, match="softness"):

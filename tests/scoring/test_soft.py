@@ -75,7 +75,7 @@ def test_softness_to_zero_is_the_exact_score(name):
     scene = inspe_jax.build_scene(place, radius=25, voxel=0.5, frames=5, density="high")
     layout = inspe_jax.strategy(scene, name)
     exact = inspe_jax.evaluate(scene, layout)
-    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4))
+    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4, "exact"))
     for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
         assert getattr(soft, metric) == pytest.approx(getattr(exact, metric), abs=1e-4), metric
     for ours, theirs in zip(soft.contributions, exact.contributions, strict=True):
@@ -98,7 +98,7 @@ def test_softness_to_zero_under_every_option(reference, visibility):
     layout = random_layout(scene, [CAMERA, LIDAR], 3, heights=(3.0, 8.0))
     options = dict(occlusion_reference=reference, visibility=visibility)
     exact = inspe_jax.evaluate(scene, layout, **options)
-    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4), **options)
+    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4, "exact"), **options)
     assert soft.occlusion == pytest.approx(exact.occlusion, abs=1e-4)
     assert soft.information_gain == pytest.approx(exact.information_gain, abs=1e-4)
 
@@ -106,7 +106,7 @@ def test_softness_to_zero_under_every_option(reference, visibility):
 READINGS = {
     "one width": 0.5,
     "all but shadows": Softness(0.5, 0.0, "density"),
-    "rays exact": Softness(0.5, 0.5),
+    "rays exact": Softness(0.5, 0.5, "exact"),
 }
 
 
@@ -301,7 +301,8 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score():
 
     def occlusion(poses, softness):
         moved = layout.with_poses(poses)
-        return inspe_jax.evaluate(scene, moved, softness=Softness(shadow=softness)).occlusion
+        widths = Softness(shadow=softness, rays="exact")
+        return inspe_jax.evaluate(scene, moved, softness=widths).occlusion
 
     slope = jax.grad(partial(occlusion, softness=0.02))
     start = jnp.asarray(layout.poses, float)

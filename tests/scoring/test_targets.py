@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, place_sensors, triangles, with_boxes, world
+from worlds import CAMERA, LIDAR, box_triangles, place_sensors, triangles, with_boxes, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -49,10 +49,7 @@ def test_returns_behind_traffic_are_those_of_rays_that_are_cast(scene, lidars, n
         around = triangles(scene, k)
         for i, column in enumerate(chosen):
             for yaw in headings:
-                flat = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(user.size[:2]) / 2
-                corners = np.array([[*row, z] for z in (0.0, user.size[2]) for row in flat])
-                turned = corners @ rotation(np.array([0, 0, yaw]), np).T
-                target = with_faces(turned + [*columns[column], 0.0])
+                target = box_triangles((*columns[column], 0.0), user.size, yaw)
                 world_of = caster(np.concatenate([target, around]))
                 for pose in np.asarray(lidars.poses):
                     to = [*columns[column], 1.0] - pose[:3]
@@ -62,19 +59,12 @@ def test_returns_behind_traffic_are_those_of_rays_that_are_cast(scene, lidars, n
                     found[i] += ((hits.face >= 0) & (hits.face < 12)).sum()
     found /= traffic.frame_count * len(headings)
     expected = view.points_on_target[chosen]
-    assert (expected < 0.98 * view.points_in_the_open.sum(0)[chosen]).sum() >= 3
+    assert (expected < 0.98 * view.returns_in_the_open.sum(0)[chosen]).sum() >= 3
     assert expected.mean() == pytest.approx(found.mean(), rel=0.05)
     np.testing.assert_allclose(expected, found, rtol=0.15, atol=3.0)
 
 
-def with_faces(corners):
-    """Eight corners, the bottom's first, as triangles."""
-    faces = [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6], [0, 4, 5], [0, 5, 1]]
-    faces += [[1, 5, 6], [1, 6, 2], [2, 6, 7], [2, 7, 3], [3, 7, 4], [3, 4, 0]]
-    return corners[np.array(faces)]
-
-
-def test_pixels_a_metre_by_hand():
+def test_pixels_per_metre_by_hand():
     """f / depth in the middle of the picture; nothing behind the camera or out of reach."""
     scene = world(radius=35.0, voxel=1.0, count=0)
     layout = place_sensors((CAMERA, [0.5, 0.5, 0.86, 0.0, 0.0, 0.0]))
@@ -93,15 +83,34 @@ def test_pixels_a_metre_by_hand():
     assert view.pixel_density[aside][0] == pytest.approx(across, rel=1e-4)
 
 
+@pytest.mark.parametrize("roll", [0.6, np.pi / 2])
+def test_a_rolled_camera_has_as_many_pixels(roll):
+    scene = world(radius=20.0, voxel=1.0, count=0)
+    ahead = (scene.voxels.columns == [10.5, 0.5]).all(1)
+    level, rolled = (place_sensors((CAMERA, [0.5, 0.5, 0.86, of, 0.0, 0.0])) for of in (0.0, roll))
+    expected = target_view(scene, level).pixel_density[ahead]
+    np.testing.assert_allclose(target_view(scene, rolled).pixel_density[ahead], expected, 1e-4)
+
+
+def test_who_is_higher_than_the_region_is_not_cut(lidars):
+    """Levels of 3 m end below a truck's roof of 3.4 m."""
+    size = dict(radius=20.0, voxel=1.0, count=0)
+    coarse, fine = (
+        target_view(world(**size, spacing=of), lidars, "truck", noise=ALL_RETURN).points_on_target
+        for of in (3.0, 1.0)
+    )
+    assert coarse.mean() == pytest.approx(fine.mean(), rel=0.05)
+
+
 def test_a_wall_of_a_truck_hides_a_pedestrian_and_noise_thins_what_is_left(lidars):
     scene = with_boxes(world(radius=20.0, voxel=0.5), (0.0, 5.0, 0.0, 30.0, 1.0, 3.9))
     one = place_sensors((LIDAR, [0.0, 9.0, 3.0, 0.0, 0.0, 0.0]))
     open_, behind = (target_view(scene, one, noise=noise) for noise in (ALL_RETURN, LidarNoise()))
     south = (scene.voxels.columns == [0.25, -5.75]).all(1)
-    assert open_.points_in_the_open[0, south][0] > 10
-    assert open_.points[0, south][0] == 0.0
+    assert open_.returns_in_the_open[0, south][0] > 10
+    assert open_.returns[0, south][0] == 0.0
     assert open_.seen[0, south][0] == 0.0
-    kept = behind.points_in_the_open[0, south][0] / open_.points_in_the_open[0, south][0]
+    kept = behind.returns_in_the_open[0, south][0] / open_.returns_in_the_open[0, south][0]
     assert kept == pytest.approx(0.7, abs=0.001)  # near enough that none is weak
 
 
@@ -109,12 +118,12 @@ def test_fog_takes_what_is_far(scene, lidars):
     fog = inspe_jax.Conditions.of(weather="fog:50")
     clear, dim = target_view(scene, lidars), target_view(scene, lidars, conditions=fog)
     assert dim.points_on_target.sum() < 0.9 * clear.points_on_target.sum()
-    assert (dim.points <= clear.points + 1e-4).all()
+    assert (dim.returns <= clear.returns + 1e-4).all()
 
 
 def test_without_traffic_nothing_is_hidden(lidars):
     view = target_view(world(radius=20.0, voxel=1.0, count=0), lidars)
-    np.testing.assert_allclose(view.points, view.points_in_the_open, rtol=1e-6)
+    np.testing.assert_allclose(view.returns, view.returns_in_the_open, rtol=1e-6)
     assert (view.seen == 1.0).all()
 
 
@@ -132,6 +141,13 @@ def test_bands_and_records():
 def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
     view = target_view(scene, lidars)
     assert len(targets_view(scene, lidars, view).axes) == 1
+    assert "pixels_per_metre" not in targets_record(scene, lidars, view)
+    with pytest.raises(InspeError, match="frame 99 is out of range"):
+        targets_view(scene, lidars, view, frame=99)
+    blind = place_sensors((CAMERA, [9.0, 9.0, 5.0, 0, 0.5, 0.8]))
+    view = target_view(scene, blind)
+    assert not view.pixel_density.any()
+    assert len(targets_view(scene, blind, view).axes) == 1
     both = place_sensors((LIDAR, [9.0, 9.0, 5.0, 0, 0, 0]), (CAMERA, [9.0, -9.0, 5.0, 0, -0.2, 2]))
     view = target_view(scene, both)
     assert len(targets_view(scene, both, view).axes) == 2

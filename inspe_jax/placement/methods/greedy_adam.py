@@ -2,9 +2,9 @@
 
 Candidates find the places, which gradients do not jump between; gradients move all sensors at
 once, at a small price, where the score has a slope; and finer moves, which are judged hard, gain
-where it has none. As long as the gradient is not compiled, it is greedy placement with its own
-exchanges and moves. So it is where there are only LiDARs: there exchanges gain more in the same
-time than bursts do.
+where it has none. As long as the gradient is not compiled, and in rounds that begin when little
+budget is left, it is greedy placement with its own exchanges and moves. So it is where there are
+only LiDARs: there exchanges gain more in the same time than bursts do.
 """
 
 from dataclasses import dataclass, field, replace
@@ -114,8 +114,8 @@ State = Placing | greedy.Exchanging | greedy.Moving | Improving
 def step(run: Run, state: State) -> State:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
-    Once the gradient is compiled, units are not exchanged: bursts and moves gain more in the same
-    time. A round has other candidates than those before and often ends elsewhere.
+    Where bursts follow, units are not exchanged: bursts and moves gain more in the same time. A
+    round has other candidates than those before and often ends elsewhere.
     """
     if isinstance(state, Improving):
         return _pass(run, state)
@@ -135,7 +135,7 @@ def step(run: Run, state: State) -> State:
 def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> Improving:
     """Before the first pass of a round, from a layout and its exact score."""
     greedy.forget(run)
-    return Improving(state.round, x, value, getattr(state, "count", 0))
+    return Improving(state.round, x, value, state.count if isinstance(state, Placing) else 0)
 
 
 def _pass(run: Run, state: Improving) -> Placing | Improving:

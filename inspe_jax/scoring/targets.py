@@ -46,8 +46,8 @@ class TargetView:
     ``returns`` (S, L) are expected LiDAR returns of each sensor, the mean over the frames of
     traffic; ``returns_in_the_open`` (S, L) without traffic. They are 0 for cameras.
     ``pixels_per_metre`` (S, L) are those across the middle of the target, without traffic; 0 for
-    LiDARs, and where the target's middle is out of the picture or of reach. ``seen`` (S, L) is the share of
-    the target's height, mean over frames, that traffic leaves in line of sight.
+    LiDARs, and where the target's middle is out of the picture or of reach. ``seen`` (S, L) is
+    the share of the target's height, mean over frames, that traffic leaves in line of sight.
     """
 
     road_user: str

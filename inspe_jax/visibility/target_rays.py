@@ -50,8 +50,8 @@ def rays_on_target(
     Upright planes through the sensor cut the target. In each, rays on a slab have elevations from
     its lower to its upper edge at the front, or to the far edge of the top where the sensor is
     higher than that. Their number is this angle, times the angle between planes, times the density
-    of rays there in the middle. So a camera's pixels on a target as near as it is large, which fills
-    much of the picture, are not counted well.
+    of rays there in the middle. So a camera's pixels on a target as near as it is large, which
+    fills much of the picture, are not counted well.
     """
     half = np.array(size[:2]) / 2
     to = feet - transform.position[None]

@@ -51,7 +51,7 @@ def cast_at(body, pose, triangles, spread, reach):
     ],
 )
 def test_the_expected_number_is_the_mean_of_what_is_cast(name):
-    """Boxes of four classes at seven distances, five for a camera, at any heading and from 50 poses each.
+    """Boxes of four classes at seven distances, five for a camera: any heading, 50 poses each.
 
     The mean ratio of all where five or more are expected is within 3 %, and each of them within 5 %
     and three standard errors of the difference, pose by pose: a pose has one heading and one phase

@@ -25,7 +25,7 @@ from inspe_jax.placement.sample_score import SampleScore
 PLACING = 0.4
 """Share of the budget at which the first round's placement ends at the latest."""
 UNTIL = 0.85
-"""Share of the budget after which Adam does not begin."""
+"""Share of the budget after which Adam does not begin: rounds from then on are greedy's."""
 COMPILES = 1.5
 """How long the gradient compiles beside greedy placement, in what all that came before took."""
 BURST = 12

@@ -244,7 +244,7 @@ def test_a_seed_repeats_and_another_does_not(tried, name):
 def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(tried, name, at):
     """Through a file: no pickle, all as it was."""
     problem, whole, way = tried(name)
-    first = next((n for n, row in enumerate(way) if (row.state or {}).get("phase") == "move"), 0)
+    first = next((n for n, row in enumerate(way) if (row.state or {}).get("phase") == "improve"), 0)
     after = len(way) // 2 if at == "half way" else first + at.startswith("after")
     again = Run(problem, whole.start, seed=0, evaluations=whole.limits[1])
     way[after].take_up(again, whole)

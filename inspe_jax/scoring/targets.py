@@ -33,7 +33,7 @@ BANDS: dict[str, float] = {
     "recognise": 125.0,
     "identify": 250.0,
 }
-"""Least pixels per metre across a target for each task of an operator: EN 62676-4:2015, 6.7."""
+"""Least pixels per metre across a target for each task of an operator: EN 62676-4."""
 
 FEW = 5.0
 """Fewer LiDAR returns on a target than this are called few: a convention."""

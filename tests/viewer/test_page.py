@@ -348,6 +348,8 @@ def test_what_an_earlier_run_saved_is_offered_and_asked_about(chromium, scene, l
                 tab.get_by_text("Saved", exact=True).wait_for()
                 continue
             press(tab, "Leave them")
+            tab.get_by_text("An earlier run has left").wait_for(state="hidden")
+            settled(tab)  # until then the page may show its controls anew, also what is typed
             tab.get_by_label("height [m]").fill("9")
             press(tab, "Save layout")
             tab.get_by_text("was not written by this run").wait_for()

@@ -195,13 +195,9 @@ def triangles(scene: Scene, frame: int, depth: float = 50.0) -> np.ndarray:
     """The vehicles of a frame as triangles (N, 3, 3), carried ``depth`` metres into the ground."""
     t, found = scene.traffic, []
     for b in np.flatnonzero(t.valid[frame]):
-        (length, width, height), c, yaw = t.size[frame, b], t.center[frame, b], t.yaw[frame, b]
-        flat = np.array([[-length, -width], [length, -width], [length, width], [-length, width]])
-        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        corners = flat / 2 @ turn.T + c[:2]
-        low, high = c[2] - height / 2 - depth, c[2] + height / 2
-        solid = [np.column_stack([corners, np.full(4, z)]) for z in (low, high)]
-        found.append(np.concatenate(solid)[_FACES])
+        (length, width, height), (x, y, z) = t.size[frame, b], t.center[frame, b]
+        foot, size = (x, y, z - height / 2 - depth), (length, width, height + depth)
+        found.append(box_triangles(foot, size, t.yaw[frame, b]))
     return np.concatenate(found)
 
 

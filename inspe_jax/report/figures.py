@@ -391,10 +391,14 @@ def ticks_of(layer: MapLayer) -> list[float]:
     return [float(f"{tick:g}") for tick in ticks if 0 <= tick <= layer.most]
 
 
+def kind_keys(layer: MapLayer) -> list[Any]:
+    """Legend entries of a layer's kinds of columns."""
+    return [Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds]
+
+
 def _list_kinds(panel: Axes, layer: MapLayer) -> float:
     """Draw the legend of the kinds of columns; returns its height [pt]."""
-    handles = [Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds]
-    panel.add_artist(panel.legend(handles=handles, loc="upper left", **KEYS))
+    panel.add_artist(panel.legend(handles=kind_keys(layer), loc="upper left", **KEYS))
     lines = sum(name.count("\n") for name, _ in layer.kinds)
     return 11.0 * len(layer.kinds) + 9.0 * lines + 12.0
 

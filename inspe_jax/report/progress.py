@@ -22,7 +22,16 @@ from inspe_jax.report.figures import (
     plan_keys,
 )
 from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.sheet import HALO, WIDTH, fit, frame_map, house_style
+from inspe_jax.report.sheet import (
+    HALO,
+    SIDE,
+    SIDE_LEFT,
+    WIDTH,
+    fit,
+    frame_map,
+    house_style,
+    sheet_of_two,
+)
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import listed
@@ -38,7 +47,6 @@ COLORS = (
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 """Line styles, so that methods differ not only in colour."""
 
-_SIDE, _LEFT, _GAP = 3.10, 0.48, 0.30  # of the two maps, before the first, between them [inch]
 _HEAD, _BELOW = 0.66, 1.14  # above and below the maps [inch]
 _CAPTION = 60  # characters that fit on a line above a map
 _ARROW: dict[str, Any] = dict(color="#202020", lw=0.9)
@@ -74,19 +82,14 @@ def before_after(
     ]
     center, radius = scene.voxels.center[:2], scene.voxels.radius
     reach = max(radius, *(np.hypot(*(poses[:, :2] - center).T).max() for _, poses, *_ in maps))
-    height = _HEAD + _SIDE + _BELOW
     with house_style():
-        fig = Figure(figsize=(WIDTH, height), facecolor="white")
-        left = _LEFT / WIDTH
-        title = fit(f"{before.name} at {scene.name}{scores.conditions.words}", 68)
-        fig.text(left, 1 - 0.10 / height, title, size=10, weight="bold", va="top",
-                 parse_math=False)  # fmt: skip
+        title = f"{before.name} at {scene.name}{scores.conditions.words}"
         facts = f"radius {radius:g} m, {scene.voxels.words}; frame {frame} of the traffic"
-        fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
+        fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, _BELOW)
+        height = fig.get_figheight()
         both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)
         for k, ((layout, poses, layer, raster, extent), when, of_scores) in enumerate(both):
-            x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
-            ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
+            ax = axes[k]
             frame_map(ax, scene, reach)
             image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
             ax.set_title(_caption(when, of_scores), size=7.5, loc="left", pad=4)
@@ -94,15 +97,15 @@ def before_after(
                 ax.set(ylabel="")
                 way = np.stack([maps[0][1], poses]) if path is None else np.asarray(path, float)
                 moved = _draw_moves(ax, before, way)
-            draw_badges(ax, layout, poses, _SIDE)
-        bar = fig.add_axes((left, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
+            draw_badges(ax, layout, poses, SIDE)
+        bar = fig.add_axes((SIDE_LEFT / WIDTH, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
         fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
         bar.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
         bar.set_title("share of frames and levels in which a column is seen", loc="left", size=7)
         keys = plan_keys(scene, before)
         if moved:
             keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label=WENT))
-        keys_left = (_LEFT + _SIDE) / WIDTH
+        keys_left = (SIDE_LEFT + SIDE) / WIDTH
         fig.legend(
             handles=keys, loc="lower left", bbox_to_anchor=(keys_left, 0.10 / height), ncols=2,
             columnspacing=1.6, **KEYS,

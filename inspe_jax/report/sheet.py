@@ -34,6 +34,7 @@ STYLE: dict[str, Any] = {
 }  # fmt: skip
 WIDTH, MAP, LEFT, PANEL, ASIDE = 180 / 25.4, 4.75, 0.52, 5.40, 1.65  # [inch]
 HEAD, FOOT, NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
+SIDE, SIDE_LEFT, SIDE_GAP = 3.10, 0.48, 0.30  # of two maps, before the first, between them [inch]
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
@@ -80,6 +81,32 @@ def sheet(
         size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
     )  # fmt: skip
     return fig, ax, panel
+
+
+def sheet_of_two(
+    title: str, facts: str, count: int, head: float, below: float
+) -> tuple[Figure, list[Axes]]:
+    """A sheet for two maps side by side, of which ``count`` are there: the figure and their axes.
+
+    ``head`` and ``below`` are the room above and below the maps [inch].
+    """
+    height = head + SIDE + below
+    fig = Figure(figsize=(WIDTH, height), facecolor="white")
+    left = SIDE_LEFT / WIDTH
+    heading: dict[str, Any] = dict(va="top", parse_math=False)
+    fig.text(left, 1 - 0.10 / height, fit(title, 68), size=10, weight="bold", **heading)
+    fig.text(left, 1 - 0.29 / height, facts, **heading)
+    return fig, [
+        fig.add_axes(
+            (
+                (SIDE_LEFT + k * (SIDE + SIDE_GAP)) / WIDTH,
+                below / height,
+                SIDE / WIDTH,
+                SIDE / height,
+            )
+        )
+        for k in range(count)
+    ]
 
 
 def frame_map(ax: Axes, scene: Scene, reach: float) -> None:

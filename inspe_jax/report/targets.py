@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from rich.console import Group, RenderableType
 
-from inspe_jax.report.figures import KEYS, OUTLINE, column_raster, draw_badges, draw_layer
+from inspe_jax.report.figures import KEYS, column_raster, draw_badges, draw_layer, kind_keys
 from inspe_jax.report.layers import MapLayer
-from inspe_jax.report.sheet import WIDTH, fit, frame_map, house_style
+from inspe_jax.report.routes import center_distance
+from inspe_jax.report.sheet import SIDE, frame_map, house_style, sheet_of_two
 from inspe_jax.report.tables import table_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -27,21 +27,18 @@ RETURNS: tuple[tuple[float, str, str], ...] = (
     (64.0, "≥ 64", "#2171b5"),
 )
 """Kinds of columns by LiDAR returns on a target: least number, words and colour."""
-_PIXEL_COLORS = ("#202020", "#7a3b00", "#d55e00", "#f0e442", "#9ecae1", "#2171b5")
-PIXELS: tuple[tuple[float, str, str], ...] = tuple(
-    (least, words, color)
-    for (least, words), color in zip(
-        (
-            (0.0, f"< {BANDS['monitor']:g}"),
-            *((least, f"{name}, ≥ {least:g}") for name, least in BANDS.items()),
-        ),
-        _PIXEL_COLORS,
-        strict=True,
-    )
+PIXELS: tuple[tuple[float, str, str], ...] = (
+    (0.0, f"< {BANDS['monitor']:g}", "#202020"),
+    *(
+        (least, f"{name}, ≥ {least:g}", color)
+        for (name, least), color in zip(
+            BANDS.items(), ("#7a3b00", "#d55e00", "#f0e442", "#9ecae1", "#2171b5"), strict=True
+        )
+    ),
 )
 """Kinds of columns by pixels per metre: the bands of EN 62676-4."""
 
-_SIDE, _LEFT, _GAP, _HEAD, _BELOW = 3.10, 0.48, 0.30, 0.80, 1.35  # [inch]
+_HEAD, _BELOW = 0.80, 1.35  # above and below the maps [inch]
 
 
 def banded(
@@ -130,21 +127,13 @@ def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int =
         words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
         maps.append((words, banded("pixels", view.pixel_density, PIXELS), True))
     poses = np.asarray(layout.poses, float)
-    reach = max(
-        scene.voxels.radius, float(np.hypot(*(poses[:, :2] - scene.voxels.center[:2]).T).max())
-    )
-    height = _HEAD + _SIDE + _BELOW
+    reach = max(scene.voxels.radius, center_distance(scene, poses).max())
     with house_style():
-        fig = Figure(figsize=(WIDTH, height), facecolor="white")
-        left = _LEFT / WIDTH
-        title = fit(f"What a {view.road_user} gets: {layout.name} at {scene.name}", 68)
-        fig.text(left, 1 - 0.10 / height, title, size=10, weight="bold", va="top",
-                 parse_math=False)  # fmt: skip
+        title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
         facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
-        fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=False)
-        for k, (words, layer, pictures) in enumerate(maps):
-            x = (_LEFT + k * (_SIDE + _GAP)) / WIDTH
-            ax = fig.add_axes((x, _BELOW / height, _SIDE / WIDTH, _SIDE / height))
+        fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, _BELOW)
+        height = fig.get_figheight()
+        for k, (ax, (words, layer, pictures)) in enumerate(zip(axes, maps, strict=True)):
             frame_map(ax, scene, reach)
             raster, extent = column_raster(scene.voxels, layer.values)
             # Only the sensors that the map is of, with their numbers in the layout.
@@ -155,15 +144,12 @@ def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int =
             ]
             few = replace(layout, poses=poses[own], sensors=tuple(layout.sensors[s] for s in own))
             draw_layer(ax, scene, few, poses[own], layer, raster, extent, frame)
-            draw_badges(ax, few, poses[own], _SIDE, [s + 1 for s in own])
+            draw_badges(ax, few, poses[own], SIDE, [s + 1 for s in own])
             ax.set_title(words, size=7.5, loc="left", pad=4)
             if k:
                 ax.set(ylabel="")
-            handles = [
-                Patch(fc=color, ec=OUTLINE["ec"], lw=0.4, label=name) for name, color in layer.kinds
-            ]
             fig.legend(
-                handles=handles, loc="upper left", ncols=2, columnspacing=1.6,
-                bbox_to_anchor=(x, (_BELOW - 0.45) / height), **KEYS,
+                handles=kind_keys(layer), loc="upper left", ncols=2, columnspacing=1.6,
+                bbox_to_anchor=(ax.get_position().x0, (_BELOW - 0.45) / height), **KEYS,
             )  # fmt: skip
     return fig

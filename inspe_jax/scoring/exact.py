@@ -164,6 +164,23 @@ def count_all(
     return Counts(*found)
 
 
+def sight_shares(
+    tiled: TiledScene,
+    views: UInt[np.ndarray, "S N C"],
+    sensors: Float[np.ndarray, "S 3"],
+    asked: Asked,
+    count: int,
+) -> Float[np.ndarray, "count V"]:
+    """The share of frames in which each of the first ``count`` sensors sees each voxel.
+
+    ``views`` and ``sensors`` as in :func:`count_all`; ``asked`` must count sights.
+    """
+    sights = count_all(tiled, views, sensors, None, asked).sights
+    assert sights is not None  # asked.counts_sight
+    shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[:count]]
+    return np.stack(shares) / tiled.frame_count
+
+
 def join_frames(parts: list[Counts]) -> Counts:
     """The counts of consecutive runs of frames as those of all their frames."""
     seen, original, columns, sights = zip(*parts, strict=True)

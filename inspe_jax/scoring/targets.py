@@ -14,7 +14,7 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, RoadUser
-from inspe_jax.scoring.exact import ONE_MORE, count_all
+from inspe_jax.scoring.exact import ONE_MORE, sight_shares
 from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
@@ -130,8 +130,6 @@ def _line_of_sight(scene: Scene, layout: Layout) -> Float[np.ndarray, "S L Z"]:
     there = np.asarray(tiled.tiles.tile.there)
     views = np.broadcast_to(there, (len(positions), *there.shape)).copy()
     views[len(layout) :] = 0
-    counts = count_all(tiled, views, positions, None, Asked.of(visibility="past_others"))
-    assert counts.sights is not None  # past_others counts them
-    shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in counts.sights[: len(layout)]]
-    found = np.stack(shares) / tiled.frame_count
+    asked = Asked.of(visibility="past_others")
+    found = sight_shares(tiled, views, positions, asked, len(layout))
     return found.reshape(len(layout), -1, scene.voxels.level_count)

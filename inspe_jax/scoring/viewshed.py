@@ -17,7 +17,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
 from inspe_jax.scoring.evaluate import options_of
-from inspe_jax.scoring.exact import BITS, ONE_MORE, count_all, in_view_of
+from inspe_jax.scoring.exact import BITS, ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.reading import Asked, Frames
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of, whole_tiled_scene_of
@@ -101,11 +101,7 @@ def _visible(
     asked = Asked.of(**options_of(scene))
     if not asked.counts_sight:
         return flags.astype(float)
-    tiled = tiled_scene_of(scene)
-    sights = count_all(tiled, views, sensors, None, asked).sights
-    assert sights is not None  # asked.counts_sight
-    shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[: len(layout)]]
-    return np.stack(shares) / tiled.frame_count
+    return sight_shares(tiled_scene_of(scene), views, sensors, asked, len(layout))
 
 
 def sight_in(

@@ -73,7 +73,7 @@ def rays_on_target(
         y = sin * jnp.cos(turn) + cos * jnp.sin(turn)
         over = on_top[None] & (high < 0)
         far = jnp.where(over, back[:, None], front[:, None])
-        least, most = arctan2(low, _wide(front, low)), arctan2(high, far)
+        least, most = arctan2(low, jnp.broadcast_to(front[:, None], low.shape)), arctan2(high, far)
         middle = (least + most) / 2
         up = jnp.where(over, high, (low + high) / 2)
         distance = jnp.sqrt(((front[:, None] + far) / 2) ** 2 + up * up)
@@ -108,10 +108,6 @@ def picture_scale(
     row, column = (dot3(slope, aside) for slope in rays.slopes(q, _LEAST))
     inside = rays.field_margin(q, rays.table.outer) > 0
     return jnp.where(inside, jnp.sqrt(row * row + column * column), 0.0)
-
-
-def _wide(column: Float[Array, " L"], like: Float[Array, "L Z"]) -> Float[Array, "L Z"]:
-    return jnp.broadcast_to(column[:, None], like.shape)
 
 
 def _sides(

@@ -19,13 +19,12 @@ def seen_by_sensor(
 ) -> tuple[Any, Any]:
     """The voxels that one sensor sees in each frame: those in view (f = 1) and in line of sight.
 
-    Two sets: one for occlusion, one for information gain. They differ in which voxels inside
-    vehicles count.
+    The second set is of the voxels in line of sight, in view or not, as information gain counts
+    them: it differs from occlusion in which voxels inside vehicles count.
     """
     sensor, shadows, view = row
     clear, in_sight = reading.line_of_sight(sensor, shadows, tile, frames, asked)
-    view = reading.in_frames(view)
-    return reading.both(view, clear), reading.both(view, in_sight)
+    return reading.both(reading.in_frames(view), clear), in_sight
 
 
 def seen_in_tile(
@@ -36,10 +35,11 @@ def seen_in_tile(
     failures: Groups | None,
     asked: Asked,
 ) -> tuple[Any, Any]:
-    """What some sensor sees in each frame, and how often each sensor sees each voxel.
+    """What some sensor sees in each frame, and how often each has each voxel in line of sight.
 
     The first is a union that can be counted, of all sensors and without each group of
-    ``failures``. The second is the number of frames (S, C, Z), or None unless it is asked for.
+    ``failures``. The second is the number of frames (S, C, Z), in view or not, or None unless it is
+    asked for; it is 0 from a sensor that has nothing of the tile in view.
     ``rows`` are of all sensors: positions (S, 3), shadows, and one set in view each.
     """
 

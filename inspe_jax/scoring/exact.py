@@ -171,9 +171,11 @@ def sight_shares(
     asked: Asked,
     count: int,
 ) -> Float[np.ndarray, "count V"]:
-    """The share of frames in which each of the first ``count`` sensors sees each voxel.
+    """The share of frames in which each of ``count`` sensors has each voxel in line of sight.
 
-    ``views`` and ``sensors`` as in :func:`count_all`; ``asked`` must count sights.
+    Whether the voxel is in view does not matter; but from a sensor that has nothing of a tile in
+    view, the tile's shares are 0. ``views`` and ``sensors`` as in :func:`count_all`; ``asked`` must
+    count sights.
     """
     sights = count_all(tiled, views, sensors, None, asked).sights
     assert sights is not None  # asked.counts_sight
@@ -306,11 +308,10 @@ def _entropy_terms(
             jax.lax.dynamic_slice_in_dim(of_voxels, part * together, together)
             for of_voxels in (tiled.column, tiled.level, tiled.occupancy)
         )
-        if counts is None:
-            bit = words[:, column] >> level.astype(words.dtype)[None]
-            visible = (bit & words.dtype.type(1)).astype(float)
-        else:
-            visible = counts[:, column, level].astype(float) / tiled.frame_count
+        bit = words[:, column] >> level.astype(words.dtype)[None]
+        visible = (bit & words.dtype.type(1)).astype(float)
+        if counts is not None:
+            visible *= counts[:, column, level].astype(float) / tiled.frame_count
         q = metrics.resolved(visible, reliability, failures)
         remaining, total = metrics.entropy_terms(q, occupancy)
         return sums[0] + remaining, sums[1] + total

@@ -71,7 +71,7 @@ class Asked(NamedTuple):
 
     @property
     def counts_sight(self) -> bool:
-        """Whether the number of frames in which each sensor sees each voxel is needed."""
+        """Whether the number of frames in which each voxel is in line of sight is needed."""
         return self.visibility != "in_view"
 
     @property
@@ -91,7 +91,8 @@ class Counts(NamedTuple):
     ``seen`` and ``original``: |V_orig| − |V_occ| and |V_orig| of occlusion in each frame, of all
     sensors in row 0 and without group g in row 1 + g. ``columns``: for each column, the number of
     pairs of a voxel and a frame in which the voxel is outside vehicles and seen. ``sights``: in how
-    many frames each sensor sees each voxel, or None where that is not needed.
+    many frames each sensor has each voxel in line of sight, in view or not; None where that is not
+    needed.
     """
 
     seen: Num[Array, "1+G F"]
@@ -103,8 +104,8 @@ class Counts(NamedTuple):
 SensorRow = tuple[Float[Array, "3"], Any, Any]
 """One sensor: its position, what its shadows need, and the set that it has in view."""
 SeeFrom = Callable[[SensorRow], tuple[Any, Any]]
-"""Gives, for one sensor, the set that it sees in each frame, and the number of frames in which it
-sees each voxel, or None."""
+"""Gives, for one sensor, the set that it sees in each frame, and the number of frames in which each
+voxel is in line of sight, or None."""
 
 
 # ── Exactly ─────────────────────────────────────────────────────────────────
@@ -190,7 +191,7 @@ class Bits:
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
     ) -> tuple[BitUnion, Any]:
-        """The union of what the sensors see, and in how many frames each sees each voxel.
+        """The union of what the sensors see, and how often each has each voxel in line of sight.
 
         The loop takes only the sensors that have some of the tile in view, one group after the
         other. ``once`` holds what some sensor sees, ``twice`` what two groups or more see. What a
@@ -350,7 +351,7 @@ class Numbers:
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
     ) -> tuple[NumberUnion, Any]:
-        """The union of what the sensors see, and in how many frames each sees each voxel.
+        """The union of what the sensors see, and how often each has each voxel in line of sight.
 
         A sensor that has nothing of the tile in view is skipped.
         """

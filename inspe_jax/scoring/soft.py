@@ -25,7 +25,7 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility.tiles import Tile, unless_empty
 
 SIGHTS = "sights"
-"""Name of an array kept for the gradient: in how many frames each sensor sees each voxel."""
+"""Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
 
 @partial(jax.jit, static_argnames="asked")
@@ -63,7 +63,7 @@ def read_softly(
         counts, visible = join_frames(parts), f
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)
-            visible = sights.swapaxes(1, 2) / tiled.frame_count  # (S, Z, C)
+            visible = f * (sights.swapaxes(1, 2) / tiled.frame_count)  # (S, Z, C)
         covered = numbers.any_of(f, failures)
         return (
             covered.sum(1),

@@ -101,7 +101,7 @@ def _visible(
     asked = Asked.of(**options_of(scene))
     if not asked.counts_sight:
         return flags.astype(float)
-    return sight_shares(tiled_scene_of(scene), views, sensors, asked, len(layout))
+    return flags * sight_shares(tiled_scene_of(scene), views, sensors, asked, len(layout))
 
 
 def sight_in(

@@ -198,6 +198,11 @@ def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
     return total
 
 
+def weighted_mean(x: Float[Array, "... V"], weight: Float[Array, " V"]) -> Float[Array, "..."]:
+    """Σ w·x / Σ w along the last axis."""
+    return dot(x, weight) / dot(jnp.ones_like(x), weight)
+
+
 def nonzero(x: Float[Array, "*n"], least: float = 1e-6) -> Float[Array, "*n"]:
     """``x`` moved to at least ``least`` from zero, with its sign: a safe denominator."""
     return jnp.where(jnp.abs(x) < least, jnp.where(x < 0, -least, least), x)

@@ -191,7 +191,8 @@ class Problem:
         wanted.check()
         first = self.cases[0].scene
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
-        self.asked = Asked.of(**self.options)
+        names = metrics.chosen(weights=wanted.weights_by_name)
+        self.asked = Asked.of(**self.options, names=names)
         self.objective = replace(
             wanted,
             weights=wanted.weights_by_name,
@@ -409,11 +410,11 @@ def take(arrays: tuple[SceneArrays, ...], drawn: Drawn) -> tuple[SceneArrays, ..
         leaves = (part.weight, part.occupancy)
         weight, occupancy = (x.reshape(-1, levels)[at].reshape(-1) for x in leaves)  # type: ignore[union-attr]
         prisms = jax.tree.map(lambda leaf: leaf[when], centered.prisms)  # noqa: B023
-        parts.append(
-            SceneArrays(
-                CenteredScene(centered.columns[at], centered.heights[at], prisms), weight, occupancy
-            )
+        columns, heights, ground = (
+            x[at] for x in (centered.columns, centered.heights, centered.ground)
         )
+        place = CenteredScene(columns, heights, ground, prisms)
+        parts.append(SceneArrays(place, weight, occupancy))
     return tuple(parts)
 
 

@@ -1,5 +1,6 @@
 """Score a layout on a scene: every metric, and their weighted sum P_sm."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,8 +14,16 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
-from inspe_jax.scoring import metrics
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
+from inspe_jax.scoring.metrics import (
+    OCCLUSION_REFERENCES,
+    Weights,
+    chosen,
+    entropy,
+    surrogate,
+    unknown_reference,
+    weights_of,
+)
 from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
@@ -110,15 +119,17 @@ def evaluate(
     scene: Scene,
     layout: Layout,
     *,
-    weights: metrics.Weights = None,
+    weights: Weights = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
     softness: Any = 0.0,
     conditions: Conditions = FAIR,
+    metrics: Sequence[str] = (),
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
     ``weights`` of the metrics in P_sm are given by name, or as three numbers for C, O and IG.
+    ``metrics`` are the names of those to compute besides the usual ones and those with weight.
     ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and
     ``visibility`` for information gain is one of :data:`VISIBILITIES`; without them, the scene's
     profile decides. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
@@ -137,7 +148,8 @@ def evaluate(
     """
     options = options_of(scene, occlusion_reference, visibility)
     check_options(weights, **options, conditions=conditions)
-    by_name, asked = metrics.weights_of(weights), Asked.of(**options)
+    by_name = weights_of(weights)
+    asked = Asked.of(**options, names=chosen(metrics, by_name))
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
@@ -150,8 +162,8 @@ def evaluate(
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
     regions = _by_region(scene, tiled, found.column_coverage)
     measured = jax.tree.map(_array, found)
-    values = {name: measured.values[name][: 1 + len(each)] for name in by_name}
-    rows = [*values.values(), metrics.surrogate(values, by_name)]
+    values = {of.name: measured.values[of.name][: 1 + len(each)] for of in asked.metrics}
+    rows = [*values.values(), surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
     return Scores(
         metrics=dict(zip(values, total[:-1], strict=True)),
@@ -159,7 +171,11 @@ def evaluate(
         region_coverage={key: _numbers(share) for key, share in regions.items()},
         level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
-            _contribution(sensor.name, [a - b for a, b in zip(total, left, strict=True)])
+            Contribution(
+                sensor.name,
+                {name: a - b for name, a, b in zip(values, total, left, strict=False)},
+                total[-1] - left[-1],
+            )
             for sensor, left in zip(layout.sensors, without, strict=False)
         ),
         seen_share=measured.seen_share[tiled.tiles.place],
@@ -196,10 +212,6 @@ def _measured(
     return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
 
 
-def _contribution(sensor: str, lost: list[float]) -> Contribution:
-    return Contribution(sensor, dict(zip(metrics.METRICS, lost[:-1], strict=True)), lost[-1])
-
-
 @dataclass(frozen=True)
 class ManyScores(PaperMetrics):
     """The exact scores of M layouts: ``metrics`` by name and ``surrogate``, P_sm, each (M,)."""
@@ -213,10 +225,11 @@ def evaluate_many(
     layout: Layout,
     poses: Float[np.ndarray, "M S 6"],
     *,
-    weights: metrics.Weights = None,
+    weights: Weights = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
     conditions: Conditions = FAIR,
+    metrics: Sequence[str] = (),
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M sets of S poses: the metrics and P_sm only.
 
@@ -247,17 +260,17 @@ def evaluate_many(
         check_layout(scene, one)
     layout = perceiving(scene, layout, conditions)
     tiled = whole_tiled_scene_of(scene)
-    by_name = metrics.weights_of(weights)
+    by_name = weights_of(weights)
     if by_name["information_gain"] > 0:
-        check_entropy(scene, metrics.entropy(tiled.occupancy).sum())
+        check_entropy(scene, entropy(tiled.occupancy).sum())
     found = measure_many(
         tiled,
         np.stack([poses_about_center(scene, one) for one in layouts]),
         SensorSet.of(layout),
         scene.voxels.size,
-        Asked.of(**options),
+        Asked.of(**options, names=chosen(metrics, by_name)),
     )
-    return ManyScores(found, np.asarray(metrics.surrogate(found, by_name)))
+    return ManyScores(found, np.asarray(surrogate(found, by_name)))
 
 
 def _by_region(
@@ -306,7 +319,7 @@ def options_of(
 
 
 def check_options(
-    weights: metrics.Weights,
+    weights: Weights,
     occlusion_reference: str,
     visibility: str,
     conditions: Conditions = FAIR,
@@ -316,11 +329,11 @@ def check_options(
         raise InspeError(
             f"conditions {conditions!r}: give them as inspe_jax.Conditions.of('night', 'rain:10')"
         )
-    if occlusion_reference not in metrics.OCCLUSION_REFERENCES:
-        raise metrics.unknown_reference(occlusion_reference)
+    if occlusion_reference not in OCCLUSION_REFERENCES:
+        raise unknown_reference(occlusion_reference)
     if visibility not in VISIBILITIES:
         raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
-    metrics.weights_of(weights)
+    weights_of(weights)
 
 
 def check_entropy(scene: Scene, entropy: Float[Array, ""]) -> None:

@@ -13,21 +13,22 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num, UInt
+from jaxtyping import Array, Bool, Float, Num, UInt
 
 from inspe_jax.core import sharding
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
-from inspe_jax.core.parallel import Job, run
-from inspe_jax.scoring import metrics
+from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.accumulate import count_tile
+from inspe_jax.scoring.metric import Metric, TileEvidence
+from inspe_jax.scoring.metrics import entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.reading import Asked, Bits, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order
 from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.tiles import Tile, unless_empty
+from inspe_jax.visibility.tiles import CHUNKS, Tile, unless_empty
 from inspe_jax.visibility.view_masks import view_masks
 
 ONE_MORE = 1
@@ -66,8 +67,11 @@ def count_exactly(
     """
     views = in_view_of(tiled, poses, sensors, voxel / 2)
     counts = count_all(tiled, views, poses[:, :3], sensors.failures, asked)
+    terms = _terms(tiled, views, counts.sights, poses, sensors, asked)
+    if asked.visibility == "in_view":
+        counts = counts._replace(sights=None)
     columns_only = replace(tiled.bucketed, chunks=())
-    given = columns_only, views, counts, sensors.reliability, sensors.failures
+    given = columns_only, views, counts, terms, sensors.reliability, sensors.failures
     return _summarise(*given, metrics=asked.metrics)
 
 
@@ -246,12 +250,13 @@ def _summarise(
     tiled: TiledScene,
     views: UInt[Array, "S N C"],
     counts: Counts,
+    terms: dict[str, Any],
     reliability: Float[Array, " S"],
     failures: Groups | None,
     *,
-    metrics: tuple[metrics.Metric, ...],
+    metrics: tuple[Metric, ...],
 ) -> MetricValues:
-    """The metrics, from masks of what is in view and from counts."""
+    """The metrics, from masks of what is in view, counts, and further terms of the metrics."""
     slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
     covered = BITS.any_of(views, failures)
     columns = bitmask.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
@@ -262,28 +267,74 @@ def _summarise(
         by_level.reshape(-1),
         _entropy_terms(tiled, views, counts.sights, reliability, failures),
         counts,
-        _tile_terms(metrics, tiled, views, failures),
+        terms,
+        failures,
         metrics,
     )
 
 
-def _tile_terms(
-    asked: tuple[metrics.Metric, ...],
+def _terms(
     tiled: TiledScene,
-    views: UInt[Array, "S N C"],
-    failures: Groups | None,
+    views: UInt[Array | np.ndarray, "S N C"],
+    sights: Num[Array | np.ndarray, "S N C Z"] | None,
+    poses: Float[Array | np.ndarray, "S 6"],
+    sensors: SensorArray,
+    asked: Asked,
 ) -> dict[str, Any]:
-    """The further terms that metrics ask for, by metric, summed over the tiles."""
-    if all(metric.terms is None for metric in asked):
+    """The further terms that metrics ask for, by metric, one row for each tile."""
+    if all(metric.terms is None for metric in asked.metrics):
         return {}
+    tiles = tiled.tiles
+    work = partial(_tile_terms, metrics=asked.metrics)
+    if not any(metric.sight for metric in asked.metrics):
+        sights = None
+
+    def of(some: slice) -> tuple:
+        seen = None if sights is None else sights[:, some]
+        part = jax.tree.map(lambda leaf: leaf[some], (tiles.tile, tiles.last))
+        return *part, views[:, some], seen, float(tiled.frame_count), poses, sensors
+
+    if isinstance(views, jax.core.Tracer):
+        return work(*of(slice(None)))
+    step = min(cores(), CHUNKS)
+    jobs: list[Job] = []
+    for first in range(step):
+        given = jax.tree.map(np.asarray, of(slice(first, None, step)))
+        shapes = tuple(leaf.shape for leaf in jax.tree.leaves(given))
+        jobs.append(((_tile_terms, asked, sensors.kinds, shapes), partial(work, *given)))
+    parts = run(jobs)
+
+    def joined(*part: Array) -> np.ndarray:
+        whole = np.zeros((len(tiles.last), *part[0].shape[1:]), part[0].dtype)
+        for first, rows in enumerate(part):
+            whole[first::step] = rows
+        return whole
+
+    return jax.tree.map(joined, *parts)
+
+
+@partial(jax.jit, static_argnames="metrics")
+def _tile_terms(
+    tiles: Tile,
+    last: Bool[Array, " N"],
+    views: UInt[Array, "S N C"],
+    sights: Num[Array, "S N C Z"] | None,
+    frames: Float[Array, ""],
+    poses: Float[Array, "S 6"],
+    sensors: SensorArray,
+    *,
+    metrics: tuple[Metric, ...],
+) -> dict[str, Any]:
+    """:func:`_terms` of some tiles."""
 
     @unless_empty
-    def terms(tile: Tile, views: Array) -> dict[str, Any]:
-        return metrics.tile_terms(asked, BITS, tile, views, failures)
+    def terms(tile: Tile, *given: Any) -> dict[str, Any]:
+        last, views, sights = given
+        at = TileEvidence(BITS, tile, views, sights, frames, poses, sensors, last)
+        return tile_terms(metrics, at)
 
-    parts = tiled.tiles.tile, views.swapaxes(0, 1)
-    found = jax.lax.map(lambda part: terms(*part), parts)
-    return jax.tree.map(lambda x: x.sum(0), found)
+    by_tile = (tiles, last, *(x if x is None else x.swapaxes(0, 1) for x in (views, sights)))
+    return jax.lax.map(lambda given: terms(*given), by_tile)
 
 
 def _entropy_terms(
@@ -312,8 +363,8 @@ def _entropy_terms(
         visible = (bit & words.dtype.type(1)).astype(float)
         if counts is not None:
             visible *= counts[:, column, level].astype(float) / tiled.frame_count
-        q = metrics.resolved(visible, reliability, failures)
-        remaining, total = metrics.entropy_terms(q, occupancy)
+        q = resolved(visible, reliability, failures)
+        remaining, total = entropy_terms(q, occupancy)
         return sums[0] + remaining, sums[1] + total
 
     groups = 0 if failures is None else len(failures.first)

@@ -13,63 +13,19 @@ The sensors are fused before a metric is computed: once all of them, and once wi
 groups of failures. So arrays have a leading axis of 1 + G rows, and functions keep it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Container, Mapping, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.numerics import Groups, dot, leave_one_out
-from inspe_jax.visibility.tiles import Tile
+from inspe_jax.core.numerics import Groups, dot, leave_one_out, weighted_mean
+from inspe_jax.scoring.metric import Metric, Sets, TileEvidence
+from inspe_jax.scoring.target_metrics import ROWS
 
 OCCLUSION_REFERENCES = ("roi", "covered", "targets")
 """The three readings of V_orig, the denominator of occlusion; see :func:`occlusion_terms`."""
-
-
-class Sets(Protocol):
-    """The operations on sets of a tile's voxels that metrics use.
-
-    :mod:`inspe_jax.scoring.reading` has both implementations, exact and soft.
-    """
-
-    def voxels(self, tile: Tile) -> Any:
-        """The voxels that there are."""
-
-    def both(self, a: Any, b: Any) -> Any:
-        """Intersection of two sets."""
-
-    def outside(self, a: Any, b: Any) -> Any:
-        """The voxels of ``a`` that are not in ``b``, a subset of ``a``."""
-
-    def any_of(self, rows: Any, failures: Groups | None) -> Any:
-        """Union of all rows (S, …), and of all but each group's: (1 + G, …)."""
-
-    def count(self, found: Any) -> Num[Array, "..."]:
-        """How many voxels a set has."""
-
-    def count_both(self, rows: Any, found: Any) -> Num[Array, "1+G F"]:
-        """How many voxels of each row are in a set, in each frame."""
-
-
-class Evidence(NamedTuple):
-    """What metrics are computed from: the counts of a scene with T frames and L columns.
-
-    ``covered`` is f, as the share of each column's levels that some sensor has in view; ``weight``
-    is that of the columns' regions. ``seen`` and ``original`` are |V_orig| − |V_occ| and |V_orig|
-    in each frame (:func:`occlusion_terms`). ``remaining`` and ``entropy`` are H(Ω|P) and H(Ω) in
-    nats (:func:`entropy_terms`). ``terms`` holds the further terms of the registry's metrics by
-    name, summed over the tiles.
-    """
-
-    covered: Float[Array, "1+G L"]
-    weight: Float[Array, " L"]
-    seen: Num[Array, "T 1+G"]
-    original: Num[Array, "T 1+G"]
-    remaining: Float[Array, " 1+G"]
-    entropy: Float[Array, ""]
-    terms: dict[str, Any]
 
 
 def coverage(covered: Float[Array, "... L"], weight: Float[Array, " L"]) -> Float[Array, "..."]:
@@ -78,7 +34,7 @@ def coverage(covered: Float[Array, "... L"], weight: Float[Array, " L"]) -> Floa
     ``covered`` is f of all sensors together, for each of L voxels, or its mean over each of L
     columns. ``weight`` is the weight w of their regions.
     """
-    return dot(covered, weight) / dot(jnp.ones_like(covered), weight)
+    return weighted_mean(covered, weight)
 
 
 def occlusion_terms(
@@ -183,30 +139,6 @@ def information_gain(
 # ── The registry ────────────────────────────────────────────────────────────
 
 
-@dataclass(frozen=True)
-class Metric:
-    """A row of the registry: a metric between 0 and 1, higher is better.
-
-    ``name`` is used in records and options, ``symbol`` in tables. ``weight`` is the usual one in
-    P_sm. ``summary`` says in one line what the metric is. ``value`` gives the metric (1 + G,) from
-    the :class:`Evidence` of a scene. ``terms`` is for a metric that needs more than the evidence
-    has: a function of (reading, tile, the sets that each sensor has in view, failures) that gives
-    arrays. They are summed over the tiles and are then ``evidence.terms[name]``.
-    """
-
-    name: str
-    symbol: str
-    weight: float
-    summary: str
-    value: Callable[[Evidence], Float[Array, " 1+G"]]
-    terms: Callable[[Sets, Tile, Any, Groups | None], Any] | None = None
-
-    @property
-    def words(self) -> str:
-        """The name, for people."""
-        return self.name.replace("_", " ")
-
-
 METRICS: dict[str, Metric] = {
     metric.name: metric
     for metric in (
@@ -231,30 +163,49 @@ METRICS: dict[str, Metric] = {
             "share of the occupancy's entropy that the sensors resolve",
             lambda found: information_gain(found.remaining, found.entropy),
         ),
+        *ROWS,
     )
 }
-"""The metrics by name, in the paper's order. A further row appears in scores, tables and saved
-results, and can have weight in P_sm, with no other change."""
+"""The metrics by name, the paper's first and in its order. A further row appears in scores, tables
+and saved results, and can have weight in P_sm, with no other change."""
 
 
-def tile_terms(
-    metrics: Sequence[Metric], reading: Sets, tile: Tile, views: Any, failures: Groups | None
-) -> dict[str, Any]:
+def tile_terms(metrics: Sequence[Metric], at: TileEvidence) -> dict[str, Any]:
     """The further terms that metrics ask for, of one tile, by the metric's name."""
-    return {
-        metric.name: metric.terms(reading, tile, views, failures)
-        for metric in metrics
-        if metric.terms is not None
-    }
+    return {metric.name: metric.terms(at) for metric in metrics if metric.terms is not None}
+
+
+def chosen(
+    names: Sequence[str] = (), weights: Mapping[str, float] | None = None
+) -> tuple[str, ...]:
+    """The metrics of a score: the usual ones, those in ``names``, and those with weight.
+
+    In the registry's order. Raises InspeError where a name is of no metric.
+    """
+    for name in names:
+        _check_name(name, f"metric '{name}'")
+    weighted = {name for name, weight in (weights or {}).items() if weight}
+    return tuple(
+        name
+        for name, metric in METRICS.items()
+        if metric.usual or name in names or name in weighted
+    )
+
+
+def _check_name(name: str, what: str) -> None:
+    """Raise InspeError where a name is of no metric; ``what`` says what it is of."""
+    if name not in METRICS:
+        known = tuple(METRICS)
+        raise InspeError(f"{what}: a metric is one of {', '.join(known)}{nearest(name, known)}")
 
 
 def surrogate(scores: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
     """P_sm = Σ weight · metric; with the paper's weights, 0.3 C + 0.5 O + 0.2 IG.
 
     Both arguments are by the metric's name. ``weights`` have every metric, as :func:`weights_of`
-    gives them; they may be traced.
+    gives them; they may be traced. ``scores`` have those with weight, at least.
     """
-    terms = [weights[name] * scores[name] for name in METRICS]
+    terms = [weights[name] * scores[name] for name in METRICS if name in scores]
     return sum(terms[1:], terms[0])
 
 
@@ -264,9 +215,13 @@ SURROGATE = Metric(
 """P_sm as a row of tables. Its value is that of :func:`surrogate`, not of the row."""
 
 
-def listed() -> tuple[Metric, ...]:
-    """The rows of a table of scores: every metric, then P_sm."""
-    return (*METRICS.values(), SURROGATE)
+def listed(names: Container[str] | None = None) -> tuple[Metric, ...]:
+    """The rows of a table of scores: the metrics of these names, then P_sm.
+
+    None stands for the usual metrics.
+    """
+    some = [m for m in METRICS.values() if (m.usual if names is None else m.name in names)]
+    return (*some, SURROGATE)
 
 
 Weights = Mapping[str, float] | Sequence[float] | None
@@ -290,11 +245,7 @@ def weights_of(given: Weights = None) -> dict[str, float]:
             )
         given = dict(zip(paper, given, strict=True))
     for name in given:
-        if name not in METRICS:
-            known = tuple(METRICS)
-            raise InspeError(
-                f"weight of '{name}': a metric is one of {', '.join(known)}{nearest(name, known)}"
-            )
+        _check_name(name, f"weight of '{name}'")
     weights = {name: float(given.get(name, 0.0)) for name in METRICS}
     if not abs(sum(weights.values()) - 1.0) < 1e-6 or min(weights.values()) < 0:
         words = ", ".join(f"{name} {value:g}" for name, value in weights.items())

@@ -14,7 +14,7 @@ of :class:`Bits`. ``rows`` are one set for each sensor, (S, …). A result for G
 has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,8 +24,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
 from inspe_jax.core.geometry import Prism
-from inspe_jax.core.numerics import Groups, Softness, certain_beyond, exact, leave_one_out
-from inspe_jax.scoring.metrics import METRICS, Metric
+from inspe_jax.core.numerics import (
+    Groups,
+    Softness,
+    Width,
+    certain_beyond,
+    exact,
+    leave_one_out,
+)
+from inspe_jax.scoring.metric import Metric
+from inspe_jax.scoring.metrics import METRICS, chosen
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import soft_view
 from inspe_jax.visibility.shadows import (
@@ -65,24 +73,40 @@ class Asked(NamedTuple):
     metrics: tuple[Metric, ...] = ()
 
     @classmethod
-    def of(cls, occlusion_reference: str = "roi", visibility: str = "in_view") -> "Asked":
-        """These options and all metrics of the registry."""
-        return cls(occlusion_reference, visibility, tuple(METRICS.values()))
+    def of(
+        cls,
+        occlusion_reference: str = "roi",
+        visibility: str = "in_view",
+        names: Sequence[str] | None = None,
+    ) -> "Asked":
+        """These options, and the metrics of these names; the usual ones if None."""
+        names = chosen() if names is None else names
+        return cls(occlusion_reference, visibility, tuple(METRICS[name] for name in names))
+
+    @property
+    def sight(self) -> str | None:
+        """What line of sight means, as ``visibility`` says it; None where only views count.
+
+        Metrics that need it where information gain does not are looked at past others.
+        """
+        if self.visibility != "in_view":
+            return self.visibility
+        return "past_others" if any(metric.sight for metric in self.metrics) else None
 
     @property
     def counts_sight(self) -> bool:
         """Whether the number of frames in which each voxel is in line of sight is needed."""
-        return self.visibility != "in_view"
+        return self.sight is not None
 
     @property
     def ignores_self_occlusion(self) -> bool:
         """Whether a voxel inside a vehicle is hidden by other vehicles only."""
-        return self.occlusion_reference == "targets" or self.visibility == "past_others"
+        return self.occlusion_reference == "targets" or self.sight == "past_others"
 
     @property
     def sight_apart(self) -> bool:
-        """Whether occlusion ignores self-occlusion, but information gain does not."""
-        return self.ignores_self_occlusion and self.visibility == "line_of_sight"
+        """Whether occlusion ignores self-occlusion, but line of sight does not."""
+        return self.ignores_self_occlusion and self.sight == "line_of_sight"
 
 
 class Counts(NamedTuple):
@@ -165,6 +189,14 @@ class Bits:
         """How many voxels of each row are in a set, in each frame."""
         return jax.lax.map(lambda row: self.count(row[None] & found), rows)
 
+    width = None
+    """The edges of a field of view are read exactly."""
+
+    def chances(self, found: UInt[Array, "... C"], levels: int) -> Float[Array, "... Z C"]:
+        """1 for each voxel of a set, 0 for the others."""
+        level = jnp.arange(levels, dtype=found.dtype)[:, None]
+        return ((found[..., None, :] >> level) & found.dtype.type(1)).astype(float)
+
     def column_sums(self, found: UInt[Array, "F C"], frames: Frames) -> Int[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""
         return bitmask.count(found).sum(0)
@@ -186,7 +218,7 @@ class Bits:
         information gain does."""
         spared = frames.solid if asked.ignores_self_occlusion else None
         clear = clear_masks(sensor, shadows, tile, spared)
-        return clear, clear if asked.visibility == "past_others" else clear & ~frames.solid
+        return clear, clear if asked.sight == "past_others" else clear & ~frames.solid
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
@@ -309,6 +341,15 @@ class Numbers:
     ) -> Float[Array, "1+G F"]:
         """How many voxels of each row are in a set, in each frame."""
         return (rows[:, :, None] * found[None]).sum(1).sum(-1)
+
+    @property
+    def width(self) -> Width:
+        """The width [m] with which the edges of a field of view are read."""
+        return self.softness.field
+
+    def chances(self, found: Float[Array, "... Z C"], levels: int) -> Float[Array, "... Z C"]:
+        """The chance of each voxel to be in a set."""
+        return found
 
     def column_sums(self, found: Float[Array, "Z F C"], frames: Frames) -> Float[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""

@@ -22,18 +22,27 @@ from inspe_jax.sensing.sensors import RayGrid, repeat_last
 class SensorSet(NamedTuple):
     """What is fixed of a layout's sensors as their poses change.
 
-    ``groups`` are the sensors of each ray grid, by number; ``reliability`` (S,) is each sensor's;
-    ``failures`` are groups of sensors that are left out in turn.
+    ``groups`` are the sensors of each ray grid, by number; ``reliability``, ``unit`` and ``pixels``
+    (S,) are each sensor's, the last the number of pixels that a ray of a camera stands for, and 1
+    for other kinds; ``failures`` are groups of sensors that are left out in turn.
     """
 
     groups: tuple[tuple[RayGrid, tuple[int, ...]], ...]
     reliability: tuple[float, ...]
+    unit: tuple[int, ...]
+    pixels: tuple[float, ...]
     failures: tuple[tuple[int, ...], ...] = ()
 
     @classmethod
     def of(cls, layout: Layout, failures: tuple[tuple[int, ...], ...] = ()) -> "SensorSet":
         """The sensors of a layout."""
-        return cls(layout.groups(), tuple(layout.reliability.tolist()), failures)
+        return cls(
+            layout.groups(),
+            tuple(layout.reliability.tolist()),
+            tuple(sensor.unit for sensor in layout.sensors),
+            tuple(sensor.spec.pixels_per_ray for sensor in layout.sensors),
+            failures,
+        )
 
 
 SENSORS = 4
@@ -47,12 +56,15 @@ class SensorArray:
 
     There are S places for sensors, and the first ones are taken. ``kind`` (S,) is the number of
     each sensor's kind among ``kinds``, or their count where the place is empty. ``table`` holds the
-    numbers of each sensor's ray grid.
+    numbers of each sensor's ray grid. ``reliability``, ``unit`` and ``pixels`` as in
+    :class:`SensorSet`; an empty place has a unit of its own.
     """
 
     table: RayTable
     kind: Int[Array | np.ndarray, " S"]
     reliability: Float[Array | np.ndarray, " S"]
+    unit: Int[Array | np.ndarray, " S"]
+    pixels: Float[Array | np.ndarray, " S"]
     failures: Groups | None
     kinds: tuple[Kind, ...] = field(metadata={"static": True})
 
@@ -106,12 +118,16 @@ def sensor_array(sensor_set: SensorSet, spare: int = 0) -> SensorArray:
     ]
     kind = [kinds.index(grids[s].kind) for s in range(count)] + [len(kinds)] * (room - count)
     reliability = np.pad(np.array(sensor_set.reliability, float), (0, room - count))
+    units = np.concatenate([sensor_set.unit, np.arange(count, room)])
+    pixels = np.pad(np.array(sensor_set.pixels, float), (0, room - count))
     each = len(sensor_set.failures) == count
     groups = room if each else bucket(len(sensor_set.failures), SENSORS)
     return SensorArray(
         jax.tree.map(lambda *numbers: np.stack(numbers), *tables),
         np.array(kind, np.int32),
         reliability,
+        units.astype(np.int32),
+        pixels,
         Groups.of_rows(sensor_set.failures, room, groups),
         kinds,
     )

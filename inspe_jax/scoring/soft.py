@@ -18,6 +18,7 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.exact import join_frames
+from inspe_jax.scoring.metric import TileEvidence
 from inspe_jax.scoring.reading import Asked, Counts, Numbers
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
@@ -52,7 +53,7 @@ def read_softly(
     # What every tile needs for the gradient would be gigabytes, so it is found again. Only the
     # sights are kept: finding them again would take one more pass over all frames.
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SIGHTS))
-    def read_tile(tile: Tile) -> tuple[Array, Array, Array, Counts, dict[str, Any]]:
+    def read_tile(tile: Tile, last: Array) -> tuple[Array, Array, Array, Counts, dict[str, Any]]:
         f = numbers.views(tile, poses, sensors, voxel / 2)
         parts = []
         for chunk in tiled.chunks:
@@ -60,21 +61,24 @@ def read_softly(
             frames = numbers.frames(tile, chunk.prisms)
             given = numbers, tile, f, positions, shadows, frames, failures, asked
             parts.append(count_tile(*given))
-        counts, visible = join_frames(parts), f
+        counts, sights = join_frames(parts), None
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)
-            visible = f * (sights.swapaxes(1, 2) / tiled.frame_count)  # (S, Z, C)
+        at = TileEvidence(numbers, tile, f, sights, tiled.frame_count, poses, sensors, last)
+        visible = f if asked.visibility == "in_view" else at.visible
         covered = numbers.any_of(f, failures)
         return (
             covered.sum(1),
             covered[0].sum(1),
             metrics.resolved(visible, jnp.asarray(sensors.reliability, float), failures),
             counts._replace(sights=None),
-            metrics.tile_terms(asked.metrics, numbers, tile, f, failures),
+            metrics.tile_terms(asked.metrics, at),
         )
 
     tiles = tiled.tiles
-    columns, by_level, resolved, counts, terms = jax.lax.map(unless_empty(read_tile), tiles.tile)
+    columns, by_level, resolved, counts, terms = jax.lax.map(
+        lambda given: unless_empty(read_tile)(*given), (tiles.tile, tiles.last)
+    )
     columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
     by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])
@@ -84,6 +88,8 @@ def read_softly(
         by_level.sum(1).reshape(-1),
         metrics.entropy_terms(resolved[tile, :, tiled.level, column].T, tiled.occupancy),
         counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),
-        jax.tree.map(lambda x: x.sum(0), terms),
+        terms,
+        failures,
         asked.metrics,
+        numbers.width,
     )

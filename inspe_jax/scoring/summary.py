@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num
 
-from inspe_jax.scoring.metrics import Evidence, Metric
+from inspe_jax.core.numerics import Groups, Width
+from inspe_jax.scoring.metric import Evidence, Metric
 from inspe_jax.scoring.reading import Counts
 from inspe_jax.scoring.tiled_scene import TiledScene
 
@@ -46,19 +47,24 @@ def summarise(
     entropy: tuple[Float[Array, " 1+G"], Float[Array, ""]],
     counts: Counts,
     terms: dict[str, Any],
+    failures: Groups | None,
     metrics: tuple[Metric, ...],
+    width: Width = None,
 ) -> MetricValues:
     """The metrics of a scene, and the shares that pictures show.
 
     ``shares`` are the shares of each column's levels in view; ``by_level`` is how many columns are
     in view at each level; ``entropy`` is (H(Ω|P), H(Ω)); ``counts`` are those of all tiles;
-    ``terms`` are the further terms that metrics ask for. Columns are in the tiles' order.
+    ``terms`` are the further terms that metrics ask for, one row for each tile. ``width`` [m] is
+    that with which margins are read. Columns are in the tiles' order.
     """
     slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
     seen = counts.columns.reshape(slabs, -1).sum(0)
     there = tiled.tiles.tile.there.reshape(slabs, -1)[0] != 0
     frames, whole = (jnp.asarray(x, float).T for x in (counts.seen, counts.original))
-    evidence = Evidence(shares, tiled.weight, frames, whole, *entropy, terms)
+    evidence = Evidence(
+        shares, tiled.weight, frames, whole, *entropy, terms, failures, levels, slabs, width
+    )
     return MetricValues(
         {metric.name: metric.value(evidence) for metric in metrics},
         column_coverage=shares[0],

@@ -209,6 +209,12 @@ class Spec:
         return None
 
     @property
+    def pixels_per_ray(self) -> float:
+        """How many pixels of its pictures a ray stands for; 1 for a sensor without pictures."""
+        focal = self.focal_pixels
+        return 1.0 if focal is None else float(focal * self.grid.column_step) ** 2
+
+    @property
     def field_of_view(self) -> tuple[float, float]:
         """Angle from edge to edge, horizontal and vertical [rad]."""
         right, left = self.azimuth_limits

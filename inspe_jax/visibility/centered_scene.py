@@ -20,11 +20,12 @@ class CenteredScene(NamedTuple):
     """A scene's arrays relative to its centre, where single precision is finest.
 
     ``columns`` (L, 2) are x and y of the columns, ``heights`` (L, Z) those of the voxel centres
-    [m], ``prisms`` (T, B) the road users in T frames.
+    and ``ground`` (L,) that of the ground [m], ``prisms`` (T, B) the road users in T frames.
     """
 
     columns: Float[Array, "L 2"]
     heights: Float[Array, "L Z"]
+    ground: Float[Array, " L"]
     prisms: Prism
 
     @property
@@ -50,6 +51,7 @@ def about_center(scene: Scene) -> CenteredScene:
     return CenteredScene(
         columns=on_device(grid.columns - [x, y], float),
         heights=on_device(grid.ground[:, None] - z + grid.levels, float),
+        ground=on_device(grid.ground - z, float),
         prisms=Prism(
             center=on_device(padded(traffic.center[..., :2] - [x, y]), float),
             yaw=on_device(padded(traffic.yaw), float),

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.geometry import dot3
+from inspe_jax.core.geometry import Point, dot3
 from inspe_jax.core.numerics import arctan2
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Rays
@@ -27,7 +27,11 @@ OFFSET = 0.5 - 12**-0.5
 offset they bring no error to first order, and in the middle of each part about 1 %."""
 PLANES = 6
 """Upright planes through the sensor that cut a target, at the nodes of Gauss and Legendre."""
+NEAR = 0.5
+"""Faces nearer than this in plan [m] are taken to be so far off."""
 _LEAST = 1e-9  # what numbers that are divided by are at least, in whatever unit they have
+_SLANT = 0.02  # least cosine of the angle to a camera's axis, or sine of that to a LiDAR's
+_DEEP = 0.1  # least depth ahead of a camera [m]
 _SMALL = 3e-5  # the least part of a grid, in its coordinates, in which rays are counted
 
 
@@ -77,8 +81,9 @@ def rays_on_target(
         middle = (least + most) / 2
         up = jnp.where(over, high, (low + high) / 2)
         distance = jnp.sqrt(((front[:, None] + far) / 2) ** 2 + up * up)
+        bearing, elevation = (x[:, None], y[:, None]), (jnp.cos(middle), jnp.sin(middle))
         number = _rays_within(
-            rays, transform.to_world, (x[:, None], y[:, None]), middle, most - least, wide[:, None]
+            rays, transform.to_world, bearing, elevation, most - least, wide[:, None]
         )
         number = jnp.where((distance <= rays.table.reach) & (most > least), number, 0.0)
         return number if noise is None else number * noise.share_returned(distance, jnp)
@@ -88,6 +93,30 @@ def rays_on_target(
     planes = np.repeat(turns, PLANES), np.tile(nodes, HEADINGS), np.tile(weights, HEADINGS)
     found = jax.lax.map(in_plane, tuple(jnp.asarray(part, float) for part in planes))
     return found.sum(0) / HEADINGS
+
+
+def rays_on_face(
+    rays: Rays,
+    transform: RigidTransform,
+    to: tuple[Float[Array, " C"], Float[Array, " C"]],
+    low: Float[Array, "Z C"],
+    high: Float[Array, "Z C"],
+) -> tuple[Float[Array, "Z C"], Float[Array, "Z C"]]:
+    """(the expected number of rays, the distance [m]) of slabs of upright faces at C places.
+
+    A face is one metre wide, and square on to the line of sight in plan. ``to`` are x and y from
+    the sensor to its middle, ``low`` and ``high`` the heights above the sensor between which the
+    slabs lie [m]. The reach does not matter. Faces are taken as small beside their distance, which
+    is at least :data:`NEAR`.
+    """
+    away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))[None]
+    middle = (low + high) / 2
+    distance = jnp.sqrt(away * away + middle * middle)
+    bearing = to[0][None] / away, to[1][None] / away
+    elevation = away / distance, middle / distance
+    tall = away * (high - low) / (distance * distance)
+    number = _rays_within(rays, transform.to_world, bearing, elevation, tall, 1.0 / away)
+    return number, distance
 
 
 @partial(jax.jit, static_argnames="height")
@@ -102,12 +131,20 @@ def picture_scale(
     field of view or the reach.
     """
     to = feet + jnp.array([[0.0, 0.0, height]], feet.dtype) - transform.position[None]
-    plan = jnp.sqrt(jnp.maximum(to[:, 0] ** 2 + to[:, 1] ** 2, _LEAST))
-    q = to_body(transform.to_world, (to[:, 0], to[:, 1], to[:, 2]))
-    aside = to_body(transform.to_world, (-to[:, 1] / plan, to[:, 0] / plan, jnp.zeros_like(plan)))
-    row, column = (dot3(slope, aside) for slope in rays.slopes(q, _LEAST))
-    inside = rays.field_margin(q, rays.table.outer) > 0
-    return jnp.where(inside, jnp.sqrt(row * row + column * column), 0.0)
+    scale, margin = scale_at(rays, transform, (to[:, 0], to[:, 1], to[:, 2]))
+    return jnp.where(margin > 0, scale, 0.0)
+
+
+def scale_at(
+    rays: Rays, transform: RigidTransform, to: Point
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """:func:`picture_scale` [1/m] of points ``to`` from the sensor, also outside of the picture;
+    and how deep they lie in the field of view [m]."""
+    plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, _LEAST))
+    q = to_body(transform.to_world, to)
+    aside = to_body(transform.to_world, (-to[1] / plan, to[0] / plan, jnp.zeros_like(plan)))
+    row, column = (dot3(slope, aside) for slope in rays.slopes(q, _DEEP))
+    return jnp.sqrt(row * row + column * column + _LEAST), rays.field_margin(q, rays.table.outer)
 
 
 def _sides(
@@ -154,22 +191,22 @@ def _chord(
 def _rays_within(
     rays: Rays,
     to_world: Float[Array, "3 3"],
-    bearing: tuple[Float[Array, "L 1"], Float[Array, "L 1"]],
-    elevation: Float[Array, "L Z"],
-    tall: Float[Array, "L Z"],
-    wide: Float[Array, "L 1"],
-) -> Float[Array, "L Z"]:
+    bearing: tuple[Float[Array, "..."], Float[Array, "..."]],
+    elevation: tuple[Float[Array, "*n"], Float[Array, "*n"]],
+    tall: Float[Array, "*n"],
+    wide: Float[Array, "..."],
+) -> Float[Array, "*n"]:
     """The expected number of rays within ``tall`` by ``wide`` radians about directions.
 
-    ``bearing`` is x and y of a unit vector in plan. The part of the angles that is outside of the
-    grid is left out.
+    ``bearing`` is x and y of a unit vector in plan, ``elevation`` the cosine and the sine of that
+    angle. The part of the angles that is outside of the grid is left out.
     """
     x, y = bearing
-    cos, sin = jnp.cos(elevation), jnp.sin(elevation)
+    cos, sin = elevation
     ahead = to_body(to_world, (x * cos, y * cos, sin))
     aside = to_body(to_world, (-y * cos, x * cos, jnp.zeros_like(sin)))
     upward = to_body(to_world, (-x * sin, -y * sin, cos))
-    row_slope, column_slope = rays.slopes(ahead, _LEAST)
+    row_slope, column_slope = rays.slopes(ahead, _SLANT)
     row_up, row_aside = dot3(row_slope, upward), dot3(row_slope, aside)
     column_up, column_aside = dot3(column_slope, upward), dot3(column_slope, aside)
     # Rows and columns, in their coordinates, for each unit of solid angle.

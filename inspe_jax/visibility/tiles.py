@@ -35,13 +35,15 @@ class Tile(NamedTuple):
     """C neighbouring columns of up to Z voxels. In :class:`Tiles`, N tiles have a leading axis.
 
     ``columns`` (2, C) are x and y of the columns [m]. ``heights`` (Z, C) are z of the voxels'
-    centres [m]. ``there`` (C,) is one mask for each column: a bit is 1 where the voxel exists, and
-    0 where it is padding. All columns are within ``radius`` of ``center`` (2,), and all centres of
-    voxels are between the heights ``low`` and ``high`` [m].
+    centres [m], and ``ground`` (C,) is that of the ground. ``there`` (C,) is one mask for each
+    column: a bit is 1 where the voxel exists, and 0 where it is padding. All columns are within
+    ``radius`` of ``center`` (2,), and all centres of voxels are between the heights ``low`` and
+    ``high`` [m].
     """
 
     columns: Float[Array, "*N 2 C"]
     heights: Float[Array, "*N Z C"]
+    ground: Float[Array, "*N C"]
     there: UInt[Array, "*N C"]
     center: Float[Array, "*N 2"]
     radius: Float[Array, "*N"]
@@ -68,6 +70,12 @@ class Tiles:
     def slabs(self) -> int:
         """The number of slabs of levels that the columns are cut into."""
         return -(-self.level_count // bitmask.WORD)
+
+    @property
+    def last(self) -> Bool[np.ndarray, " N"]:
+        """Whether no slab of levels is above each tile."""
+        number = len(self.tile.there)
+        return np.arange(number) >= number - number // self.slabs
 
     def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
         """Masks of the tiles' columns as flags in the scene's order of voxels."""
@@ -119,6 +127,7 @@ def tiles_of(scene: CenteredScene) -> Tiles:
     tile = Tile(
         columns=repeated(xy),
         heights=stacked(z),
+        ground=repeated(np.asarray(scene.ground)[index]),
         there=stacked(there),
         center=repeated(middle),
         radius=repeated(away),
@@ -157,7 +166,8 @@ def one_tile(scene: CenteredScene) -> Tiles:
 
     there = jnp.broadcast_to(jnp.asarray(bitmask.pack(exists)), (slabs, len(columns)))
     ends = z.min((1, 2)), z.max((1, 2))
-    tile = Tile(repeated(columns.T), z, there, repeated(middle), repeated(away), *ends)
+    ground = repeated(scene.ground)
+    tile = Tile(repeated(columns.T), z, ground, there, repeated(middle), repeated(away), *ends)
     return Tiles(tile, np.arange(len(columns)), heights.shape[1])
 
 

@@ -173,7 +173,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     at = np.sort(rng.choice(len(full.columns), 77, replace=False))
     prisms = jax.tree.map(lambda leaf: leaf[np.array([3, 1])], full.prisms)
     field = SceneArrays(
-        CenteredScene(full.columns[at], full.heights[at], prisms),
+        CenteredScene(full.columns[at], full.heights[at], full.ground[at], prisms),
         jnp.asarray(np.repeat(scene.voxels.column_weight[at], levels), float),
         jnp.asarray(rng.uniform(size=77 * levels), float),
     )
@@ -190,7 +190,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     np.testing.assert_array_equal(views[0], views[2])
     assert not (seen & ~views[:, None]).any()
     assert seen[0].any()
-    alone = SensorSet(((grid, (0,)),), (1.0,))
+    alone = SensorSet(((grid, (0,)),), (1.0,), (0,), (1.0,))
     one = compiled_measure(field, poses[:1], alone, voxel)
     assert views[0].mean() == pytest.approx(float(one.column_coverage.mean()), abs=1e-6)
 

@@ -1,0 +1,125 @@
+"""How likely a detector finds a road user, by the LiDAR returns or the pixels on it.
+
+The chance is a logistic function of the logarithm of the number:
+
+    g(n) = most / (1 + (half / n)^slope).
+
+``detection.toml`` has the usual curves, one for each kind of sensor and class of road user, and
+their sources. :func:`fit_detection` finds curves from matched boxes of a detector.
+"""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.traffic.frames import CLASSES
+
+NONE = 1e-6
+"""Fewer returns or pixels than this are none."""
+_FEWEST = 30  # boxes that three numbers are fitted to
+_BOUNDS = (logit(0.5), logit(0.9999)), (np.log(0.1), np.log(1e6)), (np.log(0.2), np.log(10.0))
+
+
+@dataclass(frozen=True)
+class DetectionCurve:
+    """The chance that a target is found, by the number of returns or pixels on it.
+
+    ``most`` is the chance with very many, ``half`` the number at which it is half of that, and
+    ``slope`` that of the logistic function.
+    """
+
+    most: float
+    half: float
+    slope: float
+
+    def __post_init__(self) -> None:  # safe: it is not a pytree, so only users create it
+        if not (0 < self.most <= 1 and self.half > 0 and self.slope > 0):
+            raise InspeError(
+                f"detection curve with most {self.most:g}, half {self.half:g} and slope "
+                f"{self.slope:g}: most is in 0 … 1, and none is 0 or negative"
+            )
+
+    def chance(self, number: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """g(n), of expected numbers n ≥ 0. Its slope in n is finite everywhere, also at 0."""
+        share = jnp.maximum(number, NONE) / self.half
+        power = share**self.slope if self.slope != 1.5 else share * jnp.sqrt(share)  # faster
+        return jnp.where(number > NONE, self.most * (power / (1.0 + power)), 0.0)
+
+
+Curves = Mapping[str, tuple[DetectionCurve, ...]]
+"""One curve for each class of :data:`~inspe_jax.scene.traffic.frames.CLASSES`, by the kind of
+sensor."""
+
+
+@cache
+def detection_curves() -> Curves:
+    """The usual curves, from ``detection.toml``."""
+    text = files("inspe_jax.scoring").joinpath("detection.toml").read_text("utf-8")
+    return {
+        kind: tuple(DetectionCurve(**of[name]) for name in CLASSES)
+        for kind, of in tomllib.loads(text).items()
+    }
+
+
+def fit_detection(
+    boxes: Iterable[Mapping[str, Any]],
+) -> dict[tuple[str, str], DetectionCurve]:
+    """Curves by kind of sensor and class, from a table of boxes that were matched to detections.
+
+    Each row has ``sensor``, such as "lidar" or "camera"; ``road_user``, a class; ``number``, the
+    returns or pixels on the box; and ``found``, whether a detection matches it (1 or 0, or "1" or
+    "0" as in a CSV). The likelihood of the matches is maximised. Raises InspeError where a column
+    is missing or a value is no such thing, and where a kind and class has fewer than 30 boxes, or
+    only boxes that are all found or all missed.
+    """
+    by: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for line, row in enumerate(boxes, 1):
+        try:
+            number, found = float(row["number"]), float(row["found"])
+            key = str(row["sensor"]), str(row["road_user"])
+        except (KeyError, TypeError, ValueError):
+            raise InspeError(
+                f"box {line}: a row needs sensor, road_user, number and found, such as lidar, car, "
+                "12, 1"
+            ) from None
+        if not 0 <= number < float("inf") or found not in (0.0, 1.0):
+            raise InspeError(f"box {line}: number is 0 or more and found 0 or 1, not {dict(row)}")
+        by.setdefault(key, []).append((number, found))
+    if not by:
+        raise InspeError("no boxes to fit detection curves to")
+    return {key: _fitted(key, *np.array(rows).T) for key, rows in by.items()}
+
+
+def _fitted(
+    key: tuple[str, str], number: Float[np.ndarray, " n"], found: Bool[np.ndarray, " n"]
+) -> DetectionCurve:
+    """The curve under which boxes of one kind and class are found and missed most likely."""
+    some = number > NONE  # nothing on a box tells nothing about the curve
+    number, found = number[some], found[some]
+    if len(found) < _FEWEST or found.min() == found.max():
+        raise InspeError(
+            f"{' '.join(key)}: {len(found)} boxes with something on them, {int(found.sum())} of "
+            f"them found; at least {_FEWEST} are needed, some found and some missed"
+        )
+    logs = np.log(number)
+
+    def unlikely(x: np.ndarray) -> float:
+        chance = expit(x[0]) * expit(np.exp(x[2]) * (logs - x[1]))
+        chance = np.clip(chance, 1e-9, 1 - 1e-9)
+        return -float((found * np.log(chance) + (1 - found) * np.log1p(-chance)).mean())
+
+    # A steep and a flat start: the likelihood has more than one peak on few boxes.
+    starts = [np.array([logit(0.95), np.median(logs), np.log(slope)]) for slope in (0.7, 2.0)]
+    ends = [minimize(unlikely, start, bounds=_BOUNDS, method="L-BFGS-B") for start in starts]
+    best = min(ends, key=lambda end: end.fun).x
+    return DetectionCurve(float(expit(best[0])), float(np.exp(best[1])), float(np.exp(best[2])))

@@ -1,0 +1,147 @@
+"""What a metric is: a row of the registry, and the evidence that it is computed from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Num
+
+from inspe_jax.core.numerics import Groups, Width
+from inspe_jax.scoring.sensor_array import SensorArray
+from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence
+from inspe_jax.visibility.tiles import Tile
+
+
+class Sets(Protocol):
+    """The operations on sets of a tile's voxels that metrics use.
+
+    :mod:`inspe_jax.scoring.reading` has both implementations, exact and soft.
+    """
+
+    def voxels(self, tile: Tile) -> Any:
+        """The voxels that there are."""
+
+    def both(self, a: Any, b: Any) -> Any:
+        """Intersection of two sets."""
+
+    def outside(self, a: Any, b: Any) -> Any:
+        """The voxels of ``a`` that are not in ``b``, a subset of ``a``."""
+
+    def any_of(self, rows: Any, failures: Groups | None) -> Any:
+        """Union of all rows (S, …), and of all but each group's: (1 + G, …)."""
+
+    def count(self, found: Any) -> Num[Array, "..."]:
+        """How many voxels a set has."""
+
+    def count_both(self, rows: Any, found: Any) -> Num[Array, "1+G F"]:
+        """How many voxels of each row are in a set, in each frame."""
+
+    def chances(self, found: Any, levels: int) -> Float[Array, "... Z C"]:
+        """The chance of each voxel to be in a set: 0 or 1, read exactly."""
+
+    @property
+    def width(self) -> Width:
+        """The width [m] with which the edges of a field of view are read."""
+
+
+@dataclass(frozen=True, eq=False)
+class TileEvidence:
+    """What there is to know of one tile, for the metrics that need more than counts.
+
+    ``views`` are the sets that each of S sensors has in view, as ``reading`` stores them.
+    ``sights`` (S, C, Z) is the number of ``frames`` in which each has each voxel in line of sight;
+    None unless some metric needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no
+    slab of levels is above the tile. Not an array itself: it lives while a program is traced.
+    """
+
+    reading: Sets
+    tile: Tile
+    views: Any
+    sights: Num[Array, "S C Z"] | None
+    frames: Float[Array, ""] | int
+    poses: Float[Array, "S 6"]
+    sensors: SensorArray
+    last: Bool[Array, ""]
+
+    @property
+    def failures(self) -> Groups | None:
+        """The groups of sensors that are left out in turn."""
+        return self.sensors.failures
+
+    @cached_property
+    def sight(self) -> Float[Array, "S Z C"]:
+        """The share of frames in which each sensor has each voxel in line of sight."""
+        assert self.sights is not None  # the metric says that it needs it
+        return self.sights.swapaxes(1, 2).astype(self.tile.heights.dtype) / self.frames
+
+    @cached_property
+    def visible(self) -> Float[Array, "S Z C"]:
+        """The share of frames in which each sensor sees each voxel: in view, in line of sight."""
+        return self.reading.chances(self.views, len(self.tile.heights)) * self.sight
+
+    @cached_property
+    def targets(self) -> TargetEvidence:
+        """What each sensor has on road users that stand at each column."""
+        given = self.sensors, self.poses, self.tile, self.sight, self.last
+        return target_evidence(*given, self.reading.width)
+
+
+class Evidence(NamedTuple):
+    """What metrics are computed from: the counts of a scene with T frames and L columns.
+
+    ``covered`` is f, as the share of each column's levels that some sensor has in view; ``weight``
+    is that of the columns' regions. ``seen`` and ``original`` are |V_orig| − |V_occ| and |V_orig|
+    in each frame (:func:`~inspe_jax.scoring.metrics.occlusion_terms`). ``remaining`` and
+    ``entropy`` are H(Ω|P) and H(Ω) in nats (:func:`~inspe_jax.scoring.metrics.entropy_terms`).
+    ``terms`` holds the further terms of the registry's metrics by name, one row for each tile.
+    ``levels`` is the number of a column's levels, ``slabs`` that of the tiles over a column.
+    ``width`` [m] is that with which margins are read.
+    """
+
+    covered: Float[Array, "1+G L"]
+    weight: Float[Array, " L"]
+    seen: Num[Array, "T 1+G"]
+    original: Num[Array, "T 1+G"]
+    remaining: Float[Array, " 1+G"]
+    entropy: Float[Array, ""]
+    terms: dict[str, Any]
+    failures: Groups | None
+    levels: int
+    slabs: int
+    width: Width
+
+    def columns(self, name: str) -> Float[Array, "... L"]:
+        """A metric's terms of columns (N, …, C), summed over the slabs of levels, as (…, L)."""
+        found = self.terms[name]
+        each = found.reshape(self.slabs, -1, *found.shape[1:]).sum(0)
+        each = jnp.moveaxis(each, 0, -2)
+        return each.reshape(*each.shape[:-2], -1)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A row of the registry: a metric between 0 and 1, higher is better.
+
+    ``name`` is used in records and options, ``symbol`` in tables. ``weight`` is the usual one in
+    P_sm. ``summary`` says in one line what the metric is. ``value`` gives the metric (1 + G,) from
+    the :class:`Evidence` of a scene. ``terms`` is for a metric that needs more than the evidence
+    has: a function of :class:`TileEvidence` that gives arrays, which are then
+    ``evidence.terms[name]``, one row for each tile. ``sight``: it reads ``sight`` there. A metric
+    that is not ``usual`` is computed only where it is asked for or has weight.
+    """
+
+    name: str
+    symbol: str
+    weight: float
+    summary: str
+    value: Callable[[Evidence], Float[Array, " 1+G"]]
+    terms: Callable[[TileEvidence], Any] | None = None
+    sight: bool = False
+    usual: bool = True
+
+    @property
+    def words(self) -> str:
+        """The name, for people."""
+        return self.name.replace("_", " ")

@@ -1,0 +1,223 @@
+"""What each sensor has on road users that stand at each column, from one look at the geometry.
+
+:mod:`inspe_jax.scoring.targets` counts rays on boxes of any heading with care, for maps. Here the
+same is found for scores, in one pass for all classes: rays are counted on slabs of an upright face,
+and a road user is a face of its mean width, with its roof above.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from inspe_jax.core.numerics import Width, step
+from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
+from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.scoring.sensor_array import SensorArray
+from inspe_jax.sensing.lidar_returns import LidarNoise
+from inspe_jax.sensing.rays import Kind, Rays, RayTable
+from inspe_jax.visibility.in_view import transform_of
+from inspe_jax.visibility.target_rays import rays_on_face, scale_at
+from inspe_jax.visibility.tiles import Tile
+
+DETECT = 25.0
+"""Pixels per metre of EN 62676-4's task "detect"."""
+LEVEL_GROUND = 0.05
+"""Standard deviation of the ground's height, by which a camera ranges [m]."""
+_NOISE = LidarNoise()
+
+SIZES = np.array([user.size for user in ROAD_USERS])
+"""Length, width and height of each class (K, 3) [m]."""
+WIDTH = 2 * (SIZES[:, 0] + SIZES[:, 1]) / np.pi
+"""Mean width of each class over its headings [m]: Cauchy's formula for a convex outline."""
+CHORD = np.pi * SIZES[:, 0] * SIZES[:, 1] / (2 * (SIZES[:, 0] + SIZES[:, 1]))
+"""Mean depth of each class along lines of sight [m]: its area over its mean width."""
+WALKER = SIZES[CLASSES.index("pedestrian"), 2]
+
+
+class TargetEvidence(NamedTuple):
+    """What S sensors have on road users of K classes that stand at C columns of a tile.
+
+    Behind traffic, mean over frames; what belongs to the levels of the tile. ``chance`` is the
+    chance that a sensor alone finds the road user. ``returns`` are expected LiDAR returns.
+    ``sharp`` is the chance of at least :data:`DETECT` pixels per metre at half the height of a
+    pedestrian, without traffic. ``precision`` is Fisher's information on its place [1/m²], the mean
+    over classes: xx, xy and yy.
+    """
+
+    chance: Float[Array, "*S K C"]
+    returns: Float[Array, "*S K C"]
+    sharp: Float[Array, "*S C"]
+    precision: Float[Array, "*S 3 C"]
+
+
+def target_evidence(
+    sensors: SensorArray,
+    poses: Float[Array, "S 6"],
+    tile: Tile,
+    sight: Float[Array, "S Z C"],
+    last: Bool[Array, ""],
+    width: Width,
+) -> TargetEvidence:
+    """What every sensor has on the road users at the columns of one tile.
+
+    ``sight`` is the share of frames in which each voxel is in line of sight, ``last`` whether no
+    slab of levels is above the tile, ``width`` [m] that with which the ends of reach and pictures
+    are read. A sensor with nothing in sight is skipped.
+    """
+
+    def look(kind: Kind, row: tuple[RayTable, Array, Array, Array]) -> TargetEvidence:
+        table, pixels, pose, seen = row
+        return _of_sensor(kind.rays(table), pixels, pose, tile, seen, last, width)
+
+    def nothing(row: Any) -> TargetEvidence:
+        shapes = jax.eval_shape(partial(look, sensors.kinds[0]), row)
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+
+    branches: list[Any] = [*(partial(look, kind) for kind in sensors.kinds), nothing]
+
+    def of_row(row: tuple[Array, tuple[RayTable, Array, Array, Array]]) -> TargetEvidence:
+        kind, given = row
+        some = (given[-1] > 0).any()
+        return jax.lax.switch(jnp.where(some, kind, len(sensors.kinds)), branches, given)
+
+    of_sensors = jax.tree.map(jnp.asarray, (sensors.table, sensors.pixels))
+    kind = jnp.asarray(sensors.kind)
+    return jax.lax.map(of_row, (kind, (*of_sensors, poses, sight)))
+
+
+def _of_sensor(
+    rays: Rays,
+    pixels: Float[Array, ""],
+    pose: Float[Array, "6"],
+    tile: Tile,
+    sight: Float[Array, "Z C"],
+    last: Bool[Array, ""],
+    width: Width,
+) -> TargetEvidence:
+    """What one sensor has on the road users at the columns of one tile."""
+    kind, transform = tile.heights.dtype, transform_of(pose)
+    camera, curves = rays.slants, detection_curves()["camera" if rays.slants else "lidar"]
+    to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
+    away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, CHORD.max() ** 2))
+    foot, (low, high) = tile.ground - pose[2], _slabs(tile)
+    dense, distance = rays_on_face(rays, transform, to, low + foot[None], high + foot[None])
+    dense *= step(jnp.asarray(rays.table.reach, kind) - distance, width)
+    dense *= jnp.asarray(pixels, kind) if camera else _NOISE.share_returned(distance, jnp)
+    dense /= high - low  # per square metre of the face
+    sight *= _there(tile, kind)
+
+    tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in (SIZES[:, 2], WIDTH, CHORD))
+    front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
+    roof = chord * jnp.maximum(-foot[None] - tall, 0.0) / away[None]  # as a part of the face
+
+    def chances(number: Float[Array, "K C"]) -> Float[Array, "K C"]:
+        return jnp.stack([curve.chance(n) for curve, n in zip(curves, number, strict=True)])
+
+    def add_level(
+        state: tuple[Array, Array, Array, Array], level: tuple[Array, Array, Array, Array]
+    ) -> tuple[tuple[Array, Array, Array, Array], None]:
+        """One level further down. Traffic hides a road user from below, so that the chance and the
+        number rise by what a level adds, in the frames in which it is in sight."""
+        number, before, chance, amount = state
+        dense, sight, low, high = jax.tree.map(lambda x: x[None], level)
+        top = (low < tall) & (high >= tall)
+        face = jnp.clip(tall - low, 0.0, high - low) * front + jnp.where(top, roof, 0.0)
+        number += wide * dense * face
+        now = chances(number)
+        gained = (now - before) * sight
+        return (number, now, chance + gained, amount + wide * dense * face * sight), None
+
+    # Above the highest level: in a slab below others what they have, else as that level is seen.
+    rest = jnp.maximum(tall - high[-1][None], 0.0) * front
+    rest += jnp.where(tall > high[-1][None], roof, 0.0)
+    above = wide * dense[-1][None] * rest
+    none = jnp.zeros_like(above)
+    seen = jnp.where(last, above, none) * sight[-1][None]
+    begin = above, jnp.where(last, none, chances(above)), none, seen
+    levels = dense, sight, low, high
+    (_, _, chance, amount), _ = jax.lax.scan(add_level, begin, levels, reverse=True)
+    return TargetEvidence(
+        chance,
+        none if camera else amount,
+        _sharp(rays, transform, pixels, (*to, foot + WALKER / 2), tile, width),
+        _precision(to, away, foot, amount, dense[0], sight[0], low[0], camera),
+    )
+
+
+def _slabs(tile: Tile) -> tuple[Float[Array, "Z C"], Float[Array, "Z C"]]:
+    """The lower and upper edges of a tile's levels above the ground [m]."""
+    middle = tile.heights - tile.ground[None]
+    each = middle[1] - middle[0] if len(middle) > 1 else 2 * middle[0]
+    return middle - each[None] / 2, middle + each[None] / 2
+
+
+def _there(tile: Tile, kind: jnp.dtype) -> Float[Array, "Z C"]:
+    """1 where a voxel exists, 0 where it is padding."""
+    level = jnp.arange(len(tile.heights), dtype=tile.there.dtype)[:, None]
+    return ((tile.there[None] >> level) & tile.there.dtype.type(1)).astype(kind)
+
+
+def _sharp(
+    rays: Rays,
+    transform: Any,
+    pixels: Float[Array, ""],
+    to: tuple[Array, Array, Array],
+    tile: Tile,
+    width: Width,
+) -> Float[Array, " C"]:
+    """The chance that a camera has :data:`DETECT` pixels per metre at points ``to`` from it.
+
+    The margin [m] is how much further off that would still be so. In a tile above the lowest slab
+    of levels it is 0: it belongs to the column, once.
+    """
+    if not rays.slants:
+        return jnp.zeros_like(to[0])
+    scale, inside = scale_at(rays, transform, to)
+    focal = jnp.sqrt(jnp.asarray(pixels, scale.dtype)) * rays.table.columns_per_unit
+    further = jnp.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2) * (scale * focal / DETECT - 1.0)
+    lowest = _slabs(tile)[0][0] < (tile.heights[0] - tile.ground) / 2
+    return jnp.where(lowest, step(further, width) * step(inside, width), 0.0)
+
+
+def _precision(
+    to: tuple[Float[Array, " C"], Float[Array, " C"]],
+    away: Float[Array, " C"],
+    foot: Float[Array, " C"],
+    amount: Float[Array, "K C"],
+    dense: Float[Array, " C"],
+    foot_seen: Float[Array, " C"],
+    low: Float[Array, " C"],
+    camera: bool,
+) -> Float[Array, "3 C"]:
+    """Fisher's information of one sensor on the place of a road user in plan [1/m²].
+
+    The mean over classes.
+
+    Across the line of sight, n returns or pixels lie evenly over a width w, so that their mean has
+    the variance w²/(12 n). Along it, each return has the LiDAR's noise of range. A camera ranges by
+    the pixel in which the foot stands on the ground: with s pixels per metre of an upright face, it
+    is 1/s · d/h long there, for a camera h above and d away; and the ground is level to
+    :data:`LEVEL_GROUND`.
+    """
+    across = (12.0 * amount / jnp.asarray(WIDTH**2, amount.dtype)[:, None]).mean(0)
+    if camera:
+        slant = away / jnp.maximum(-foot, 0.5)
+        some = jnp.maximum(dense, 1e-6)
+        ranged = 1.0 / (slant * slant * (1.0 / (12.0 * some) + LEVEL_GROUND**2))
+        ranged *= foot_seen * jnp.minimum(dense, 1.0)
+        along = jnp.where(low < 1e-3, ranged, 0.0)
+    else:
+        along = amount.mean(0) / _NOISE.range**2
+    length = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, 1e-6))
+    cos, sin = to[0] / length, to[1] / length
+    return jnp.stack(
+        [
+            along * cos * cos + across * sin * sin,
+            (along - across) * cos * sin,
+            along * sin * sin + across * cos * cos,
+        ]
+    )

@@ -1,0 +1,209 @@
+"""Metrics of what a detector gets: beyond the paper's, each from 0 to 1, higher is better.
+
+- detectability D, the chance that a road user is found: :func:`detectability`;
+- points on target P, the share of places with enough LiDAR returns: :func:`points_on_target`;
+- pixel density X, the share of places with enough pixels per metre: :func:`pixel_density`;
+- localisation L, how much of the error of its place is removed: :func:`localisation`;
+- redundancy R, the share of voxels that two units see: :func:`redundancy`.
+
+A road user of each class stands at each column, with traffic around it. All are means over the
+columns, weighted by region as coverage is, and over the classes. What is seen is a share of frames;
+of several sensors it is taken as independent, as information gain does.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from inspe_jax.core.numerics import Groups, Width, leave_one_out, step, weighted_mean, without_each
+from inspe_jax.scoring.metric import Evidence, Metric, TileEvidence
+
+FEW = 5.0
+"""Fewer LiDAR returns on a target than this are called few: a convention."""
+SCALE = 20.0
+"""A typical distance [m]: how much further off a target could be is measured from there."""
+UNKNOWN = 2.0
+"""Standard deviation of a road user's place, along x and y each, before any sensor sees it [m]:
+about half a lane."""
+
+
+def detectability(chance: Float[Array, "R K L"], weight: Float[Array, " L"]) -> Float[Array, " R"]:
+    """D = Σ w_l · mean over classes of p_lk / Σ w_l, the chance that a road user is found.
+
+    ``chance`` is p = 1 − ∏_s (1 − p_s), with p_s that of sensor s alone. In a frame in which the
+    road user is in sight from height z up, p_s = g(n(z)), with n(z) the returns or pixels on what
+    is above z and g of :mod:`inspe_jax.scoring.detection`; p_s is its mean over frames.
+    """
+    return weighted_mean(chance.mean(1), weight)
+
+
+def _fused_chance(found: Evidence) -> Float[Array, " 1+G"]:
+    chance = leave_one_out(found.columns("detectability"), found.failures)
+    return detectability(chance, found.weight)
+
+
+def points_on_target(
+    returns: Float[Array, "R K L"], weight: Float[Array, " L"], width: Width = None
+) -> Float[Array, " R"]:
+    """P: the weighted share of places and classes with at least :data:`FEW` LiDAR returns.
+
+    ``returns`` n are expected numbers of all sensors together, mean over frames. The margin is how
+    much further off the road user could stand, from :data:`SCALE` metres: n falls as the square of
+    the distance.
+    """
+    further = SCALE * (jnp.sqrt(jnp.maximum(returns, 1e-6) / FEW) - 1.0)
+    return weighted_mean(step(further, width).mean(1), weight)
+
+
+def _enough_points(found: Evidence) -> Float[Array, " 1+G"]:
+    returns = _totals(found.columns("points_on_target"), found.failures)
+    return points_on_target(returns, found.weight, found.width)
+
+
+def _totals(each: Float[Array, "S ..."], failures: Groups | None) -> Float[Array, "1+G ..."]:
+    """The sum over all sensors, and over all but each group's."""
+    if failures is None:
+        return each.sum(0)[None]
+    return without_each(each, failures, jnp.add, jnp.zeros_like(each[0]))
+
+
+def pixel_density(sharp: Float[Array, "R L"], weight: Float[Array, " L"]) -> Float[Array, " R"]:
+    """X: the weighted share of places where some camera has 25 pixels per metre or more.
+
+    That is the task "detect" of EN 62676-4, here at half the height of a pedestrian and without
+    traffic.
+    """
+    return weighted_mean(sharp, weight)
+
+
+def localisation(
+    precision: Float[Array, "R 3 L"], weight: Float[Array, " L"]
+) -> Float[Array, " R"]:
+    """L = 1 − mean error / error before: how much of the uncertainty of a place is removed.
+
+    The error is the root of the trace of (J₀ + J)⁻¹ (van Trees' bound). ``precision`` J, as xx, xy
+    and yy [1/m²], is the sum of all sensors' information, mean over frames; J₀ is that of
+    :data:`UNKNOWN`.
+    """
+    return weighted_mean(1.0 - position_error(precision) / (2.0**0.5 * UNKNOWN), weight)
+
+
+def position_error(precision: Float[Array, "R 3 L"]) -> Float[Array, "R L"]:
+    """The least expected error of a place in plan [m], from information xx, xy, yy [1/m²]."""
+    prior = UNKNOWN**-2
+    xx, xy, yy = precision[:, 0] + prior, precision[:, 1], precision[:, 2] + prior
+    # The determinant of a sum of information is at least the prior's: rounding must not undo that.
+    determinant = jnp.maximum(xx * yy - xy * xy, prior * (xx + yy - prior))
+    return jnp.sqrt((xx + yy) / determinant)
+
+
+def _fused_place(found: Evidence) -> Float[Array, " 1+G"]:
+    precision = _totals(found.columns("localisation"), found.failures)
+    return localisation(precision, found.weight)
+
+
+def redundancy(twice: Float[Array, "R L"], weight: Float[Array, " L"]) -> Float[Array, " R"]:
+    """R = Σ w_i P(two units or more see V_i) / Σ w_i.
+
+    ``twice`` is that chance, as the mean over a column's levels. A unit sees a voxel in as many
+    frames as that of its sensors which sees it most often: they stand at one place.
+    """
+    return weighted_mean(twice, weight)
+
+
+def seen_twice(at: TileEvidence) -> Float[Array, "1+G C"]:
+    """The chance that two units or more see each voxel, summed over the levels of a tile."""
+    unit, visible = jnp.asarray(at.sensors.unit), at.visible
+    number = jnp.arange(len(unit))
+
+    def unit_sees(u: Array, there: Bool[Array, " S"] | bool = True) -> Float[Array, "Z C"]:
+        return jnp.where(((unit == u) & there)[:, None, None], visible, 0.0).max(0)
+
+    def add(state: NoneOne, v: Array) -> tuple[NoneOne, NoneOne]:
+        """One unit more; returns what was before it, too."""
+        none, one = state
+        return (none * (1.0 - v), one * (1.0 - v) + none * v), state
+
+    each = jax.lax.map(unit_sees, number)
+    nobody = jnp.ones_like(each[0]), jnp.zeros_like(each[0])
+    (none, one), before = jax.lax.scan(add, nobody, each)
+    twice = (1.0 - none - one).sum(0)
+    if (groups := at.failures) is None:
+        return twice[None]
+    after = jax.lax.scan(add, nobody, each, reverse=True)[1]
+    sees = (visible > 0).any((1, 2))
+
+    def without(lost: Bool[Array, " S"]) -> Float[Array, " C"]:
+        """A group that is lost belongs to one unit. One that sees nothing changes nothing."""
+        u = unit[lost.argmax()]
+
+        def with_less(lost: Array) -> Float[Array, " C"]:
+            (a, b), (c, d) = ((x[0][u], x[1][u]) for x in (before, after))
+            none, one = add((a * c, a * d + b * c), unit_sees(u, ~lost))[0]
+            return (1.0 - none - one).sum(0)
+
+        return jax.lax.cond((lost & sees).any(), with_less, lambda _: twice, lost)
+
+    place = jnp.argsort(jnp.asarray(groups.order))[None]
+    first, end = (jnp.asarray(x)[:, None] for x in (groups.first, groups.end))
+    return jnp.concatenate([twice[None], jax.lax.map(without, (place >= first) & (place < end))])
+
+
+NoneOne = tuple[Array, Array]
+"""The chances that none, and that exactly one, of some units sees each voxel."""
+
+ROWS = (
+    Metric(
+        "detectability",
+        "D",
+        0.0,
+        "chance that a detector finds a road user, mean over places, classes and frames",
+        _fused_chance,
+        lambda at: at.targets.chance,
+        sight=True,
+        usual=False,
+    ),
+    Metric(
+        "points_on_target",
+        "P",
+        0.0,
+        f"share of places where a road user gets {FEW:g} LiDAR returns or more",
+        _enough_points,
+        lambda at: at.targets.returns,
+        sight=True,
+        usual=False,
+    ),
+    Metric(
+        "pixel_density",
+        "X",
+        0.0,
+        "share of places with 25 pixels per metre or more, without traffic",
+        lambda found: pixel_density(
+            leave_one_out(found.columns("pixel_density"), found.failures), found.weight
+        ),
+        lambda at: at.targets.sharp,
+        sight=True,
+        usual=False,
+    ),
+    Metric(
+        "localisation",
+        "L",
+        0.0,
+        f"share of the error of a road user's place, {2**0.5 * UNKNOWN:.1f} m, that is removed",
+        _fused_place,
+        lambda at: at.targets.precision,
+        sight=True,
+        usual=False,
+    ),
+    Metric(
+        "redundancy",
+        "R",
+        0.0,
+        "share of voxels that two units or more see, behind traffic",
+        lambda found: redundancy(found.columns("redundancy") / found.levels, found.weight),
+        seen_twice,
+        sight=True,
+        usual=False,
+    ),
+)
+"""The rows of the registry for these metrics."""

@@ -38,7 +38,10 @@ OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder fo
 
 @dataclass(frozen=True)
 class WeightOptions:
-    """The weights of metrics in P_sm, by name. ``--weights C O IG`` of before still works."""
+    """The weights of metrics in P_sm, by name, and which metrics to compute besides.
+
+    ``--weights C O IG`` of before still works.
+    """
 
     weight: Annotated[
         list[str] | None,
@@ -49,6 +52,14 @@ class WeightOptions:
             "option every metric has its usual weight (see `inspe metrics`).",
         ),
     ] = None
+    metrics: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B,…|all",
+            help="Further metrics to compute, such as detectability; see `inspe metrics`. Those "
+            "with weight are computed in any case.",
+        ),
+    ] = ""
     three_weights: Annotated[
         tuple[float, float, float] | None,
         typer.Option("--weights", metavar="C O IG", hidden=True),
@@ -61,6 +72,16 @@ class WeightOptions:
         if self.weight and self.three_weights:
             raise InspeError("--weight and --weights are the same option: give only --weight")
         return weights_of(_weights(self.weight) if self.weight else self.three_weights)
+
+    def further(self) -> tuple[str, ...]:
+        """The names of the further metrics. Raises InspeError if one is of no metric."""
+        from inspe_jax.scoring.metrics import METRICS, chosen
+
+        if self.metrics.strip() == "all":
+            return tuple(METRICS)
+        names = tuple(name.strip() for name in self.metrics.split(",") if name.strip())
+        chosen(names)
+        return names
 
 
 def _weights(given: list[str]) -> dict[str, float]:
@@ -157,6 +178,7 @@ class SearchOptions(WeightOptions):
         check_budget(self.seconds_each(), self.evaluations)
         wanted = Objective(
             weights=self.weights(),
+            metrics=self.further(),
             over="worst" if self.worst else "mean",
             failures=self.failures,
             **objective,

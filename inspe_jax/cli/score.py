@@ -280,6 +280,7 @@ def score(
     - `inspe score j189.npz layout.yaml --light night --weather rain:10`
     - `inspe score four_way L-d1 --profile ideal`
     - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
+    - `inspe score four_way L-d1 --metrics detectability,localisation`
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
@@ -291,6 +292,7 @@ def score(
     check_output(plot, FORMATS)
     check_record(record)
     conditions, weights = Conditions.of(light, weather), options.weights()
+    further = options.further()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("scoring"):
@@ -301,6 +303,7 @@ def score(
             occlusion_reference=occlusion_reference,
             visibility=visibility,
             conditions=conditions,
+            metrics=further,
         )
     show(scores_table(scores, placed), scores_record(scores, world, placed), record)
     if plot:
@@ -360,7 +363,9 @@ def targets(
 def metrics() -> None:
     """List the metrics of a layout's score: name, symbol, usual weight in P_sm, and meaning.
 
-    Example: `inspe metrics`; then `inspe score --weight coverage=0.3 --weight occlusion=0.7`.
+    Those without a usual weight are computed where they are asked for.
+
+    Example: `inspe metrics`; then `inspe score --metrics detectability`.
     """
     from inspe_jax.report.tables import metrics_table
 

@@ -96,6 +96,7 @@ def report(
     check_output(path, (".html", ".htm"))
     check_output(pdf, (".pdf",))
     conditions, weights = Conditions.of(light, weather), options.weights()
+    further = options.further()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         check_frame(world, frame)
@@ -106,7 +107,7 @@ def report(
     entries = []
     for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = report_entry(case, layout, weights, result)
+            entry = report_entry(case, layout, weights, result, further)
         if tolerance:
             with progress(f"installations of {layout.name}") as callback:
                 slopes = installed(
@@ -191,6 +192,7 @@ def view(
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = Conditions.of(light, weather), options.weights()
+    further = options.further()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)
@@ -200,7 +202,13 @@ def view(
             f"--no-token is allowed only on this machine, but --host {host} lets others connect"
         )
     viewer = Viewer(
-        Case(world, conditions), layout, path, weights=weights, access=access, port=port
+        Case(world, conditions),
+        layout,
+        path,
+        weights=weights,
+        metrics=further,
+        access=access,
+        port=port,
     )
     try:
         if port not in (0, viewer.port):

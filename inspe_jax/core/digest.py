@@ -6,12 +6,20 @@ objects. This module hashes fields alone, so a checkpoint fits the same search i
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
 import jax
 import numpy as np
+
+ADDED = "added"
+"""Key of the metadata of a field that a record did not have in an earlier version."""
+
+
+def added(default: Any, **metadata: Any) -> Any:
+    """A field that a record got in a later version: at its default, digests are those of before."""
+    return field(default=default, metadata={ADDED: default, **metadata})
 
 
 def digest(thing: Any) -> str:
@@ -38,6 +46,8 @@ def _feed(found: "hashlib._Hash", thing: Any) -> None:
     elif is_dataclass(thing):
         found.update(f"record {type(thing).__name__};".encode())
         for part in fields(thing):
+            if ADDED in part.metadata and getattr(thing, part.name) == part.metadata[ADDED]:
+                continue
             found.update(f"{part.name}=".encode())
             _feed(found, getattr(thing, part.name))
     elif isinstance(thing, Mapping):

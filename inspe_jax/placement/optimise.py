@@ -252,6 +252,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             weights=objective.weights,
             occlusion_reference=objective.occlusion_reference,
             visibility=objective.visibility,
+            metrics=objective.metrics,
         )
 
     after = scores(found)

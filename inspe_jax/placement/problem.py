@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.arrays import on_device, on_host
+from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.placement.candidate_views import view_from_poses
@@ -29,6 +30,7 @@ from inspe_jax.placement.sampled_scores import (
     soft_slope,
 )
 from inspe_jax.placement.space import Space
+from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import check_entropy, check_options, options_of
@@ -58,6 +60,8 @@ class Objective:
     ``failures`` a score is N−1: the mean over the units of the score without that unit.
     ``price_weight`` is how much score a thousand US dollars must bring. ``budget`` is the most that
     the layout may cost [US dollars]. ``prices`` of devices [US dollars] replace the catalogue's.
+    ``regions``, by name, are the only ones that count; all if none is given. ``metrics`` are also
+    in the scores of results; they do not change what is found.
     """
 
     weights: metrics.Weights = None
@@ -68,6 +72,8 @@ class Objective:
     price_weight: float = 0.0
     budget: float | None = None
     prices: Mapping[str, float] = field(default_factory=dict)
+    regions: tuple[str, ...] = added(())
+    metrics: tuple[str, ...] = added(())
 
     @property
     def weights_by_name(self) -> dict[str, float]:
@@ -78,6 +84,8 @@ class Objective:
     def check(self) -> None:
         """Raise InspeError where a setting is unknown or out of range."""
         check_options(self.weights, self.occlusion_reference or "roi", self.visibility or "in_view")
+        metrics.chosen(self.metrics)
+        self._check_regions()
         if self.over not in COMBINATIONS:
             raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
         if not self.price_weight >= 0:
@@ -85,6 +93,27 @@ class Objective:
         for name, price in self.prices.items():
             if not 0 <= price < float("inf"):
                 raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
+
+    def _check_regions(self) -> None:
+        """Raise InspeError where a region is unknown, or what has weight is not one of regions."""
+        regions_of(self.regions)
+        for name, weight in self.weights_by_name.items():
+            if self.regions and weight and not metrics.METRICS[name].by_region:
+                some = [m.name for m in metrics.METRICS.values() if m.by_region]
+                raise InspeError(
+                    f"{name} counts every voxel, whatever its region; for some regions only, give "
+                    f"all weight to {', '.join(some)}"
+                )
+
+    def within(self, scene: Scene) -> Scene:
+        """The scene with weight only in the regions that count. Raises InspeError if it has none of
+        them."""
+        if not self.regions:
+            return scene
+        some = regions_of(self.regions)
+        if not np.isin(scene.voxels.region, some).any():
+            raise InspeError(f"{scene.name}: it has no {' and no '.join(self.regions)}")
+        return replace(scene, voxels=replace(scene.voxels, counted=some))
 
     def price_of(self, name: str) -> float:
         """Price of a device [US dollars]. Raises InspeError where none is known."""
@@ -185,17 +214,20 @@ class Problem:
 
         Constraints are not checked here, but when :attr:`space` is first used.
         """
-        self.cases = cases_of(scenes)
         self.layout = layout
         wanted = objective or Objective()
         wanted.check()
+        self.cases = tuple(
+            replace(case, scene=wanted.within(case.scene)) for case in cases_of(scenes)
+        )
         first = self.cases[0].scene
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
-        names = metrics.chosen(weights=wanted.weights_by_name)
+        by_name = wanted.weights_by_name
+        names = metrics.chosen(weights=by_name)
         self.asked = Asked.of(**self.options, names=names)
         self.objective = replace(
             wanted,
-            weights=wanted.weights_by_name,
+            weights={name: by_name[name] for name in names},
             occlusion_reference=self.options["occlusion_reference"],
             visibility=self.options["visibility"],
         )

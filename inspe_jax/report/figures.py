@@ -39,7 +39,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.scoring.metrics import Metric, listed
+from inspe_jax.scoring.metrics import Metric, listed_in
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 from inspe_jax.visibility.queries import check_frame
@@ -134,7 +134,8 @@ def plan_view(
 
 def _score_line(scores: Scores) -> str:
     """Every score by name and symbol on one line; by its symbol alone where there are many."""
-    values = [(metric, f"{in_math(metric)} {scores.value(metric.name):.3f}") for metric in listed()]
+    rows = listed_in(scores)
+    values = [(metric, f"{in_math(metric)} {scores.value(metric.name):.3f}") for metric in rows]
     line = ",  ".join(f"{metric.words} {value}" for metric, value in values)
     return line if len(line) <= LINE else ",  ".join(value for _, value in values)
 

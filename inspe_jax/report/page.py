@@ -33,7 +33,7 @@ from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
-from inspe_jax.scoring.metrics import Weights, listed
+from inspe_jax.scoring.metrics import Weights, listed_in
 from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
@@ -70,16 +70,17 @@ def report_entry(
     layout: Layout,
     weights: Weights,
     result: Result | None = None,
+    metrics: Sequence[str] = (),
 ) -> ReportEntry:
     """Score a layout for a page, without its tolerance.
 
-    ``result`` is that of the search that found the layout, if any. Raises InspeError as
-    :func:`inspe_jax.evaluate` does.
+    ``metrics`` are computed besides the usual ones and those with weight. ``result`` is that of
+    the search that found the layout, if any. Raises InspeError as :func:`inspe_jax.evaluate` does.
     """
     scene, conditions = case.scene, case.conditions
 
     def scores(of: Layout) -> Scores:
-        return evaluate(scene, of, weights=weights, conditions=conditions)
+        return evaluate(scene, of, weights=weights, conditions=conditions, metrics=metrics)
 
     shed = viewshed(scene, layout, conditions=conditions)
     before = None if result is None else scores(result.start)
@@ -134,6 +135,7 @@ def report_page(
             )
         )
         done += 1
+    metrics = listed_in(*(entry.scores for entry in entries))
     records: list[dict[str, Any]] = [part["record"] for part in parts]  # type: ignore[misc]
     return template("report", "page.html.j2").render(
         scene=scene,
@@ -146,9 +148,9 @@ def report_page(
             "LiDAR": SENSOR_COLORS["lidar"],
         },
         parts=parts,
-        metrics=listed(),
-        symbols={metric.name: metric.symbol for metric in listed()},
-        best={m.name: max(record[m.name] for record in records) for m in listed()},
+        metrics=metrics,
+        symbols={metric.name: metric.symbol for metric in metrics},
+        best={m.name: max(record[m.name] for record in records) for m in metrics},
         weights=entries[0].scores.settings["weights"],
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
         scene_figure=drawn(scene_view(scene, frame=frame)),

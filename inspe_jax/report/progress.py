@@ -34,7 +34,7 @@ from inspe_jax.report.sheet import (
 )
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.scoring.metrics import listed
+from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.layout import Layout
 
 MOVED = 0.5
@@ -115,7 +115,7 @@ def before_after(
 
 def _caption(when: str, scores: Scores) -> str:
     """The scores of a map, P_sm first; on two lines where there are many."""
-    *metrics, surrogate = listed()
+    *metrics, surrogate = listed_in(scores)
     each = ", ".join(f"{in_math(m)} {scores.value(m.name):.3f}" for m in metrics)
     first = f"{when}: {in_math(surrogate)} {scores.surrogate:.3f}"
     return f"{first}  ({each})" if len(first) + len(each) <= _CAPTION else f"{first}\n({each})"

@@ -20,7 +20,7 @@ from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.scoring.metrics import METRICS, listed
+from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -38,11 +38,11 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     another layout.
     """
     members = _members(scores, layout)
-    weights = scores.settings.get("weights", {})
+    weights, rows = scores.settings.get("weights", {}), listed_in(scores)
 
     title = f"Scores of {layout.name}{scores.conditions.words}"
     total = table_of(title, "metric", "symbol", "weight", "score")
-    for metric in listed():
+    for metric in rows:
         look = "bold" if metric.name == "surrogate" else ""
         weight = f"{weights[metric.name]:g}" if metric.name in weights else ""
         number = f"{scores.value(metric.name):.3f}"
@@ -56,9 +56,9 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
     for k, share in enumerate(scores.level_coverage):
         levels.add_row(str(k + 1), f"{share:.3f}")
 
-    each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in listed()))
+    each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in rows))
     for k, (part, _, device) in enumerate(members):
-        drops = [f"{part.value(metric.name):+.4f}" for metric in listed()]
+        drops = [f"{part.value(metric.name):+.4f}" for metric in rows]
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
@@ -69,7 +69,7 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
 def metrics_table() -> RenderableType:
     """The registered metrics and P_sm: name, symbol, usual weight and meaning."""
     table = table_of("Metrics, each from 0 to 1, higher is better", "name", "symbol", "weight", "")
-    for metric in listed():
+    for metric in listed(METRICS):
         weight = f"{metric.weight:g}" if metric.name in METRICS else ""
         table.add_row(metric.name, metric.symbol, weight, metric.summary)
     return table
@@ -85,8 +85,7 @@ def before_after_table(result: Result) -> RenderableType:
     before, after = result.scores_before, result.scores
     rows = [
         (m.words, m.symbol, before.value(m.name), after.value(m.name))
-        for m in listed()
-        if m.name in {*before.metrics, "surrogate"} & {*after.metrics, "surrogate"}
+        for m in listed_in(before, after)
     ]
     if abs(result.objective - result.scores.surrogate) > _SAME:
         rows.append(("objective", "", result.objective_before, result.objective))
@@ -121,15 +120,16 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 
 def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     """The results of a study by layout: mean ± standard deviation over scenes and settings."""
+    metrics = listed({key for row in rows for key in row})
     table = table_of(
-        "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in listed())
+        "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in metrics)
     )
     by: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
         by.setdefault(row["layout"], []).append(row)
     for name, own in by.items():
         done = [row for row in own if row["status"] == "done"]
-        scores = (np.array([float(row[key]) for row in done]) for key in (m.name for m in listed()))
+        scores = (np.array([float(row[key]) for row in done]) for key in (m.name for m in metrics))
         words = (f"{x.mean():.3f} ± {x.std():.2f}" if len(x) else "" for x in scores)
         table.add_row(Text(name), str(len(own)), str(len(own) - len(done)), *words)
     return table
@@ -152,11 +152,12 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
 
 def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
     """Cost and scores of mixes of devices, cheapest first; those on the Pareto front in bold."""
+    metrics = listed_in(*(mix.result.scores for mix in found))
     table = table_of(
-        "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in listed()), "objective", ""
+        "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in metrics), "objective", ""
     )
     for mix in found:
-        scores = [f"{mix.result.scores.value(m.name):.3f}" for m in listed()]
+        scores = [f"{mix.result.scores.value(m.name):.3f}" for m in metrics]
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
         words = ("front", "bold") if mix.front else ("", "")
         table.add_row(Text(mix.name), *numbers, words[0], style=words[1])
@@ -211,7 +212,7 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
     repeated. Raises InspeError if the scores are of another layout.
     """
     return {
-        **{m.name: float(scores.value(m.name)) for m in listed()},
+        **{m.name: float(scores.value(m.name)) for m in listed_in(scores)},
         "information_gain_literal": float(scores.information_gain_literal),
         "region_coverage": {key: float(share) for key, share in scores.region_coverage.items()},
         "level_coverage": [float(share) for share in scores.level_coverage],
@@ -220,7 +221,7 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
                 "sensor": part.sensor,
                 "unit": unit,
                 "device": device,
-                **{m.name: float(part.value(m.name)) for m in listed()},
+                **{m.name: float(part.value(m.name)) for m in listed_in(scores)},
             }
             for part, unit, device in _members(scores, layout)
         ],

@@ -1,6 +1,9 @@
 """The five regions of the ground and the paper's weights for them."""
 
+from collections.abc import Sequence
 from enum import IntEnum
+
+from inspe_jax.core.errors import InspeError, nearest
 
 
 class Region(IntEnum):
@@ -35,3 +38,14 @@ PRECEDENCE: tuple[Region, ...] = (
     Region.SIDEWALK,
 )
 """Where regions overlap, a column gets the label that comes first here."""
+
+
+def regions_of(names: Sequence[str]) -> tuple[Region, ...]:
+    """Regions by their names. Raises InspeError where a name is of no region."""
+    known = {region.key: region for region in Region}
+    for name in names:
+        if name not in known:
+            raise InspeError(
+                f"region '{name}': one of {', '.join(known)}{nearest(name, tuple(known))}"
+            )
+    return tuple(known[name] for name in names)

@@ -257,8 +257,12 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         notes=tuple(record["notes"]),
     )
     size, radius, level_count, *spacing = record["grid"]  # none in older files
+    columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
     grid = VoxelGrid(
-        **{k: data[f"grid_{k}"] for k in _GRID},
+        columns,
+        ground,
+        region,
+        center,
         size=size,
         radius=radius,
         level_count=level_count,

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
+from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
@@ -34,7 +35,8 @@ class VoxelGrid:
     at ``center``. ``ground`` (L,) is the height of the ground under each, ``region`` (L,)
     its label. Level k has its centre at ground + (k + ½)·spacing. Every voxel is a cube
     of edge ``size`` [m] in the middle of its lattice cell. If the spacing is wider than
-    that, the voxels are a sample. Voxel number v is column v // Z, level v % Z.
+    that, the voxels are a sample. Voxel number v is column v // Z, level v % Z. ``counted`` are the
+    labels of the regions that have weight; all if there are none.
     """
 
     columns: Float[np.ndarray, "L 2"]
@@ -45,6 +47,7 @@ class VoxelGrid:
     radius: float = field(metadata={"static": True})
     level_count: int = field(metadata={"static": True})
     spacing: float = field(metadata={"static": True})
+    counted: tuple[int, ...] = added((), static=True)
 
     @property
     def words(self) -> str:
@@ -71,8 +74,9 @@ class VoxelGrid:
 
     @cached_property
     def column_weight(self) -> Float[np.ndarray, " L"]:
-        """Region weight w of each column."""
-        table = np.array([WEIGHTS[r] for r in Region])
+        """Region weight w of each column; 0 in a region that does not count."""
+        some = self.counted or tuple(Region)
+        table = np.array([WEIGHTS[r] if r in some else 0.0 for r in Region])
         return table[self.region]
 
     @cached_property

@@ -129,7 +129,8 @@ class Metric:
     the :class:`Evidence` of a scene. ``terms`` is for a metric that needs more than the evidence
     has: a function of :class:`TileEvidence` that gives arrays, which are then
     ``evidence.terms[name]``, one row for each tile. ``sight``: it reads ``sight`` there. A metric
-    that is not ``usual`` is computed only where it is asked for or has weight.
+    that is not ``usual`` is computed only where it is asked for or has weight. One ``by_region``
+    weighs columns by their regions.
     """
 
     name: str
@@ -140,6 +141,7 @@ class Metric:
     terms: Callable[[TileEvidence], Any] | None = None
     sight: bool = False
     usual: bool = True
+    by_region: bool = False
 
     @property
     def words(self) -> str:

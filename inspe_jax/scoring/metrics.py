@@ -148,6 +148,7 @@ METRICS: dict[str, Metric] = {
             0.3,
             "share of voxels that some sensor ray passes through, weighted by region",
             lambda found: coverage(found.covered, found.weight),
+            by_region=True,
         ),
         Metric(
             "occlusion",
@@ -222,6 +223,12 @@ def listed(names: Container[str] | None = None) -> tuple[Metric, ...]:
     """
     some = [m for m in METRICS.values() if (m.usual if names is None else m.name in names)]
     return (*some, SURROGATE)
+
+
+def listed_in(*scores: Any) -> tuple[Metric, ...]:
+    """The rows of a table of the metrics that every one of some records of ``scores`` has."""
+    names = [set(record.metrics) for record in scores]
+    return listed(set.intersection(*names) if names else None)
 
 
 Weights = Mapping[str, float] | Sequence[float] | None

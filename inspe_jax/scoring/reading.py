@@ -194,8 +194,9 @@ class Bits:
 
     def chances(self, found: UInt[Array, "... C"], levels: int) -> Float[Array, "... Z C"]:
         """1 for each voxel of a set, 0 for the others."""
-        level = jnp.arange(levels, dtype=found.dtype)[:, None]
-        return ((found[..., None, :] >> level) & found.dtype.type(1)).astype(float)
+        level = jnp.arange(levels, dtype=found.dtype).reshape(-1, 1)
+        bits = jnp.right_shift(*jnp.broadcast_arrays(found[..., None, :], level))
+        return (bits & found.dtype.type(1)).astype(float)
 
     def column_sums(self, found: UInt[Array, "F C"], frames: Frames) -> Int[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""

@@ -20,7 +20,7 @@ from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.visibility.in_view import transform_of
-from inspe_jax.visibility.target_rays import rays_on_face, scale_at
+from inspe_jax.visibility.target_rays import rays_on_face, scale_at, share_between_sides
 from inspe_jax.visibility.tiles import Tile
 
 DETECT = 25.0
@@ -113,6 +113,8 @@ def _of_sensor(
     tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in (SIZES[:, 2], WIDTH, CHORD))
     front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
     roof = chord * jnp.maximum(-foot[None] - tall, 0.0) / away[None]  # as a part of the face
+    slope = (foot + WALKER / 2) / away
+    wide *= share_between_sides(rays, transform, to, slope, wide)
 
     def chances(number: Float[Array, "K C"]) -> Float[Array, "K C"]:
         return jnp.stack([curve.chance(n) for curve, n in zip(curves, number, strict=True)])

@@ -114,7 +114,7 @@ def redundancy(twice: Float[Array, "R L"], weight: Float[Array, " L"]) -> Float[
 def seen_twice(at: TileEvidence) -> Float[Array, "1+G C"]:
     """The chance that two units or more see each voxel, summed over the levels of a tile."""
     unit, visible = jnp.asarray(at.sensors.unit), at.visible
-    number = jnp.arange(len(unit))
+    number = jnp.arange(len(unit), dtype=unit.dtype)
 
     def unit_sees(u: Array, there: Bool[Array, " S"] | bool = True) -> Float[Array, "Z C"]:
         return jnp.where(((unit == u) & there)[:, None, None], visible, 0.0).max(0)
@@ -162,6 +162,7 @@ ROWS = (
         lambda at: at.targets.chance,
         sight=True,
         usual=False,
+        by_region=True,
     ),
     Metric(
         "points_on_target",
@@ -172,6 +173,7 @@ ROWS = (
         lambda at: at.targets.returns,
         sight=True,
         usual=False,
+        by_region=True,
     ),
     Metric(
         "pixel_density",
@@ -184,6 +186,7 @@ ROWS = (
         lambda at: at.targets.sharp,
         sight=True,
         usual=False,
+        by_region=True,
     ),
     Metric(
         "localisation",
@@ -194,6 +197,7 @@ ROWS = (
         lambda at: at.targets.precision,
         sight=True,
         usual=False,
+        by_region=True,
     ),
     Metric(
         "redundancy",
@@ -204,6 +208,7 @@ ROWS = (
         seen_twice,
         sight=True,
         usual=False,
+        by_region=True,
     ),
 )
 """The rows of the registry for these metrics."""

@@ -26,11 +26,12 @@ The form of the file. Paths are relative to it; every setting is one value or a 
         - {coverage: 0.3, occlusion: 0.7}  # or three numbers, for C, O and IG
       method: [none, greedy-adam]    # score the layout, or search first: method, seconds,
       seconds: 30                    #   evaluations, search_seed
+    metrics: [detectability]         # columns besides C, O, IG and the metrics with weight
 """
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -85,12 +86,16 @@ SETTINGS = (*BUILD_SETTINGS, *CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS)
 
 @dataclass(frozen=True)
 class StudyJob:
-    """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`."""
+    """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`.
+
+    ``metrics`` are computed; they change no other number.
+    """
 
     source: SceneSource
     layout: LayoutSource
     settings: Mapping[str, Any]
     tags: Mapping[str, str] = field(default_factory=dict)
+    metrics: tuple[str, ...] = ()
 
     @cached_property
     def key(self) -> str:
@@ -105,10 +110,15 @@ class StudyJob:
 
 @dataclass(frozen=True)
 class Study:
-    """The jobs of a study, in the order of the results, and the study's name."""
+    """The jobs of a study, in the order of the results, and the study's name.
+
+    ``metrics`` are in its results: the usual ones, those it asks for, and those with weight in some
+    job.
+    """
 
     name: str
     jobs: tuple[StudyJob, ...]
+    metrics: tuple[str, ...] = ()
 
     @cached_property
     def tags(self) -> tuple[str, ...]:
@@ -135,6 +145,11 @@ def _canonical_weights(given: Any) -> list[float] | dict[str, float]:
     if any(list(by_name.values())[PAPER_METRICS:]):
         return {name: weight for name, weight in by_name.items() if weight}
     return list(by_name.values())[:PAPER_METRICS]
+
+
+def _in_any(weights: list[dict[str, float]]) -> dict[str, float]:
+    """The largest weight that each metric has."""
+    return {name: max(row[name] for row in weights) for name in metrics.METRICS} if weights else {}
 
 
 def _check_weights(value: Any) -> None:
@@ -179,6 +194,7 @@ class _SceneEntry(SceneEntry, _Build):
 class _StudyFile(Sources):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: _Settings = _Settings()
+    metrics: list[str] = Field(default=[])
 
 
 _CHECKS = CHECKS | {
@@ -209,6 +225,11 @@ def make_study(
     entry = check_model(_StudyFile, with_named_layouts(content), where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
+    weights = [metrics.weights_of(given) for given in entry.settings.weights]
+    try:
+        found = metrics.chosen(entry.metrics, _in_any(weights))
+    except InspeError as e:
+        raise InspeError(f"{where}: metrics: {e}") from None
     layouts = layout_sources(entry, folder, where)
     jobs: dict[str, StudyJob] = {}
     for _, item, source, given in each_scene(entry.scenes, BUILD_SETTINGS, whole, folder, where):
@@ -223,7 +244,11 @@ def make_study(
                         settings = build | _completed(conditioned(rest))
                         job = StudyJob(source, layout, settings, dict(item.tags))
                         jobs.setdefault(job.key, job)
-    return Study(entry.name or name, tuple(jobs.values()))
+    return Study(
+        entry.name or name,
+        tuple(replace(job, metrics=found) for job in jobs.values()),
+        found,
+    )
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:

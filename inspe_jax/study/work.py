@@ -44,7 +44,7 @@ def columns(study: Study) -> tuple[str, ...]:
         *first,
         *SETTINGS,
         *FACTS,
-        *(m.name for m in listed()),
+        *(m.name for m in listed(study.metrics)),
         LITERAL,
         BEFORE,
         "status",
@@ -115,7 +115,7 @@ def run_job(scene: Scene | str, job: StudyJob, wanted: Row) -> tuple[Row, str | 
         return row | failure_columns(message_of(e)), None
     facts = (len(layout), scene.voxels.count, round(scene.traffic.mean_count, 2))
     row |= dict(zip(FACTS, map(str, facts), strict=True))
-    row |= {m.name: f"{scores.value(m.name):.7f}" for m in listed()}
+    row |= {m.name: f"{scores.value(m.name):.7f}" for m in listed(job.metrics)}
     row[LITERAL] = f"{scores.information_gain_literal:.7f}"
     row |= {BEFORE: "" if before is None else f"{before:.7f}", "status": "done", "error": ""}
     return row, None if found is None else layout_text(found)
@@ -154,6 +154,7 @@ def _scored(
         weights=given["weights"],
         occlusion_reference=given["occlusion_reference"],
         visibility=given["visibility"],
+        metrics=job.metrics,
     )
     if given["method"] == SCORE_ONLY:
         return evaluate(scene, layout, conditions=around, **options), None, None

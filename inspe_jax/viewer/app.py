@@ -5,7 +5,7 @@ same page. What they ask for runs in turn on one thread, that of the job queue.
 """
 
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,17 +51,19 @@ class Viewer:
         path: Path,
         *,
         weights: Weights = None,
+        metrics: Sequence[str] = (),
         access: AccessRules | None = None,
         port: int = 8080,
     ) -> None:
         """Serve the page at once.
 
-        ``path`` is the layout's file. ``access`` says on which address the viewer listens and who
+        ``path`` is the layout's file. ``weights`` and ``metrics`` as in
+        :func:`inspe_jax.evaluate`. ``access`` says on which address the viewer listens and who
         may open the page. Without it, only browsers on this machine may, and only with the secret
         token that ``url`` contains. If ``port`` is taken, the next free one is used. Raises
         InspeError if no port can be opened.
         """
-        self.case, self.weights = case, weights
+        self.case, self.weights, self.metrics = case, weights, metrics
         self.store = LayoutStore(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
         self.session = LayoutSession(case.scene, layout)
@@ -84,7 +86,7 @@ class Viewer:
         self.panel = Panel(self.server.gui, self, self.frames)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self._click)
         self.scene3d = self.display.scene3d
-        self.scorer = Scorer(case, weights, self._on_scores, self._on_sight)
+        self.scorer = Scorer(case, weights, self._on_scores, self._on_sight, metrics)
         self.searcher = Searcher(
             case,
             weights,
@@ -275,7 +277,9 @@ class Viewer:
                 self._failed(wrong)
 
         def job() -> None:
-            if self.store.report(self.case, self.layout, self.weights, self._frame, ended):
+            if self.store.report(
+                self.case, self.layout, self.weights, self._frame, ended, self.metrics
+            ):
                 self.panel.report.disabled = True
                 self._notify("Report", "drawing …", None)
 

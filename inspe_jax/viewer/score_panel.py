@@ -67,7 +67,7 @@ def score_panel(
         metrics=[
             (f"{metric.words} {metric.symbol}", scores.metrics[metric.name])
             for metric in METRICS.values()
-            if scores is not None
+            if scores is not None and metric.name in scores.metrics
         ],
         regions=list(regions.items()),
         sensors=len(layout),

@@ -6,7 +6,7 @@ already out of date are not begun.
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -48,12 +48,14 @@ class Scorer:
         weights: Weights,
         scored: Callable[[ScoredLayout], None],
         sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
+        metrics: Sequence[str] = (),
     ) -> None:
         """The callbacks run on the scorer's thread.
 
         ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel.
+        ``weights`` and ``metrics`` as in :func:`inspe_jax.evaluate`.
         """
-        self.case, self.weights = case, weights
+        self.case, self.weights, self.metrics = case, weights, metrics
         self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
         step = max(1, -(-traffic.frame_count // SHOWN))
@@ -106,8 +108,13 @@ class Scorer:
     def _score(self, layout: Layout, whole: bool, since: float) -> None:
         scene, scores, wrong = self.case.scene if whole else self.few, None, ""
         try:
-            conditions = self.case.conditions
-            scores = evaluate(scene, layout, conditions=conditions, weights=self.weights)
+            scores = evaluate(
+                scene,
+                layout,
+                conditions=self.case.conditions,
+                weights=self.weights,
+                metrics=self.metrics,
+            )
         except InspeError as e:
             wrong = str(e)
         except Exception as e:  # such as out of memory: the next layout may succeed

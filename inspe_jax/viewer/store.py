@@ -6,7 +6,7 @@ only when the user says so.
 
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -134,6 +134,7 @@ class LayoutStore:
         weights: Weights,
         frame: int,
         ended: Callable[[Path, Exception | None], None],
+        metrics: Sequence[str] = (),
     ) -> bool:
         """Write a report on a thread of its own.
 
@@ -145,7 +146,7 @@ class LayoutStore:
         def work() -> None:
             wrong = None
             try:
-                entry = report_entry(case, layout, weights)
+                entry = report_entry(case, layout, weights, metrics=metrics)
                 write_text(page, report_page(case.scene, [entry], frame=frame))
                 self._know(page)
             except Exception as e:

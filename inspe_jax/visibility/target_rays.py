@@ -30,6 +30,7 @@ PLANES = 6
 NEAR = 0.5
 """Faces nearer than this in plan [m] are taken to be so far off."""
 _LEAST = 1e-9  # what numbers that are divided by are at least, in whatever unit they have
+_LEVEL = 1 - 1e-6  # the arc cosine has a slope up to here
 _SLANT = 0.02  # least cosine of the angle to a camera's axis, or sine of that to a LiDAR's
 _DEEP = 0.1  # least depth ahead of a camera [m]
 _SMALL = 3e-5  # the least part of a grid, in its coordinates, in which rays are counted
@@ -63,6 +64,11 @@ def rays_on_target(
     away = jnp.sqrt(jnp.maximum(square, _LEAST))
     # The bearing of the target; any, for one straight below.
     cos, sin = jnp.where(square > _LEAST, to[:, 0] / away, 1.0), to[:, 1] / away
+    limits = None
+    if not rays.wraps:
+        slope = (to[:, 2] + size[2] / 2) / away
+        azimuth = azimuth_of(transform, (to[:, 0], to[:, 1]))
+        limits = tuple(side - azimuth for side in sides_of(rays, transform, slope))
     edges = jnp.minimum(slabs, size[2])
     low, high = to[:, 2:] + edges[None, :-1], to[:, 2:] + edges[None, 1:]  # (L, Z)
     on_top = (edges[:-1] < size[2]) & (edges[1:] >= size[2])
@@ -70,6 +76,9 @@ def rays_on_target(
     def in_plane(plane: tuple[Array, Array, Array]) -> Float[Array, "L Z"]:
         heading, node, weight = plane
         left, right = _sides(away, half, heading)
+        if limits is not None:
+            right, left = jnp.maximum(right, limits[0]), jnp.minimum(left, limits[1])
+            left = jnp.maximum(left, right)
         turn = (left + right) / 2 + node * (left - right) / 2
         wide = weight * (left - right) / 2
         front, back = _chord(away, half, heading, turn)
@@ -106,17 +115,73 @@ def rays_on_face(
 
     A face is one metre wide, and square on to the line of sight in plan. ``to`` are x and y from
     the sensor to its middle, ``low`` and ``high`` the heights above the sensor between which the
-    slabs lie [m]. The reach does not matter. Faces are taken as small beside their distance, which
-    is at least :data:`NEAR`.
+    slabs lie [m]. Neither the reach nor the sides of the field of view matter: a face that is
+    outside by a side is turned about the sensor until it is inside, and :func:`share_between_sides`
+    tells how much of it is there. Faces are taken as small beside their distance, which is at least
+    :data:`NEAR`.
     """
     away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))[None]
+    if not rays.wraps:
+        azimuth, slope = azimuth_of(transform, to), (low[0] + high[-1]) / (2 * away[0])
+        turn = jnp.clip(azimuth, *sides_of(rays, transform, slope)) - azimuth
+        cos, sin = jnp.cos(turn), jnp.sin(turn)
+        to = to[0] * cos - to[1] * sin, to[0] * sin + to[1] * cos
     middle = (low + high) / 2
     distance = jnp.sqrt(away * away + middle * middle)
     bearing = to[0][None] / away, to[1][None] / away
     elevation = away / distance, middle / distance
     tall = away * (high - low) / (distance * distance)
-    number = _rays_within(rays, transform.to_world, bearing, elevation, tall, 1.0 / away)
-    return number, distance
+    given = rays, transform.to_world, bearing, elevation, tall, 1.0 / away
+    return _rays_within(*given, sides=False), distance
+
+
+def azimuth_of(
+    transform: RigidTransform, to: tuple[Float[Array, " C"], Float[Array, " C"]]
+) -> Float[Array, " C"]:
+    """The bearing of places in plan from the sensor's forward direction, to the left [rad]."""
+    ahead = transform.to_world[:2, 0]
+    forward = ahead[0] * to[0] + ahead[1] * to[1]
+    return arctan2(ahead[0] * to[1] - ahead[1] * to[0], forward)
+
+
+def sides_of(
+    rays: Rays, transform: RigidTransform, slope: Float[Array, " C"]
+) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+    """The azimuths of the right and the left side of a field of view, as :func:`azimuth_of` [rad].
+
+    A side is a plane through the sensor. ``slope`` is the tangent of the elevation at which it is
+    met: n·u = 0, for its normal n and u = (cos θ, sin θ, slope), is solved for the bearing θ.
+    """
+    ahead = transform.to_world[:2, 0]
+    found = []
+    for k in range(2):
+        cos, sin = rays.table.outer.column_turn[:, k]
+        n = transform.to_world @ jnp.stack([-sin, cos, jnp.zeros_like(sin)]).astype(slope.dtype)
+        level = jnp.sqrt(n[0] ** 2 + n[1] ** 2 + _LEAST)
+        across = arctan2(ahead[0] * n[1] - ahead[1] * n[0], ahead[0] * n[0] + ahead[1] * n[1])
+        theta = across - jnp.arccos(jnp.clip(-n[2] * slope / level, -_LEVEL, _LEVEL))
+        found.append(arctan2(jnp.sin(theta), jnp.cos(theta)))
+    return found[0], found[1]
+
+
+def share_between_sides(
+    rays: Rays,
+    transform: RigidTransform,
+    to: tuple[Float[Array, " C"], Float[Array, " C"]],
+    slope: Float[Array, " C"],
+    width: Float[Array, "K 1"],
+) -> Float[Array, "K C"]:
+    """How much of faces of these widths [m], square on, is between the sides of the field of view.
+
+    ``slope`` as in :func:`sides_of`. A sensor that looks all round has no sides.
+    """
+    away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))
+    half = arctan2(width / 2, jnp.broadcast_to(away[None], (len(width), len(away))))
+    if rays.wraps:
+        return jnp.ones_like(half)
+    azimuth, (right, left) = azimuth_of(transform, to)[None], sides_of(rays, transform, slope)
+    inside = jnp.minimum(azimuth + half, left[None]) - jnp.maximum(azimuth - half, right[None])
+    return jnp.clip(inside / (2 * half), 0.0, 1.0)
 
 
 @partial(jax.jit, static_argnames="height")
@@ -195,11 +260,13 @@ def _rays_within(
     elevation: tuple[Float[Array, "*n"], Float[Array, "*n"]],
     tall: Float[Array, "*n"],
     wide: Float[Array, "..."],
+    sides: bool = True,
 ) -> Float[Array, "*n"]:
     """The expected number of rays within ``tall`` by ``wide`` radians about directions.
 
     ``bearing`` is x and y of a unit vector in plan, ``elevation`` the cosine and the sine of that
-    angle. The part of the angles that is outside of the grid is left out.
+    angle. The part of the angles that is outside of the grid is left out; without ``sides``, only
+    that beyond the outer rows.
     """
     x, y = bearing
     cos, sin = elevation
@@ -217,7 +284,7 @@ def _rays_within(
     rows = jnp.clip(rays.rows_below(row + reach), 0.0, count)
     rows = (rows - jnp.clip(rays.rows_below(row - reach), 0.0, count)) / (2 * reach)
     number = dense * rows * jnp.asarray(table.columns_per_unit) * tall * wide
-    if not rays.wraps:
+    if sides and not rays.wraps:
         spread = jnp.maximum(jnp.abs(column_aside) * wide + jnp.abs(column_up) * tall, _SMALL)
         first, last = table.outer.column
         column = rays.column(ahead)

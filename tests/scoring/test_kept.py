@@ -7,7 +7,7 @@ frame moves O by 2e-4; what another JAX or CPU adds up in another order differs 
 import pytest
 
 import inspe_jax
-from inspe_jax.scoring.metrics import METRICS
+from inspe_jax.scoring.metrics import listed
 
 KEPT = {
     ("four_way", "roi", "past_others"): (
@@ -51,7 +51,7 @@ KEPT = {
 
 
 def four(scores):
-    return tuple(scores.value(name) for name in (*METRICS, "surrogate"))
+    return tuple(scores.value(metric.name) for metric in listed())
 
 
 @pytest.mark.parametrize(("name", "reference", "visibility"), KEPT)

@@ -19,7 +19,7 @@ from inspe_jax.placement.result import Result
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.metrics import listed
+from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, save_layout
 
@@ -176,12 +176,12 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
     InspeError as :func:`~inspe_jax.placement.result.save_result` does.
     """
     place = prepare_folder(folder)
-    rows = []
+    rows, metrics = [], listed_in(*(mix.result.scores for mix in found))
     for mix in found:
         file = "_".join(f"{n}_{name}" for name, n in mix.counts.items() if n) + ".yaml"
         if mix.front:
             save_layout(mix.result.layout, place / file)
-        scores = {m.name: mix.result.scores.value(m.name) for m in listed()}
+        scores = {m.name: mix.result.scores.value(m.name) for m in metrics}
         point = mix.point
         head = {**point.counts, "cost_usd": point.cost, "objective": point.objective}
         ends = {"front": int(mix.front), "layout": file if mix.front else ""}

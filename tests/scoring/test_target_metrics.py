@@ -1,0 +1,272 @@
+"""Metrics of what a detector gets: against lines of sight by Embree in every frame, and by hand."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from worlds import (
+    CAMERA,
+    LIDAR,
+    TALL,
+    TINY,
+    double_precision,
+    embree_line_of_sight,
+    place_sensors,
+    random_layout,
+    world,
+)
+
+import inspe_jax
+from inspe_jax import Softness, evaluate, evaluate_many
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
+from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.scoring.target_metrics import FEW, UNKNOWN, position_error, redundancy
+from inspe_jax.scoring.targets import target_view
+from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+from inspe_jax.sensing.lidar_returns import LidarNoise
+from inspe_jax.visibility.in_view import transform_of
+from inspe_jax.visibility.target_rays import rays_on_target
+
+FURTHER = ("detectability", "points_on_target", "pixel_density", "localisation", "redundancy")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=20.0, voxel=0.5, frames=6, count=10, seed=7)
+
+
+@pytest.fixture(scope="module")
+def layout():
+    """Two units: a LiDAR and a camera on one pole, and a LiDAR on another."""
+    sensors = [
+        (LIDAR, 0, [9.0, 9.0, 5.0, 0.0, 0.0, 0.3]),
+        (CAMERA, 0, [9.0, 9.0, 4.5, 0.0, -0.25, -2.4]),
+        (LIDAR, 1, [-11.0, -8.0, 4.0, 0.0, 0.03, 1.0]),
+    ]
+    units = [Unit("a", (9.0, 9.0, 0.0)), Unit("b", (-11.0, -8.0, 0.0))]
+    made = [Sensor(f"s{k}", spec, unit) for k, (spec, unit, _) in enumerate(sensors)]
+    return make_layout(made, units, np.array([pose for *_, pose in sensors], float))
+
+
+@pytest.fixture(scope="module")
+def scores(scene, layout):
+    return evaluate(scene, layout, metrics=FURTHER)
+
+
+def weighted(scene, values):
+    """The mean of a value of each column, weighted by region."""
+    weight = scene.voxels.column_weight
+    return float(values @ weight / weight.sum())
+
+
+def on_slabs(scene, layout, user):
+    """Returns or pixels (S, L, Z) on each slab of a road user at each column, counted with care."""
+    grid = scene.voxels
+    shift = grid.center
+    edges = jnp.asarray(np.arange(grid.level_count + 1) * grid.spacing, float)
+    feet = jnp.asarray(np.column_stack([grid.columns, grid.ground]) - shift, float)
+    found = []
+    for pose, sensor in zip(np.asarray(layout.poses, float), layout.sensors, strict=True):
+        spec, noise = sensor.spec, None if sensor.spec.focal_pixels else LidarNoise()
+        at = transform_of(jnp.asarray(pose - np.concatenate([shift, np.zeros(3)]), float))
+        rays = rays_on_target(spec.grid.rays, at, feet, edges, size=user.size, noise=noise)
+        found.append(np.asarray(rays) * spec.pixels_per_ray)
+    return np.stack(found)
+
+
+@pytest.fixture(scope="module")
+def clear(scene, layout):
+    """Line of sight (T, S, L, Z) to the voxels by Embree; and the columns that stay free."""
+    frames = range(scene.traffic.frame_count)
+    seen = np.stack([embree_line_of_sight(scene, layout, k) for k in frames])
+    traffic, columns = scene.traffic, scene.voxels.columns
+    away = np.linalg.norm(columns[:, None, None] - traffic.center[None, ..., :2], axis=-1)
+    free = np.where(traffic.valid[None], away, 99.0).min((1, 2)) > 5.0
+    return seen.reshape(*seen.shape[:2], len(columns), -1), free
+
+
+@pytest.mark.parametrize("sensors", [[0], [1], [2], [0, 1, 2]], ids=str)
+def test_the_chance_of_detection_is_that_of_every_frame(scene, layout, clear, sensors):
+    """One sensor: exact, up to how rays on a target are counted. Several: they are independent.
+
+    From 8 m on: nearer, a car or a truck is longer than it is far away, and some of it is in view
+    where its middle is not. There the score is too low, never too high.
+    """
+    seen, free = clear
+    places = np.asarray(layout.poses)[sensors, :2]
+    away = np.linalg.norm(scene.voxels.columns[:, None] - places[None], axis=-1)
+    free = free & (away.min(1) > 8.0)
+    curves = detection_curves()
+    region = np.where(free, scene.voxels.region, 4)
+    only = replace(scene, voxels=replace(scene.voxels, region=region, counted=(0, 1, 2, 3)))
+    some = replace_sensors(layout, sensors)
+    found = evaluate(only, some, metrics=("detectability",)).metrics["detectability"]
+    joint = []
+    for k, user in enumerate(ROAD_USERS):
+        number = on_slabs(scene, some, user)[None] * seen[:, sensors]
+        missed = 1.0
+        for s, sensor in enumerate(some.sensors):
+            kind = "camera" if sensor.spec.focal_pixels else "lidar"
+            missed = missed * (1 - np.asarray(curves[kind][k].chance(number[:, s].sum(-1))))
+        joint.append((1 - missed).mean(0))
+    weight = np.where(region == 4, 0.0, only.voxels.column_weight)
+    expected = np.mean(joint, 0) @ weight / weight.sum()
+    assert 0.2 < expected < 0.99
+    assert found == pytest.approx(expected, abs=0.01)
+
+
+def replace_sensors(layout, sensors):
+    members = [layout.sensors[s] for s in sensors]
+    used = sorted({sensor.unit for sensor in members})
+    moved = [replace(sensor, unit=used.index(sensor.unit)) for sensor in members]
+    return make_layout(moved, [layout.units[u] for u in used], np.asarray(layout.poses)[sensors])
+
+
+def test_shares_of_places_are_those_of_the_maps(scene, layout, scores):
+    """Returns of all LiDARs together, and pixels per metre of the best camera."""
+    views = [target_view(scene, layout, name) for name in CLASSES]
+    enough = np.mean([view.points_on_target >= FEW for view in views], 0)
+    assert scores.metrics["points_on_target"] == pytest.approx(weighted(scene, enough), abs=0.01)
+    sharp = views[CLASSES.index("pedestrian")].pixel_density >= 25.0
+    assert 0.02 < sharp.mean() < 0.9
+    assert scores.metrics["pixel_density"] == pytest.approx(weighted(scene, sharp), abs=0.002)
+
+
+def test_two_units_see_a_voxel(scene, layout, scores):
+    """As often as chance has it from what each of their sensors sees; two on one pole are one."""
+    seen = sight_of(scene, layout)
+    unit = np.array([sensor.unit for sensor in layout.sensors])
+    each = np.stack([seen[unit == u].max(0) for u in range(2)])
+    expected = weighted(scene, each.prod(0).reshape(len(scene.voxels.columns), -1).mean(1))
+    assert 0.05 < expected < 0.95
+    assert scores.metrics["redundancy"] == pytest.approx(expected, abs=1e-5)
+    alone = evaluate(scene, replace_sensors(layout, [0, 1]), metrics=("redundancy",))
+    assert alone.metrics["redundancy"] == pytest.approx(0, abs=1e-9)
+
+
+def sight_of(scene, layout):
+    """The share of frames (V,) in which each sensor sees each voxel, by Embree; a road user's own
+    voxels are seen past it, so they are taken from the scores' own lines of sight."""
+    from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
+    from inspe_jax.scoring.reading import Asked
+    from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
+    from inspe_jax.scoring.tiled_scene import tiled_scene_of
+    from inspe_jax.visibility.centered_scene import poses_about_center
+
+    tiled, sensors = tiled_scene_of(scene), sensor_array(SensorSet.of(layout), ONE_MORE)
+    poses = sensors.padded(poses_about_center(scene, layout))
+    views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
+    asked = Asked.of(visibility="past_others")
+    share = sight_shares(tiled, views, poses[:, :3], asked, len(layout))
+    return inspe_jax.in_view(scene, layout) * share
+
+
+def test_what_a_sensor_adds_is_what_the_layout_lacks_without_it(scene, layout, scores):
+    for s, part in enumerate(scores.contributions):
+        rest = [k for k in range(len(layout)) if k != s]
+        without = evaluate(scene, replace_sensors(layout, rest), metrics=FURTHER)
+        for name in scores.metrics:
+            expected = scores.metrics[name] - without.metrics[name]
+            assert part.metrics[name] == pytest.approx(expected, abs=2e-6), name
+
+
+def test_asking_for_more_changes_no_other_number(scene, layout, scores):
+    usual = evaluate(scene, layout)
+    assert list(usual.metrics) == ["coverage", "occlusion", "information_gain"]
+    assert {name: scores.metrics[name] for name in usual.metrics} == usual.metrics
+    assert scores.surrogate == usual.surrogate
+    many = evaluate_many(scene, layout, [layout.poses] * 2, metrics=FURTHER)
+    for name in FURTHER:
+        assert many.metrics[name] == pytest.approx([scores.metrics[name]] * 2, abs=1e-6)
+    past = evaluate(scene, layout, visibility="past_others", metrics=FURTHER)
+    in_view = evaluate(scene, layout, visibility="in_view", metrics=FURTHER)
+    assert past.information_gain < in_view.information_gain
+    for name in FURTHER:
+        assert past.metrics[name] == in_view.metrics[name]
+
+
+def test_weights_bring_a_metric_with_them(scene, layout, scores):
+    found = evaluate(scene, layout, weights={"detectability": 1.0})
+    assert found.surrogate == pytest.approx(scores.metrics["detectability"], abs=1e-6)
+    assert "localisation" not in found.metrics
+    with pytest.raises(InspeError, match="did you mean detectability"):
+        evaluate(scene, layout, metrics=("detectabilty",))
+
+
+def test_columns_in_slabs_of_levels_are_whole(layout):
+    """Columns of more levels than a word has bits give what those of fewer give."""
+    fine, coarse = world(**TALL), world(**TALL | dict(voxel=0.25))
+    assert fine.voxels.level_count > 32
+    far = place_sensors((LIDAR, [30.0, 5.0, 6.0, 0.0, 0.0, 0.0]), (CAMERA, [-22, 0, 5, 0, -0.1, 0]))
+    a, b = (evaluate(of, far, metrics=FURTHER).metrics for of in (fine, coarse))
+    for name in ("detectability", "points_on_target", "pixel_density", "localisation"):
+        assert a[name] == pytest.approx(b[name], abs=0.015), name
+
+
+def test_an_error_of_place_by_hand():
+    """Nothing seen leaves what is unknown; one bearing removes half; two cross."""
+    nothing = jnp.zeros((1, 3, 1))
+    assert float(position_error(nothing)[0, 0]) == pytest.approx(2**0.5 * UNKNOWN, rel=1e-6)
+    along = jnp.array([1e6, 0.0, 0.0])[None, :, None]
+    across = jnp.array([0.0, 0.0, 1e6])[None, :, None]
+    assert float(position_error(along)[0, 0]) == pytest.approx(UNKNOWN, rel=1e-3)
+    assert float(position_error(along + across)[0, 0]) == pytest.approx(
+        2e-3**0.5 / 1e3**0.5, rel=0.1
+    )
+    slanting = jnp.array([5e5, 5e5, 5e5])[None, :, None]  # one bearing at 45°
+    assert float(position_error(slanting)[0, 0]) == pytest.approx(UNKNOWN, rel=1e-2)
+
+
+def test_two_cameras_measure_where_one_does_not():
+    """From far off and low, one picture hardly tells the distance; a second, square to it, does."""
+    scene = world(radius=10.0, voxel=1.0, count=0)
+    far = CAMERA.with_performance(1.0, 80.0)
+    one = place_sensors((far, [-25.0, 0.0, 3.0, 0.0, -0.1, 0.0]))
+    both = place_sensors(
+        (far, [-25.0, 0.0, 3.0, 0.0, -0.1, 0.0]), (far, [0.0, -25.0, 3.0, 0.0, -0.1, np.pi / 2])
+    )
+    given = dict(metrics=("localisation",), weights=(0.5, 0.5, 0.0))
+    alone, crossed = (evaluate(scene, of, **given).metrics["localisation"] for of in (one, both))
+    assert 0.3 < alone < crossed
+    assert 1 - crossed < 0.6 * (1 - alone)
+
+
+def test_twice_by_hand():
+    twice, weight = jnp.array([[0.5, 1.0, 0.0]]), jnp.array([1.0, 1.0, 2.0])
+    assert float(redundancy(twice, weight)[0]) == pytest.approx(0.375)
+
+
+@pytest.mark.parametrize("name", FURTHER)
+def test_softly_they_become_the_exact_ones_and_have_slopes(name):
+    scene = world(**TINY | dict(seed=3))
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
+    exact = evaluate(scene, layout, metrics=(name,)).metrics[name]
+    soft = evaluate(scene, layout, softness=Softness(1e-4, 1e-4, "exact"), metrics=(name,))
+    assert soft.metrics[name] == pytest.approx(exact, abs=2e-3)
+
+
+def test_gradients_are_those_of_differences():
+    """In double precision, every further metric at once, in every coordinate."""
+    scene = world(**TINY | dict(seed=3))
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
+    weights = dict.fromkeys(FURTHER, 0.2)
+    with double_precision():
+        poses = jnp.asarray(np.asarray(layout.poses), float)
+
+        def score(poses):
+            given = dict(softness=1.0, weights=weights)
+            return evaluate(scene, layout.with_poses(poses), **given).surrogate
+
+        slope = np.asarray(jax.jit(jax.grad(score))(poses))
+        value = jax.jit(score)
+        found = np.zeros_like(slope)
+        for at in np.ndindex(slope.shape):
+            step = np.zeros(slope.shape)
+            step[at] = 1e-5
+            found[at] = (float(value(poses + step)) - float(value(poses - step))) / 2e-5
+    cosine = (slope * found).sum() / np.linalg.norm(slope) / np.linalg.norm(found)
+    assert np.linalg.norm(slope) > 1e-3
+    assert cosine > 0.999

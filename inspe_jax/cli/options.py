@@ -137,6 +137,13 @@ class SearchOptions(WeightOptions):
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Heights of sensors above the ground [m]."),
     ] = (3.0, 12.0)
+    region: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Count only this region: driveway, junction, crosswalk, sidewalk or shoulder; "
+            "repeat it for more. For metrics that are means over places, such as detectability."
+        ),
+    ] = None
     light: Annotated[
         str,
         typer.Option(
@@ -179,6 +186,7 @@ class SearchOptions(WeightOptions):
         wanted = Objective(
             weights=self.weights(),
             metrics=self.further(),
+            regions=tuple(self.region or ()),
             over="worst" if self.worst else "mean",
             failures=self.failures,
             **objective,

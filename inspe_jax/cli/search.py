@@ -3,6 +3,7 @@
 Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,9 +25,13 @@ from inspe_jax.cli.common import (
 from inspe_jax.cli.options import (
     MethodOption,
     OutOption,
+    PriceOption,
     SearchOptions,
+    counts,
+    prices,
     takes,
 )
+from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
@@ -46,6 +51,22 @@ def optimise(
     method: MethodOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     start: StartOption = "given",
+    target: Annotated[
+        float | None,
+        typer.Option(
+            help="Search for the cheapest mix of devices that reaches this score, in place of a "
+            "better layout. The score is detectability if no --weight is given.",
+        ),
+    ] = None,
+    device: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DEVICE:COUNTS",
+            help="With --target: a device of the catalogue, and the numbers of it to try, such as "
+            "0-4 or 0,4,8; repeat it for other devices. Those of the layout if not given.",
+        ),
+    ] = None,
+    price: PriceOption = None,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
@@ -70,6 +91,8 @@ def optimise(
     - `inspe optimise j189.npz layout.yaml --light midday,night --weather rain:10`
     - `inspe optimise --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
+    - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
+    - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
     """
     from inspe_jax.core.files import check_folder, check_output
     from inspe_jax.placement import optimise as search
@@ -78,6 +101,13 @@ def optimise(
 
     check_folder(folder)
     check_output(checkpoint, (".npz",))
+    if target is not None:
+        if checkpoint is not None or start != "given":
+            raise InspeError("--target searches many mixes: leave out --checkpoint and --start")
+        _find_cheapest(source, sensors, target, device, price, method, seed, folder, options)
+        return
+    if device or price:
+        raise InspeError("--device and --price are for --target: a layout has its devices")
     objective, constraints = options.checked()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
@@ -189,6 +219,70 @@ def compare(
     files = f"compare.csv, history.csv and layout.yaml into {folder}"
     out.print(
         f"wrote {files}; drew {folder / 'compare.png'}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _find_cheapest(
+    source: str,
+    sensors: str,
+    target: float,
+    device: list[str] | None,
+    price: list[str] | None,
+    method: str | None,
+    seed: int,
+    folder: Path,
+    options: SearchOptions,
+) -> None:
+    """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
+    from inspe_jax.placement.optimise import DEFAULT_METHOD
+    from inspe_jax.placement.result import save_result
+    from inspe_jax.placement.studies.cheapest import cheapest, check_target
+    from inspe_jax.placement.studies.pareto import device_mixes, mix_name
+    from inspe_jax.report.tables import cheapest_table
+
+    check_target(target)
+    if not options.weight and not options.three_weights:
+        options = replace(options, weight=["detectability=1"])
+    objective, constraints = options.checked(prices=prices(price))
+    with busy(f"reading {source}"):
+        world, placed = scene_and_layout(source, sensors, options.profile)
+        cases = options.cases(world)
+    names = [sensor.spec.name for sensor in placed.sensors]
+    wanted = counts(device) if device else {n: range(names.count(n) + 1) for n in sorted({*names})}
+    total = len(device_mixes(wanted, objective))
+    with search_bar("searching") as callback:
+        found = cheapest(
+            cases,
+            wanted,
+            target,
+            method=method or DEFAULT_METHOD,
+            seconds=options.seconds_each(),
+            evaluations=options.evaluations,
+            seed=seed,
+            objective=objective,
+            constraints=constraints,
+            progress=None
+            if callback is None
+            else lambda row, done, best: callback(done, best, mix_name(row)),
+        )
+    out.print(cheapest_table(found))
+    best = found.best
+    save_result(best.result, folder)
+    if found.found is None:
+        words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
+    else:
+        words = f"{best.name} reaches {target:g}; cheaper mixes: {len(found.searched) - 1} searched"
+        words += ", none reaches it" if len(found.searched) > 1 else ""
+    if len(found.searched) < total and found.found is None:
+        words += f"; {total - len(found.searched)} were not searched"
+    out.print(words, highlight=False, soft_wrap=True)
+    with busy("drawing"):
+        drawn = _draw(world, best.result, folder)
+    out.print(
+        f"wrote its layout.yaml, start.yaml, result.json, history.csv and path.csv into {folder}; "
+        f"drew {drawn}",
         highlight=False,
         soft_wrap=True,
     )

@@ -19,7 +19,15 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.problem import Case, Objective, Problem
 from inspe_jax.placement.result import Result
-from inspe_jax.placement.run import BudgetSpent, Method, Run, State, check_budget, check_seed
+from inspe_jax.placement.run import (
+    BudgetSpent,
+    Method,
+    Run,
+    State,
+    TargetReached,
+    check_budget,
+    check_seed,
+)
 from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
@@ -64,6 +72,7 @@ def optimise(
     checkpoint: str | os.PathLike[str] | None = None,
     found: Callable[[Layout, float], None] | None = None,
     clock: Callable[[], float] = time.monotonic,
+    target: float = np.inf,
 ) -> Result:
     """Search better places for the sensors of a layout, under constraints and within a budget.
 
@@ -77,7 +86,8 @@ def optimise(
 
     The budget is in ``seconds`` of wall time (60 if no budget is given), in ``evaluations`` (exact
     scores, with all other work in their equivalents), or both. With ``evaluations`` alone, the same
-    ``seed`` gives the same result on the same machine. ``clock`` counts the seconds.
+    ``seed`` gives the same result on the same machine. ``clock`` counts the seconds. The search
+    also ends with a best score of ``target`` or more.
 
     ``progress`` is called with the share of the budget that is spent and the best score so far.
     ``found`` is called with every layout that is the best so far, and its score.
@@ -109,6 +119,7 @@ def optimise(
         began=began,
         progress=progress,
         found=None if found is None else lambda x, best: found(problem.space.layout(x), best),
+        target=target,
     )
     run.notes += notes
     keeper = None
@@ -218,6 +229,8 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
         status = "converged" if run.left > _ENDING else "budget spent"
     except BudgetSpent:
         status = "budget spent"
+    except TargetReached:
+        status = "target reached"
     except KeyboardInterrupt:
         if not run.history:  # nothing to hand back
             raise

@@ -27,6 +27,7 @@ STATUSES = {
     "converged": "the method could not improve the layout any more",
     "budget spent": "the budget in seconds or evaluations was used up",
     "interrupted": "it was stopped by hand",
+    "target reached": "the layout is as good as was asked for",
 }
 """How a search can end, and what that means."""
 

@@ -32,6 +32,10 @@ class BudgetSpent(Exception):
     """The budget is used up: the search ends here, with the best so far."""
 
 
+class TargetReached(Exception):
+    """The best layout is as good as was asked for: the search ends here."""
+
+
 @dataclass(frozen=True)
 class Method:
     """A search method, a row of the registry.
@@ -83,13 +87,14 @@ class Run:
         began: float | None = None,
         progress: Callable[[float, float], None] | None = None,
         found: Callable[[Float[np.ndarray, " N"], float], None] | None = None,
+        target: float = np.inf,
     ) -> None:
         """Raises InspeError where there is no budget, or one of nothing.
 
         The budget is spent when the first of ``seconds`` and ``evaluations`` is. ``clock`` counts
         seconds, and ``began`` is when this search did by it, now if not given. ``progress`` is
         called with the share of the budget spent and the best score, ``found`` with coordinates
-        that are the best so far and their score.
+        that are the best so far and their score. A score of ``target`` or more ends the search.
         """
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
@@ -100,6 +105,7 @@ class Run:
         self.notes: list[str] = []
         self.limits = (seconds, evaluations)
         self._clock, self._progress, self._found = clock, progress, found
+        self._target = target
         self._began = clock() if began is None else began
         self._ahead = Ahead({})
 
@@ -144,7 +150,8 @@ class Run:
         """The exact score of feasible coordinates (N,); they are kept if they are the best so far.
 
         Charges one evaluation. Raises BudgetSpent if the budget is spent, except for the first
-        score, that of the start; and InspeError if ``x`` is not feasible.
+        score, that of the start; TargetReached once the best score is the target or more; and
+        InspeError if ``x`` is not feasible.
         """
         x = np.array(x, float)
         if self.history:
@@ -159,6 +166,8 @@ class Run:
         if better and self._found is not None:
             self._found(x, score)
         self.report()
+        if self.best >= self._target:
+            raise TargetReached
         return score
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:

@@ -35,6 +35,7 @@ STYLE: dict[str, Any] = {
 WIDTH, MAP, LEFT, PANEL, ASIDE = 180 / 25.4, 4.75, 0.52, 5.40, 1.65  # [inch]
 HEAD, FOOT, NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
 SIDE, SIDE_LEFT, SIDE_GAP = 3.10, 0.48, 0.30  # of two maps, before the first, between them [inch]
+ROW_GAP = 0.45  # between two rows of maps [inch]
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
@@ -84,13 +85,14 @@ def sheet(
 
 
 def sheet_of_two(
-    title: str, facts: str, count: int, head: float, below: float
+    title: str, facts: str, count: int, head: float, below: float, rows: int = 1
 ) -> tuple[Figure, list[Axes]]:
     """A sheet for two maps side by side, of which ``count`` are there: the figure and their axes.
 
-    ``head`` and ``below`` are the room above and below the maps [inch].
+    ``head`` and ``below`` are the room above and below the maps [inch]. Further ``rows`` of maps
+    are below the first one; their axes come after its.
     """
-    height = head + SIDE + below
+    height = head + rows * SIDE + (rows - 1) * ROW_GAP + below
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     left = SIDE_LEFT / WIDTH
     heading: dict[str, Any] = dict(va="top", parse_math=False)
@@ -100,11 +102,12 @@ def sheet_of_two(
         fig.add_axes(
             (
                 (SIDE_LEFT + k * (SIDE + SIDE_GAP)) / WIDTH,
-                below / height,
+                (below + row * (SIDE + ROW_GAP)) / height,
                 SIDE / WIDTH,
                 SIDE / height,
             )
         )
+        for row in reversed(range(rows))
         for k in range(count)
     ]
 

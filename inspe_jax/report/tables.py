@@ -15,6 +15,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import json_value
 from inspe_jax.core.version import __version__
 from inspe_jax.placement.result import Result
+from inspe_jax.placement.studies.cheapest import Cheapest
 from inspe_jax.placement.studies.pareto import DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -58,7 +59,8 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
 
     each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in rows))
     for k, (part, _, device) in enumerate(members):
-        drops = [f"{part.value(metric.name):+.4f}" for metric in rows]
+        digits = 4 if len(rows) <= 5 else 3  # as many as a narrow terminal shows
+        drops = [f"{part.value(metric.name):+.{digits}f}" for metric in rows]
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
@@ -161,6 +163,18 @@ def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
         words = ("front", "bold") if mix.front else ("", "")
         table.add_row(Text(mix.name), *numbers, words[0], style=words[1])
+    return table
+
+
+def cheapest_table(found: Cheapest) -> RenderableType:
+    """The mixes that were searched for a target, cheapest first; that which reaches it in bold."""
+    title = f"The cheapest mix with {found.target:g} or more"
+    table = table_of(title, "mix", "cost\n[US$]", "best found", "searched\n[s]", "")
+    for mix in found.searched:
+        reached = mix is found.found
+        numbers = (f"{mix.cost:,.0f}", f"{mix.result.objective:.4f}", f"{mix.result.seconds:.0f}")
+        words = "reaches it" if reached else ""
+        table.add_row(Text(mix.name), *numbers, words, style="bold" if reached else "")
     return table
 
 

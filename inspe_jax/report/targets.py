@@ -1,10 +1,11 @@
-"""What a road user gets at each place: tables, records and maps of LiDAR returns and px/m."""
+"""What a road user gets at each place: tables, records and maps of returns, px/m and chances."""
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 
@@ -37,6 +38,15 @@ PIXELS: tuple[tuple[float, str, str], ...] = (
     ),
 )
 """Kinds of columns by pixels per metre: the bands of EN 62676-4."""
+
+CHANCES: tuple[tuple[float, str, str], ...] = (
+    (0.0, "< 50 %", "#202020"),
+    (0.5, "50 – 80 %", "#d55e00"),
+    (0.8, "80 – 90 %", "#f0e442"),
+    (0.9, "90 – 95 %", "#9ecae1"),
+    (0.95, "≥ 95 %", "#2171b5"),
+)
+"""Kinds of columns by the chance that a detector finds a target."""
 
 _HEAD, _BELOW = 0.80, 1.35  # above and below the maps [inch]
 
@@ -87,7 +97,14 @@ def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableT
             each = [f"{(values >= least).mean():.0%}" for least in BANDS.values()]
             table.add_row(region, f"{np.median(values):.1f}", *each)
         parts += [table, ""]
-    return Group(*parts)
+    names = [words for _, words, _ in CHANCES]
+    table = table_of(f"Chance that a detector finds a {view.road_user}: share of places", "region",
+                     "mean", *names)  # fmt: skip
+    for region, values in _shares(scene, view.detectability):
+        kinds = banded("", values, CHANCES).values
+        each = [f"{(kinds == k).mean():.0%}" for k in range(len(CHANCES))]
+        table.add_row(region, f"{values.mean():.3f}", *each)
+    return Group(*parts, table)
 
 
 def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, Any]:
@@ -109,47 +126,105 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
         record["lidar_returns"] = of(view.points_on_target, returns)
     if has["pixels"]:
         record["pixels_per_metre"] = of(view.pixel_density, BANDS)
+    record["detectability"] = {
+        region: float(values.mean()) for region, values in _shares(scene, view.detectability)
+    }
     return record
 
 
-def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0) -> Figure:
-    """Maps of how many LiDAR returns and pixels per metre a road user gets at each place.
+Panel = tuple[str, MapLayer, bool | None]
+"""A map: its words, its layer, and whether it is of the layout's cameras (True), of its LiDARs
+(False) or of both (None)."""
 
-    There is one map for each that the layout has. Raises InspeError if there is no such ``frame``.
-    """
-    check_frame(scene, frame)
+
+def _panels(layout: Layout, view: TargetView) -> list[Panel]:
+    """The maps of what a layout has, two at most: what its sensors have on a road user, and the
+    chance that it is found where one kind of sensor leaves room for it."""
     has = _measured(layout)
-    maps: list[tuple[str, MapLayer, bool]] = []
+    panels: list[Panel] = []
     if has["returns"]:
         words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
-        maps.append((words, banded("returns", view.points_on_target, RETURNS), False))
+        panels.append((words, banded("returns", view.points_on_target, RETURNS), False))
     if has["pixels"]:
         words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-        maps.append((words, banded("pixels", view.pixel_density, PIXELS), True))
-    poses = np.asarray(layout.poses, float)
-    reach = max(scene.voxels.radius, center_distance(scene, poses).max())
+        panels.append((words, banded("pixels", view.pixel_density, PIXELS), True))
+    words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
+    return [*panels, (words, banded("chance", view.detectability, CHANCES), None)][:2]
+
+
+def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0) -> Figure:
+    """Maps of what a road user gets at each place: LiDAR returns, pixels per metre, and for layouts
+    of one kind of sensor the chance that it is found.
+
+    Raises InspeError if there is no such ``frame``.
+    """
+    check_frame(scene, frame)
+    reach = max(scene.voxels.radius, center_distance(scene, np.asarray(layout.poses, float)).max())
     with house_style():
         title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
         facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
-        fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, _BELOW)
-        height = fig.get_figheight()
-        for k, (ax, (words, layer, pictures)) in enumerate(zip(axes, maps, strict=True)):
-            frame_map(ax, scene, reach)
-            raster, extent = column_raster(scene.voxels, layer.values)
-            # Only the sensors that the map is of, with their numbers in the layout.
-            own = [
-                s
-                for s, each in enumerate(layout.sensors)
-                if (each.spec.focal_pixels is not None) == pictures
-            ]
-            few = replace(layout, poses=poses[own], sensors=tuple(layout.sensors[s] for s in own))
-            draw_layer(ax, scene, few, poses[own], layer, raster, extent, frame)
-            draw_badges(ax, few, poses[own], SIDE, [s + 1 for s in own])
-            ax.set_title(words, size=7.5, loc="left", pad=4)
+        panels = _panels(layout, view)
+        fig, axes = sheet_of_two(title, facts, len(panels), _HEAD, _BELOW)
+        for k, (ax, panel) in enumerate(zip(axes, panels, strict=True)):
+            _draw(ax, scene, layout, panel, reach, frame)
             if k:
                 ax.set(ylabel="")
-            fig.legend(
-                handles=kind_keys(layer), loc="upper left", ncols=2, columnspacing=1.6,
-                bbox_to_anchor=(ax.get_position().x0, (_BELOW - 0.45) / height), **KEYS,
-            )  # fmt: skip
+            _draw_keys(fig, ax, panel, _BELOW - 0.45)
     return fig
+
+
+def targets_change(
+    scene: Scene,
+    before: tuple[Layout, TargetView],
+    after: tuple[Layout, TargetView],
+    *,
+    frame: int = 0,
+) -> Figure:
+    """The maps of :func:`targets_view` of two layouts of the same sensors, one above the other.
+
+    Raises InspeError if there is no such ``frame``.
+    """
+    check_frame(scene, frame)
+    layouts = before[0], after[0]
+    reach = max(
+        scene.voxels.radius,
+        *(center_distance(scene, np.asarray(x.poses, float)).max() for x in layouts),
+    )
+    with house_style():
+        title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
+        facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
+        fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=2)
+        for row, (when, (layout, view)) in enumerate((("before", before), ("after", after))):
+            for k, panel in enumerate(_panels(layout, view)):
+                ax = axes[2 * row + k]
+                first = panel[0].splitlines()[0].rstrip(",")
+                _draw(ax, scene, layout, (f"{when}: {first}", *panel[1:]), reach, frame)
+                ax.set(**({"ylabel": ""} if k else {}), **({"xlabel": ""} if not row else {}))
+                if row:
+                    _draw_keys(fig, ax, panel, _BELOW - 0.45)
+    return fig
+
+
+def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:
+    """Draw a map, and the sensors that it is of, with their numbers in the layout."""
+    words, layer, pictures = panel
+    frame_map(ax, scene, reach)
+    raster, extent = column_raster(scene.voxels, layer.values)
+    own = [
+        s
+        for s, each in enumerate(layout.sensors)
+        if pictures is None or (each.spec.focal_pixels is not None) == pictures
+    ]
+    poses = np.asarray(layout.poses, float)[own]
+    few = replace(layout, poses=poses, sensors=tuple(layout.sensors[s] for s in own))
+    draw_layer(ax, scene, few, poses, layer, raster, extent, frame)
+    draw_badges(ax, few, poses, SIDE, [s + 1 for s in own])
+    ax.set_title(words, size=7.5, loc="left", pad=4)
+
+
+def _draw_keys(fig: Figure, ax: Axes, panel: Panel, up: float) -> None:
+    """Draw the keys of a map's kinds below it, ``up`` inches above the sheet's lower edge."""
+    fig.legend(
+        handles=kind_keys(panel[1]), loc="upper left", ncols=2, columnspacing=1.6,
+        bbox_to_anchor=(ax.get_position().x0, up / fig.get_figheight()), **KEYS,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a road user gets where it stands: LiDAR returns, and pixels per metre.
+"""What a road user gets where it stands: LiDAR returns, pixels per metre, chance of detection.
 
 Practitioners ask how many LiDAR points fall on a pedestrian there, and how many pixels per metre a
 camera has there. Both are found for a target that stands at each column of the region of interest.
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, RoadUser
+from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 from inspe_jax.scoring.exact import ONE_MORE, sight_shares
 from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
@@ -48,6 +49,8 @@ class TargetView:
     ``pixels_per_metre`` (S, L) are those across the middle of the target, without traffic; 0 for
     LiDARs, and where the target's middle is out of the picture or of reach. ``seen`` (S, L) is
     the share of the target's height, mean over frames, that traffic leaves in line of sight.
+    ``found`` (S, L) is the chance that a detector finds the target by that sensor alone, mean over
+    frames.
     """
 
     road_user: str
@@ -55,6 +58,12 @@ class TargetView:
     returns_in_the_open: Float[np.ndarray, "S L"]
     pixels_per_metre: Float[np.ndarray, "S L"]
     seen: Float[np.ndarray, "S L"]
+    found: Float[np.ndarray, "S L"]
+
+    @property
+    def detectability(self) -> Float[np.ndarray, " L"]:
+        """The chance that a detector finds the target by some sensor: 1 − ∏(1 − p)."""
+        return 1.0 - np.prod(1.0 - self.found, axis=0)
 
     @property
     def points_on_target(self) -> Float[np.ndarray, " L"]:
@@ -97,19 +106,34 @@ def target_view(
     edges = np.arange(grid.level_count + 1) * grid.spacing
     edges[-1] = max(edges[-1], height)  # what is higher than the levels is seen as the last one
     slabs = jnp.asarray(edges, float)
-    points, free, pixels = (np.zeros((len(layout), len(feet))) for _ in range(3))
+    points, free, pixels, found = (np.zeros((len(layout), len(feet))) for _ in range(4))
+    curves = {kind: of[CLASSES.index(road_user)] for kind, of in detection_curves().items()}
     for s, pose in enumerate(poses_about_center(scene, layout)):
         spec = layout.sensors[s].spec
         at = spec.grid.rays, transform_of(jnp.asarray(pose, float)), feet
+        lidar = spec.focal_pixels is None
+        given = (noise or LidarNoise()) if lidar else None
+        on = np.asarray(rays_on_target(*at, slabs, size=user.size, noise=given))
+        found[s] = _found(
+            curves["lidar" if lidar else "camera"], on * spec.pixels_per_ray, sight[s]
+        )
         if spec.focal_pixels is None:
-            found = rays_on_target(*at, slabs, size=user.size, noise=noise or LidarNoise())
-            free[s] = np.asarray(found).sum(1)
-            points[s] = (np.asarray(found) * sight[s]).sum(1)
+            free[s], points[s] = on.sum(1), (on * sight[s]).sum(1)
         else:
             scale = picture_scale(*at, height=height / 2)
             pixels[s] = np.asarray(scale) * spec.focal_pixels
     within = np.diff(np.minimum(edges, height))
-    return TargetView(road_user, points, free, pixels, sight @ (within / within.sum()))
+    return TargetView(road_user, points, free, pixels, sight @ (within / within.sum()), found)
+
+
+def _found(
+    curve: DetectionCurve, on: Float[np.ndarray, "L Z"], sight: Float[np.ndarray, "L Z"]
+) -> Float[np.ndarray, " L"]:
+    """The mean over frames of the chance of detection. Traffic hides a target from below, so that
+    what is in sight with a level is that level and all above it."""
+    above = np.cumsum(on[:, ::-1], 1)[:, ::-1]
+    chance = np.asarray(curve.chance(jnp.asarray(above, float)))
+    return ((chance - np.pad(chance[:, 1:], ((0, 0), (0, 1)))) * sight).sum(1)
 
 
 def _road_user(name: str) -> RoadUser:

@@ -1,0 +1,96 @@
+"""Claim: detectability tells layouts apart where P_sm does not, and a search raises it.
+
+On the built-in four-way, under both profiles: detectability D and P_sm of the paper's nine
+placements, and of 100 random layouts that can be mounted, for several numbers of LiDARs and
+cameras. What is compared is the interquartile range. Then a search for D with LiDARs and cameras,
+and maps before and after it of how many LiDAR returns a pedestrian gets and how many pixels per
+metre there are.
+"""
+
+from typing import Any
+
+import numpy as np
+from common import arguments, write_results
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import inspe_jax
+from inspe_jax import Layout, Scene
+from inspe_jax.placement.problem import Objective, Problem
+from inspe_jax.placement.studies.pareto import mix_name, starting_layout
+from inspe_jax.report.sheet import save_figure
+from inspe_jax.report.targets import targets_change
+
+console = Console()
+NINE = [*(f"{kind}-{how}" for kind in ("Cam", "L") for how in ("c", "d1", "d2"))]
+NINE += [f"Cam-{how}/L-{how}" for how in ("c", "d1", "d2")]
+MIXES: tuple[dict[str, int], ...] = (
+    {"lidar-32": 1},
+    {"lidar-32": 2},
+    {"lidar-32": 4},
+    {"lidar-32": 1, "camera": 4},
+    {"lidar-32": 2, "camera": 2},
+)
+"""Numbers of each profile's own devices, and all have LiDARs."""
+SEARCHED = {"paper-lidar-32": 1, "paper-camera": 3}
+"""The sensors of the search that is drawn: few, so that much is left to gain."""
+
+
+def spread(values: list[float]) -> dict[str, float]:
+    """Least, median, greatest and interquartile range."""
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return dict(least=min(values), median=middle, most=max(values), iqr=high - low)
+
+
+def scores(scene: Scene, layouts: list[Layout]) -> dict[str, dict[str, float]]:
+    """The spread of D and of P_sm over layouts."""
+    found = [inspe_jax.evaluate(scene, of, metrics=("detectability",)) for of in layouts]
+    return {
+        "D": spread([of.metrics["detectability"] for of in found]),
+        "P_sm": spread([of.surrogate for of in found]),
+    }
+
+
+def main() -> None:
+    """Measure, print and draw."""
+    given = arguments(__doc__)
+    size: dict[str, Any] = dict(frames=40, seed=given.seed)
+    if given.quick:
+        size |= dict(radius=15, voxel=1.0, frames=4)
+    number = 8 if given.quick else 100
+    rows: list[dict[str, Any]] = []
+    place = inspe_jax.built_in("four_way")
+    for profile in ("ideal", "paper"):
+        scene = inspe_jax.build_scene(place, profile=profile, **size)
+        groups = {"the nine placements": [inspe_jax.strategy(scene, name) for name in NINE]}
+        for mix in MIXES[:2] if given.quick else MIXES:
+            own = {f"{profile}-{name}": count for name, count in mix.items()}
+            problem = Problem(scene, starting_layout(scene, own))
+            drawn = problem.space.random(np.random.default_rng(given.seed), number)
+            groups[mix_name(mix)] = [problem.space.layout(x) for x in drawn]
+        for name, layouts in track(groups.items(), profile, console=console):
+            for metric, row in scores(scene, layouts).items():
+                rows.append(dict(profile=profile, layouts=name, number=len(layouts), metric=metric)
+                            | row)  # fmt: skip
+    table = Table("profile", "layouts", "metric", "least", "median", "most", "IQR")
+    for row in rows:
+        numbers = (f"{row[key]:.3f}" for key in ("least", "median", "most", "iqr"))
+        table.add_row(row["profile"], row["layouts"], row["metric"], *numbers)
+    console.print(table)
+
+    start = starting_layout(scene, SEARCHED)
+    budget: dict[str, Any] = dict(evaluations=30) if given.quick else dict(seconds=120)
+    objective = Objective(weights={"detectability": 1.0})
+    result = inspe_jax.optimise(scene, start, seed=given.seed, objective=objective, **budget)
+    console.print(f"{start.name}: D {result.objective_before:.3f} to {result.objective:.3f}")
+    pairs = [(of, inspe_jax.target_view(scene, of)) for of in (result.start, result.layout)]
+    picture = given.out / "detectability.png"
+    save_figure(targets_change(scene, *pairs), picture)
+    console.print(f"drew {picture}")
+    settings = dict(seed=given.seed, **size, number=number, search=result.settings)
+    write_results(given.out / "detectability.csv", rows, settings)
+
+
+if __name__ == "__main__":
+    main()

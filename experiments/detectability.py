@@ -17,7 +17,8 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
-from inspe_jax.placement.problem import Objective, Problem
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.studies.pareto import mix_name, starting_layout
 from inspe_jax.report.sheet import save_figure
 from inspe_jax.report.targets import targets_change
@@ -75,8 +76,8 @@ def main() -> None:
                             | row)  # fmt: skip
     table = Table("profile", "layouts", "metric", "least", "median", "most", "IQR")
     for row in rows:
-        numbers = (f"{row[key]:.3f}" for key in ("least", "median", "most", "iqr"))
-        table.add_row(row["profile"], row["layouts"], row["metric"], *numbers)
+        numbers = [f"{row[key]:.3f}" for key in ("least", "median", "most", "iqr")]
+        table.add_row(*(str(row[key]) for key in ("profile", "layouts", "metric")), *numbers)
     console.print(table)
 
     start = starting_layout(scene, SEARCHED)

@@ -16,10 +16,12 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.version import __version__ as __version__
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import compare, methods, optimise
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.strategies import STRATEGIES, strategy
+from inspe_jax.placement.studies.cheapest import cheapest
 from inspe_jax.placement.studies.pareto import pareto
 from inspe_jax.placement.studies.tolerance import tolerance
 from inspe_jax.scene.intersection import Intersection
@@ -28,6 +30,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
 from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.scoring.detection import DetectionCurve, fit_detection
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.catalogue import Device, device, devices
@@ -46,6 +49,7 @@ __all__ = [
     "Conditions",
     "Constraints",
     "Contribution",
+    "DetectionCurve",
     "Device",
     "InspeError",
     "Intersection",
@@ -67,11 +71,13 @@ __all__ = [
     "VoxelGrid",
     "build_scene",
     "built_in",
+    "cheapest",
     "compare",
     "device",
     "devices",
     "evaluate",
     "evaluate_many",
+    "fit_detection",
     "in_view",
     "line_of_sight",
     "load_layout",

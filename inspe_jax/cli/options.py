@@ -15,7 +15,8 @@ from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.placement.constraints import Constraints
-    from inspe_jax.placement.problem import Case, Objective
+    from inspe_jax.placement.objective import Objective
+    from inspe_jax.placement.problem import Case
     from inspe_jax.scene.scene import Scene
     from inspe_jax.sensing.conditions import Conditions
 
@@ -174,7 +175,7 @@ class SearchOptions(WeightOptions):
     def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":
         """The objective and the constraints, checked before any scene is read."""
         from inspe_jax.placement.constraints import Constraints
-        from inspe_jax.placement.problem import Objective
+        from inspe_jax.placement.objective import Objective
         from inspe_jax.placement.run import check_budget
 
         conditions = self.conditions()

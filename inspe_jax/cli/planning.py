@@ -157,7 +157,8 @@ def tolerance(
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
     """
-    from inspe_jax.placement.problem import Case, Objective
+    from inspe_jax.placement.objective import Objective
+    from inspe_jax.placement.problem import Case
     from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
     from inspe_jax.sensing.conditions import Conditions

@@ -85,7 +85,8 @@ def report(
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
     from inspe_jax.core.files import check_output, whole_file, write_text
-    from inspe_jax.placement.problem import Case, Objective
+    from inspe_jax.placement.objective import Objective
+    from inspe_jax.placement.problem import Case
     from inspe_jax.placement.studies.pareto import load_pareto
     from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets

@@ -12,8 +12,9 @@ from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.parallel import Job, parts_of, run
 from inspe_jax.scoring.accumulate import seen_by_sensor
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.exact import BITS
-from inspe_jax.scoring.reading import Asked, Frames
+from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid

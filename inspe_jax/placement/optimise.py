@@ -17,7 +17,8 @@ from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.registry import METHODS
-from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import (
     BudgetSpent,

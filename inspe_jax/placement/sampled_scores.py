@@ -12,16 +12,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from inspe_jax.core.numerics import Softness
+from inspe_jax.placement.objective import COMBINATIONS
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.exact import count_exactly
-from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, sample_in_one_tile
-
-COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, np.min)}
-"""How the scores of several scenes become one, in JAX and in NumPy."""
 
 
 class ScoreTerms(NamedTuple):

@@ -97,9 +97,9 @@ def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableT
             each = [f"{(values >= least).mean():.0%}" for least in BANDS.values()]
             table.add_row(region, f"{np.median(values):.1f}", *each)
         parts += [table, ""]
-    names = [words for _, words, _ in CHANCES]
+    heads = [words for _, words, _ in CHANCES]
     table = table_of(f"Chance that a detector finds a {view.road_user}: share of places", "region",
-                     "mean", *names)  # fmt: skip
+                     "mean", *heads)  # fmt: skip
     for region, values in _shares(scene, view.detectability):
         kinds = banded("", values, CHANCES).values
         each = [f"{(kinds == k).mean():.0%}" for k in range(len(CHANCES))]

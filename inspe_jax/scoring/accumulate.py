@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import Groups
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.reading import Asked, Counts, Frames, Reading, SensorRow
+from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.reading import Counts, Frames, Reading, SensorRow
 from inspe_jax.visibility.tiles import Tile
 
 

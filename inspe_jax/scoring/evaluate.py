@@ -14,6 +14,7 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.metrics import (
     OCCLUSION_REFERENCES,
@@ -24,7 +25,6 @@ from inspe_jax.scoring.metrics import (
     unknown_reference,
     weights_of,
 )
-from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues

@@ -20,9 +20,10 @@ from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.accumulate import count_tile
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy_terms, resolved, tile_terms
-from inspe_jax.scoring.reading import Asked, Bits, Counts, Frames
+from inspe_jax.scoring.reading import Bits, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order

@@ -14,7 +14,7 @@ of :class:`Bits`. ``rows`` are one set for each sensor, (S, …). A result for G
 has 1 + G rows: row 0 is of all sensors, row 1 + g of all but group g.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -32,8 +32,7 @@ from inspe_jax.core.numerics import (
     exact,
     leave_one_out,
 )
-from inspe_jax.scoring.metric import Metric
-from inspe_jax.scoring.metrics import METRICS, chosen
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import soft_view
 from inspe_jax.visibility.shadows import (
@@ -60,53 +59,6 @@ class Frames(NamedTuple):
     prisms: Prism
     solid: UInt[Array, "F C"]
     real: Float[Array, " F"] | None = None
-
-
-class Asked(NamedTuple):
-    """What is asked of a score: the two options that the paper leaves open, and which metrics.
-
-    Options as in :func:`inspe_jax.evaluate`. Static: another value compiles another program.
-    """
-
-    occlusion_reference: str = "roi"
-    visibility: str = "in_view"
-    metrics: tuple[Metric, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        occlusion_reference: str = "roi",
-        visibility: str = "in_view",
-        names: Sequence[str] | None = None,
-    ) -> "Asked":
-        """These options, and the metrics of these names; the usual ones if None."""
-        names = chosen() if names is None else names
-        return cls(occlusion_reference, visibility, tuple(METRICS[name] for name in names))
-
-    @property
-    def sight(self) -> str | None:
-        """What line of sight means, as ``visibility`` says it; None where only views count.
-
-        Metrics that need it where information gain does not are looked at past others.
-        """
-        if self.visibility != "in_view":
-            return self.visibility
-        return "past_others" if any(metric.sight for metric in self.metrics) else None
-
-    @property
-    def counts_sight(self) -> bool:
-        """Whether the number of frames in which each voxel is in line of sight is needed."""
-        return self.sight is not None
-
-    @property
-    def ignores_self_occlusion(self) -> bool:
-        """Whether a voxel inside a vehicle is hidden by other vehicles only."""
-        return self.occlusion_reference == "targets" or self.sight == "past_others"
-
-    @property
-    def sight_apart(self) -> bool:
-        """Whether occlusion ignores self-occlusion, but line of sight does not."""
-        return self.ignores_self_occlusion and self.sight == "line_of_sight"
 
 
 class Counts(NamedTuple):

@@ -17,9 +17,10 @@ from jaxtyping import Array, Float
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.exact import join_frames
 from inspe_jax.scoring.metric import TileEvidence
-from inspe_jax.scoring.reading import Asked, Counts, Numbers
+from inspe_jax.scoring.reading import Counts, Numbers
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene

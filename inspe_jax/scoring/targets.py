@@ -14,9 +14,9 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, RoadUser
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 from inspe_jax.scoring.exact import ONE_MORE, sight_shares
-from inspe_jax.scoring.reading import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions

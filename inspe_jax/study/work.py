@@ -12,7 +12,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, parse_yaml
 from inspe_jax.core.parallel import compiled
 from inspe_jax.placement import optimise
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene, load_scene

@@ -40,8 +40,7 @@ SEARCH_COMPILES = 40.0
 class Viewer:
     """A layout on a scene, served to browsers.
 
-    ``layout`` is the layout as it is now, ``url`` and ``port`` the page's address, ``other_urls``
-    its addresses for other machines.
+    ``url`` and ``port`` are the page's address, ``other_urls`` its addresses for other machines.
     """
 
     def __init__(
@@ -57,11 +56,10 @@ class Viewer:
     ) -> None:
         """Serve the page at once.
 
-        ``path`` is the layout's file. ``weights`` and ``metrics`` as in
-        :func:`inspe_jax.evaluate`. ``access`` says on which address the viewer listens and who
-        may open the page. Without it, only browsers on this machine may, and only with the secret
-        token that ``url`` contains. If ``port`` is taken, the next free one is used. Raises
-        InspeError if no port can be opened.
+        ``path`` is the layout's file. ``weights`` and ``metrics`` as in :func:`inspe_jax.evaluate`.
+        ``access`` says on which address the viewer listens and who may open the page. Without it,
+        only browsers on this machine may, and only with the secret token that ``url`` contains. If
+        ``port`` is taken, the next free one is used. Raises InspeError if no port can be opened.
         """
         self.case, self.weights, self.metrics = case, weights, metrics
         self.store = LayoutStore(path, layout, case.scene)
@@ -77,9 +75,8 @@ class Viewer:
         self.server = serve(self.access, port)
         self.port = self.server.get_port()
         self.url, *self.other_urls = self.access.urls(self.port)
-        self.server.gui.configure_theme(
-            show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
-        )
+        plain: Any = dict(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
+        self.server.gui.configure_theme(**plain)
         self.server.gui.set_panel_label(f"{layout.name} at {case.scene.name}")
         self.server.on_client_connect(self._greet)
         self.server.gui.main_panel.dock_right()
@@ -277,9 +274,8 @@ class Viewer:
                 self._failed(wrong)
 
         def job() -> None:
-            if self.store.report(
-                self.case, self.layout, self.weights, self._frame, ended, self.metrics
-            ):
+            given = self.case, self.layout, self.weights, self._frame, ended, self.metrics
+            if self.store.report(*given):
                 self.panel.report.disabled = True
                 self._notify("Report", "drawing …", None)
 

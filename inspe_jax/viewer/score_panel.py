@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.problem import Objective
+from inspe_jax.placement.objective import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
 from inspe_jax.report.page import template

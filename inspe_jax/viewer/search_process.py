@@ -30,8 +30,9 @@ import jax
 from inspe_jax.core.compiling import compiled, leave, remember_seconds
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import optimise
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.sensing.layout import Layout
 
 SETTINGS = (

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import named_optimised
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout

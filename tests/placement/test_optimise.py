@@ -15,8 +15,9 @@ from inspe_jax.placement import checkpoint as files
 from inspe_jax.placement import optimise as module
 from inspe_jax.placement.checkpoint import FORMAT, load_checkpoint, save_checkpoint
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
-from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import AT_ONCE, BudgetSpent, Method, Run
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in

@@ -11,7 +11,7 @@ from worlds import world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_folder
-from inspe_jax.placement.problem import Objective
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.result import FILES, FORMAT, Result, load_result, save_result
 from inspe_jax.placement.run import Progress
 from inspe_jax.scoring import metrics

@@ -12,7 +12,8 @@ from inspe_jax.placement import candidate_views, candidates, sampled_scores
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods import batches, cma_es, greedy, grid, random_layouts
 from inspe_jax.placement.methods.registry import SEARCHES
-from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.sample_score import SampleScore, times
 from inspe_jax.placement.space import Space

@@ -7,7 +7,8 @@ import pytest
 
 from inspe_jax import evaluate, evaluate_many, strategy
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.problem import Objective, Problem
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Problem
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene

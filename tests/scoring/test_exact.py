@@ -22,7 +22,7 @@ from worlds import (
 from inspe_jax.placement.candidate_views import view_from_poses
 from inspe_jax.scoring import exact, metrics
 from inspe_jax.scoring import tiled_scene as made
-from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.sensor_array import SensorSet
 from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.sensing.conditions import Conditions

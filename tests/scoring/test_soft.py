@@ -27,7 +27,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
 from inspe_jax.report.tables import scores_record
-from inspe_jax.scoring.reading import Asked
+from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_without_masks

@@ -150,8 +150,8 @@ def test_two_units_see_a_voxel(scene, layout, scores):
 def sight_of(scene, layout):
     """The share of frames (V,) in which each sensor sees each voxel, by Embree; a road user's own
     voxels are seen past it, so they are taken from the scores' own lines of sight."""
+    from inspe_jax.scoring.asked import Asked
     from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
-    from inspe_jax.scoring.reading import Asked
     from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
     from inspe_jax.scoring.tiled_scene import tiled_scene_of
     from inspe_jax.visibility.centered_scene import poses_about_center

@@ -14,7 +14,8 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 from inspe_jax.core import compiling
 from inspe_jax.core.compiling import compiled
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES
 from inspe_jax.placement.space import Space
 from inspe_jax.scoring.evaluate import evaluate

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
-from inspe_jax.placement.problem import Case, Objective, cases_of
+from inspe_jax.placement.problem import Case, cases_of
 from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, starting_layout
 from inspe_jax.scene.scene import Scene
 

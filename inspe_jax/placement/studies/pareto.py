@@ -13,8 +13,9 @@ import numpy as np
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, csv_text, prepare_folder, write_text
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective, total_price
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
-from inspe_jax.placement.problem import Case, Objective, cases_of, total_price
+from inspe_jax.placement.problem import Case, cases_of
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join

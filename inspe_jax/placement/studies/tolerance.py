@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.problem import Case, Objective, Problem
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import check_seed
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.tiled_scene import tiled_scene_without_masks

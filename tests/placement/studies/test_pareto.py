@@ -7,7 +7,8 @@ import pytest
 from mounts import assert_mountable, lanes_of
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.problem import Case, Objective
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.studies import pareto as module
 from inspe_jax.placement.studies.pareto import (
     device_mixes,

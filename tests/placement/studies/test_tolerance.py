@@ -9,7 +9,7 @@ from worlds import slow_but
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.problem import Objective
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.studies.tolerance import tolerance
 
 

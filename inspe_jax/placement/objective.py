@@ -1,0 +1,121 @@
+"""What a search maximises of scores: their weights, regions, failures and prices."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from inspe_jax.core.digest import added
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.regions import regions_of
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.evaluate import check_options
+from inspe_jax.sensing.catalogue import device
+from inspe_jax.sensing.layout import Layout
+
+COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, np.min)}
+"""How the scores of several scenes become one, in JAX and in NumPy."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What is maximised: the mean or the worst P_sm of some scenes, less a price for the sensors.
+
+    ``weights``, ``occlusion_reference`` and ``visibility`` are as in :func:`inspe_jax.evaluate`.
+    ``over`` says how the scores of several scenes are combined, "mean" or "worst". With
+    ``failures`` a score is N−1: the mean over the units of the score without that unit.
+    ``price_weight`` is how much score a thousand US dollars must bring. ``budget`` is the most that
+    the layout may cost [US dollars]. ``prices`` of devices [US dollars] replace the catalogue's.
+    ``regions``, by name, are the only ones that count; all if none is given. ``metrics`` are also
+    in the scores of results; they do not change what is found.
+    """
+
+    weights: metrics.Weights = None
+    occlusion_reference: str | None = None
+    visibility: str | None = None
+    over: str = "mean"
+    failures: bool = False
+    price_weight: float = 0.0
+    budget: float | None = None
+    prices: Mapping[str, float] = field(default_factory=dict)
+    regions: tuple[str, ...] = added(())
+    metrics: tuple[str, ...] = added(())
+
+    @property
+    def weights_by_name(self) -> dict[str, float]:
+        """The weight of every metric in P_sm. Raises InspeError as :func:`metrics.weights_of`
+        does."""
+        return metrics.weights_of(self.weights)
+
+    def check(self) -> None:
+        """Raise InspeError where a setting is unknown or out of range."""
+        check_options(self.weights, self.occlusion_reference or "roi", self.visibility or "in_view")
+        metrics.chosen(self.metrics)
+        self._check_regions()
+        if self.over not in COMBINATIONS:
+            raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
+        if not self.price_weight >= 0:
+            raise InspeError(f"price_weight {self.price_weight}: 0 or more, per 1000 US dollars")
+        for name, price in self.prices.items():
+            if not 0 <= price < float("inf"):
+                raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
+
+    def _check_regions(self) -> None:
+        """Raise InspeError where a region is unknown, or what has weight is not one of regions."""
+        regions_of(self.regions)
+        for name, weight in self.weights_by_name.items():
+            if self.regions and weight and not metrics.METRICS[name].by_region:
+                some = [m.name for m in metrics.METRICS.values() if m.by_region]
+                raise InspeError(
+                    f"{name} counts every voxel, whatever its region; for some regions only, give "
+                    f"all weight to {', '.join(some)}"
+                )
+
+    def within(self, scene: Scene) -> Scene:
+        """The scene with weight only in the regions that count. Raises InspeError if it has none of
+        them."""
+        if not self.regions:
+            return scene
+        some = regions_of(self.regions)
+        if not np.isin(scene.voxels.region, some).any():
+            raise InspeError(f"{scene.name}: it has no {' and no '.join(self.regions)}")
+        return replace(scene, voxels=replace(scene.voxels, counted=some))
+
+    def price_of(self, name: str) -> float:
+        """Price of a device [US dollars]. Raises InspeError where none is known."""
+        price = self.prices.get(name)
+        if price is None:
+            price = device(name).price_usd
+        if price is None:
+            raise InspeError(
+                f"device '{name}' has no list price in the catalogue; give it one: "
+                f"prices={{'{name}': …}}, on the command line --price {name}=USD"
+            )
+        return price
+
+    def cost(self, layout: Layout) -> float:
+        """What the layout's sensors cost [US dollars]."""
+        names = [sensor.spec.name for sensor in layout.sensors]
+        count = {name: names.count(name) for name in names}
+        return total_price({name: self.price_of(name) for name in count}, count)
+
+    def price(self, layout: Layout) -> float:
+        """What is taken off the score for the cost. Raises InspeError where it exceeds the
+        budget."""
+        if self.budget is None and not self.price_weight:
+            return 0.0
+        cost = self.cost(layout)
+        if self.budget is not None and cost > self.budget:
+            raise InspeError(
+                f"{layout.name}: the sensors cost {cost:,.2f} US dollars, more than the budget of "
+                f"{self.budget:,.2f}; use fewer or cheaper ones"
+            )
+        return self.price_weight * cost / 1000
+
+
+def total_price(price: Mapping[str, float], count: Mapping[str, int]) -> float:
+    """What ``count`` of each device cost at ``price`` [US dollars], to the cent."""
+    return round(sum(price[name] * n for name, n in count.items()), 2)

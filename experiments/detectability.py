@@ -89,7 +89,7 @@ def main() -> None:
     picture = given.out / "detectability.png"
     save_figure(targets_change(scene, *pairs), picture)
     console.print(f"drew {picture}")
-    settings = dict(seed=given.seed, **size, number=number, search=result.settings)
+    settings = size | dict(number=number, search=result.settings)
     write_results(given.out / "detectability.csv", rows, settings)
 
 

@@ -7,7 +7,7 @@ exact ones too, in the same record as `inspe score --json` writes.
 import base64
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any
@@ -30,10 +30,13 @@ from inspe_jax.report.progress import before_after, history_view
 from inspe_jax.report.scene3d import USER_COLOR, scene3d_page
 from inspe_jax.report.sheet import house_style
 from inspe_jax.report.tables import scores_record, tolerance_record
+from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import Weights, listed_in
+from inspe_jax.scoring.target_metrics import ROWS
+from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
@@ -47,6 +50,8 @@ CAPTIONS: dict[str, str] = {
     "entropy": "Entropy of the occupancy: where it is uncertain whether somebody is there.",
     "unresolved": "What of that uncertainty the sensors leave.",
 }
+ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
+"""Caption of the maps of a page whose scores have metrics of what a detector gets."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -54,7 +59,8 @@ class ReportEntry:
     """A layout with all that a page shows of it.
 
     ``result`` and ``before``: if a search found the layout, its result, and the scores of its
-    start. ``tolerance``: if given, how carefully the layout must be installed.
+    start. ``tolerance``: if given, how carefully the layout must be installed. ``targets``: if
+    given, what a pedestrian gets at each place.
     """
 
     layout: Layout
@@ -63,6 +69,7 @@ class ReportEntry:
     tolerance: Tolerance | None = None
     result: Result | None = None
     before: Scores | None = None
+    targets: TargetView | None = None
 
 
 def report_entry(
@@ -83,8 +90,11 @@ def report_entry(
         return evaluate(scene, of, weights=weights, conditions=conditions, metrics=metrics)
 
     shed = viewshed(scene, layout, conditions=conditions)
-    before = None if result is None else scores(result.start)
-    return ReportEntry(layout, scores(layout), shed, result=result, before=before)
+    before, found = None if result is None else scores(result.start), scores(layout)
+    targets = None
+    if any(row.name in found.metrics for row in ROWS):
+        targets = target_view(scene, layout, conditions=conditions)
+    return ReportEntry(layout, found, shed, result=result, before=before, targets=targets)
 
 
 def report_page(
@@ -106,6 +116,7 @@ def report_page(
     check_names([entry.layout.name for entry in entries])
     searched = sum(entry.result is not None for entry in entries)
     steps = 2 + bool(front) + len(entries) * (1 + len(CAPTIONS)) + 2 * searched
+    steps += sum(entry.targets is not None for entry in entries)
     done = 0
 
     def drawn(figure: Figure) -> str:
@@ -117,16 +128,12 @@ def report_page(
 
     parts = []
     for entry in entries:
-        of_columns = layers(scene, entry.shed)
         parts.append(
             dict(
                 name=entry.layout.name,
                 record=scores_record(entry.scores, scene, entry.layout),
-                blind=_shares(of_columns["blind"]),
-                figures=[
-                    (words, drawn(_plan(scene, entry, of_columns[name], frame)))
-                    for name, words in CAPTIONS.items()
-                ],
+                blind=_shares(layers(scene, entry.shed)["blind"]),
+                figures=[(words, drawn(figure)) for words, figure in _maps(scene, entry, frame)],
                 scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
                 search=_search(scene, entry, frame, drawn),
                 tolerance=None
@@ -184,8 +191,7 @@ def report_sheets(
     figures = [scene_view(scene, frame=frame)]
     figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
     for entry in entries:
-        of_columns = layers(scene, entry.shed)
-        figures += [_plan(scene, entry, of_columns[name], frame) for name in CAPTIONS]
+        figures += [figure for _, figure in _maps(scene, entry, frame)]
         if entry.result is not None:
             figures += [_moves(scene, entry, frame), history_view([entry.result])]
     if front:
@@ -206,6 +212,16 @@ def check_names(names: Sequence[str]) -> None:
             raise InspeError(
                 f"two layouts are named '{name}': give each layout file another `name:`"
             )
+
+
+def _maps(scene: Scene, entry: ReportEntry, frame: int) -> Iterator[tuple[str, Figure]]:
+    """The maps of a layout, each with its caption."""
+    of_columns = layers(scene, entry.shed)
+    for name, words in CAPTIONS.items():
+        yield words, _plan(scene, entry, of_columns[name], frame)
+    if entry.targets is not None:
+        reaching = entry.scores.conditions.layout(entry.layout)
+        yield ON_TARGET, targets_view(scene, reaching, entry.targets, frame=frame)
 
 
 def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:

@@ -17,6 +17,8 @@ from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.targets import target_view
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
@@ -330,6 +332,26 @@ def test_a_pixel_shows_what_the_pinhole_says(looked_at):
     assert body[:, 0].min() - 0.1 < image.depth[seen].min() < body[:, 0].max()
     assert (image.semantic[seen] == 14).all()
     assert (image.semantic[~seen] != 14).all()
+
+
+@pytest.mark.parametrize(("away", "turn"), [(10, 0.0), (10, 0.6), (20, 0.3), (40, -0.5), (60, 0.0)])
+def test_pixels_per_metre_are_those_of_the_picture(away, turn):
+    """A car that stands square on to the line of sight, ``turn`` off the axis: how wide its pixels
+    are, over its length, is the pixel density on its near side, to 3 % and a pixel on each end."""
+    spec = device("paper-camera").spec.with_performance(1.0, 90.0)
+    empty = world(count=0, radius=70.0, voxel=2.0)
+    layout = place_sensors((spec, [0.0, 0.0, 0.75, 0.0, 0.0, -turn]))
+    near, length = away - 1.85 / 2, 4.6
+    scene = with_boxes(empty, (away, 0, np.pi / 2, length, 1.85, 1.5))
+    recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
+    (image,) = recorder.frame(0).stations[0].images
+    u = np.nonzero(image.instance > 0)[1]
+    wide = u.max() + 1 - u.min()
+    grid = replace(
+        empty.voxels, columns=np.array([[near, 0.0]]), ground=np.zeros(1), region=np.zeros(1, int)
+    )
+    view = target_view(replace(empty, voxels=grid), layout, "car")
+    assert view.pixel_density[0] == pytest.approx(wide / length, rel=0.03, abs=2 / length)
 
 
 def test_boxes_cover_cars_through_the_written_calibration(tmp_path):

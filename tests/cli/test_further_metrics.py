@@ -1,0 +1,133 @@
+"""Further metrics where a user asks for them: scores, reports, studies; and a target."""
+
+import csv
+import json
+
+import pytest
+from processes import inspe_here
+from worlds import place_sensors
+
+from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save_scene
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.problem import Case
+from inspe_jax.report.page import report_entry, report_page
+from inspe_jax.study.plan import make_study
+from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.work import run_job, versions
+from inspe_jax.viewer.score_panel import score_panel
+from inspe_jax.viewer.scorer import ScoredLayout
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=3, density=5)
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return place_sensors((device("paper-camera").spec, [8, 8, 6, 0, -0.4, -2.3]))
+
+
+@pytest.fixture
+def run(scene, layout, tmp_path, monkeypatch, capsys):
+    save_scene(scene, tmp_path / "s.npz")
+    save_layout(layout, tmp_path / "layout.yaml")
+
+    def inspe(*arguments, fails=False):
+        status, text, err = inspe_here(tmp_path, monkeypatch, capsys, *arguments)
+        assert (status != 0) == fails, err
+        return " ".join((err if fails else text).split())
+
+    return inspe
+
+
+def test_scores_have_those_that_are_named(run, scene, layout):
+    record = json.loads(
+        run("score", "s.npz", "layout.yaml", "--metrics", "detectability", "--json", "-")
+    )
+    found = evaluate(scene, layout, metrics=("detectability",))
+    assert record["detectability"] == pytest.approx(found.metrics["detectability"], abs=1e-6)
+    assert "localisation" not in record
+    assert "detectability" in record["contributions"][0]
+    words = run("score", "s.npz", "layout.yaml", "--metrics", "all")
+    for name in ("detectability D", "localisation L", "redundancy R 0 0.000"):
+        assert name in words
+    usual = run("score", "s.npz", "layout.yaml")
+    assert "detectability" not in usual
+    assert "did you mean localisation" in run(
+        "score", "s.npz", "layout.yaml", "--metrics", "localization", fails=True
+    )
+    listed = run("metrics")
+    assert "detectability D 0 chance that a detector finds a road user" in listed
+
+
+def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monkeypatch):
+    from inspe_jax.report import page
+
+    monkeypatch.setattr(page, "_png", lambda figure: str(len(figure.axes)))
+    monkeypatch.setattr(page, "scene3d_page", lambda *_: "")
+    plain = report_page(scene, [report_entry(Case(scene), layout, None)])
+    further = report_entry(Case(scene), layout, None, metrics=("detectability",))
+    with_it = report_page(scene, [further])
+    assert page.ON_TARGET not in plain
+    assert "detectability D" not in plain
+    assert page.ON_TARGET in with_it
+    assert "detectability D" in with_it
+
+
+def test_the_panel_of_the_page_shows_them(scene, layout):
+    scores = evaluate(scene, layout, metrics=("detectability",))
+    panel = score_panel(layout, ScoredLayout(layout, scores, 3, 0.1), frames=3)
+    assert "detectability D" in panel
+    assert "localisation" not in panel
+
+
+def test_studies_have_a_column_for_each(scene, tmp_path):
+    content = {
+        "scenes": [{"built_in": "four_way"}],
+        "layouts": ["L-c"],
+        "settings": {"radius": 25, "voxel": 1, "frames": 3, "density": 5},
+    }
+    plain = make_study(content, tmp_path)
+    study = make_study(content | {"metrics": ["detectability"]}, tmp_path)
+    assert [job.key for job in study.jobs] == [job.key for job in plain.jobs]
+    with Results(study, tmp_path / "out") as results:
+        results.add(*run_job(scene, study.jobs[0], versions()))
+    (row,) = read_results(tmp_path / "out")
+    assert row["status"] == "done"
+    assert 0 < float(row["detectability"]) < 1
+    weights = {"localisation": 1.0}
+    weighted = make_study(
+        content | {"settings": content["settings"] | {"weights": weights}}, tmp_path
+    )
+    assert weighted.metrics == (*plain.metrics, "localisation")
+    with pytest.raises(InspeError, match=r"metrics: .*did you mean detectability"):
+        make_study(content | {"metrics": ["detectabilty"]}, tmp_path)
+
+
+def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
+    given = ("--device", "velodyne-vlp-16:1-2", "--evaluations", "3", "--method", "random")
+    words = run(
+        "optimise", "s.npz", "--target", "0.3", "--region", "crosswalk", *given, "--out", "c"
+    )
+    assert "1 velodyne-vlp-16 reaches 0.3" in words
+    assert (tmp_path / "c" / "layout.yaml").is_file()
+    short = run("optimise", "s.npz", "--target", "0.999", *given, "--out", "d")
+    assert "none of 2 mixes reaches 0.999; the best is 2 velodyne-vlp-16" in short
+    history = list(csv.DictReader((tmp_path / "d" / "history.csv").read_text().splitlines()))
+    assert history
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--target", "95"), "scores are between 0 and 1"),
+        (("--target", "0.9", "--start", "random"), "leave out --checkpoint and --start"),
+        (("--device", "velodyne-vlp-16:1"), "--device and --price are for --target"),
+        (("--target", "0.9", "--device", "paper-camera:1"), "--price paper-camera=USD"),
+        (("--region", "crosswalk"), "occlusion counts every voxel"),
+        (("--region", "kerb", "--weight", "coverage=1"), "region 'kerb': one of driveway"),
+    ],
+)
+def test_what_does_not_go_together_is_said(run, arguments, words):
+    assert words in run("optimise", "s.npz", "layout.yaml", *arguments, fails=True)

@@ -97,6 +97,7 @@ def optimise(
     from inspe_jax.core.files import check_folder, check_output
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import save_result
+    from inspe_jax.scoring.metrics import METRICS
     from inspe_jax.sensing.conditions import FAIR
 
     check_folder(folder)
@@ -137,6 +138,8 @@ def optimise(
         for key, value in result.scores.conditions.record.items()
         if value != FAIR.record[key]
     )
+    if further := [name for name in result.scores.metrics if not METRICS[name].usual]:
+        around += f" --metrics {','.join(further)}"
     out.print(
         f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png",
         highlight=False,
@@ -182,8 +185,9 @@ def compare(
     from inspe_jax.report.tables import comparison_table
 
     check_folder(folder)
-    names = [name.strip() for name in methods.split(",") if name.strip()] or list(search.methods())
     objective, constraints = options.checked()
+    names = [name.strip() for name in methods.split(",") if name.strip()]
+    names = names or list(search.methods(objective))
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
@@ -273,8 +277,9 @@ def _find_cheapest(
     if found.found is None:
         words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
     else:
-        words = f"{best.name} reaches {target:g}; cheaper mixes: {len(found.searched) - 1} searched"
-        words += ", none reaches it" if len(found.searched) > 1 else ""
+        others = len(found.searched) - 1
+        words = f"{best.name} reaches {target:g}; of mixes that cost no more, {others} searched"
+        words += ", none reaches it" if others else ""
     if len(found.searched) < total and found.found is None:
         words += f"; {total - len(found.searched)} were not searched"
     out.print(words, highlight=False, soft_wrap=True)

@@ -168,8 +168,10 @@ class CheckpointWriter:
         run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path)
         self._kept = kept
         over = kept.status == "converged" or (kept.status and kept.limits == run.limits)
+        if kept.status == "target reached" or run.best >= run.target:
+            over = run.best >= run.target
         if over or run.left <= 0:
-            self.ended = kept.status or "budget spent"
+            self.ended = kept.status or ("target reached" if over else "budget spent")
             run.notes.append(
                 f"{self.path} has a search that has ended ({self.ended}); delete it to start "
                 "again" + (", or give a larger budget" if self.ended == "budget spent" else "")

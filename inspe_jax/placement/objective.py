@@ -81,7 +81,8 @@ class Objective:
             return scene
         some = regions_of(self.regions)
         if not np.isin(scene.voxels.region, some).any():
-            raise InspeError(f"{scene.name}: it has no {' and no '.join(self.regions)}")
+            words = " and no ".join(region.key for region in some)
+            raise InspeError(f"{scene.name}: it has no {words}")
         return replace(scene, voxels=replace(scene.voxels, counted=some))
 
     def price_of(self, name: str) -> float:

@@ -54,9 +54,13 @@ Start = tuple[Float[np.ndarray, " N"], tuple[str, ...]]
 """Feasible coordinates to begin at, and notes on what was moved to make them feasible."""
 
 
-def methods() -> dict[str, str]:
-    """The names of all search methods, each with a line about it."""
-    return {name: method.summary for name, method in METHODS.items()}
+def methods(objective: Objective | None = None) -> dict[str, str]:
+    """The names of all search methods that can maximise an objective, each with a line about it."""
+    weights = (objective or Objective()).weights_by_name
+    return {name: row.summary for name, row in METHODS.items() if not row.unknown(weights)}
+
+
+_known_methods = methods  # a parameter of `compare` has that name
 
 
 def optimise(
@@ -103,7 +107,7 @@ def optimise(
     nowhere to stand, or if the checkpoint is of another search.
     """
     began = clock()
-    row = _method(method)
+    row = _method(method, objective)
     seconds = _seconds(seconds, evaluations)
     check_seed(seed)
     _check_start(start)
@@ -147,15 +151,15 @@ def compare(
 ) -> list[Result]:
     """Search by several methods on equal terms, once for each seed.
 
-    ``methods`` are names of :func:`methods`; None means all. ``seeds`` is a number of seeds, from 0
-    on, or the seeds. The other options are as in :func:`optimise`. All searches use the same
-    compiled scores. Each method first runs briefly, at most for its budget, and that time is not
-    counted, so no method pays for compiling. ``progress`` is called with the method, the seed, the
-    share of its budget spent and its best score. Ctrl-C ends the comparison with the searches so
-    far, the last one as it stands. Raises InspeError as :func:`optimise`.
+    ``methods`` are names of :func:`methods`; None means all that know the objective. ``seeds`` is a
+    number of seeds, from 0 on, or the seeds. The other options are as in :func:`optimise`. All
+    searches use the same compiled scores. Each method first runs briefly, at most for its budget,
+    and that time is not counted, so no method pays for compiling. ``progress`` is called with the
+    method, the seed, the share of its budget spent and its best score. Ctrl-C ends the comparison
+    with the searches so far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
-    methods = tuple(METHODS) if methods is None else methods
-    rows = [_method(name) for name in methods]
+    methods = tuple(_known_methods(objective)) if methods is None else methods
+    rows = [_method(name, objective) for name in methods]
     if not rows:
         raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")
     if len(set(methods)) < len(rows):
@@ -259,7 +263,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     case = problem.cases[0]
 
     def scores(of: Layout) -> Scores:
-        return evaluate(
+        found = evaluate(
             case.scene,
             of,
             conditions=case.conditions,
@@ -268,6 +272,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             visibility=objective.visibility,
             metrics=objective.metrics,
         )
+        return replace(found, settings=found.settings | dict(regions=list(objective.regions)))
 
     after = scores(found)
     return Result(
@@ -333,10 +338,15 @@ def _settings(problem: Problem) -> dict[str, Any]:
 # ── Options ─────────────────────────────────────────────────────────────────
 
 
-def _method(name: str) -> Method:
+def _method(name: str, objective: Objective | None) -> Method:
     if name not in METHODS:
         raise InspeError(
             f"no method '{name}': one of {', '.join(METHODS)}{nearest(name, tuple(METHODS))}"
+        )
+    if others := METHODS[name].unknown((objective or Objective()).weights_by_name):
+        raise InspeError(
+            f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "
+            f"{', '.join(_known_methods(objective))}"
         )
     return METHODS[name]
 

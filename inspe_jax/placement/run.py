@@ -42,7 +42,8 @@ class Method:
 
     ``begin`` gives the first state. ``step`` does about a second of work and gives the next state,
     or None if nothing is left to do; it does not change the state that it gets. ``ahead`` gives
-    jobs by name, in order, that compile what later steps need while the first steps run.
+    jobs by name, in order, that compile what later steps need while the first steps run. ``knows``
+    are the metrics that it can maximise; None for all.
     """
 
     name: str
@@ -50,6 +51,12 @@ class Method:
     begin: "Callable[[Run], State]"
     step: "Callable[[Run, State], State | None]"
     ahead: "Callable[[Run], Mapping[str, CompileJob]]" = lambda run: {}
+    knows: tuple[str, ...] | None = None
+
+    def unknown(self, weights: Mapping[str, float]) -> list[str]:
+        """The metrics with weight that it does not know."""
+        known = weights if self.knows is None else self.knows
+        return [name for name, weight in weights.items() if weight and name not in known]
 
 
 @dataclass(frozen=True)
@@ -72,7 +79,7 @@ class Run:
     ``start`` (N,) are the feasible coordinates where it begins. ``path`` has the coordinates (N,)
     of every layout that was the best so far, and ``best`` is the exact score of the last of them.
     ``history`` has every exact score. ``evaluations`` are spent so far; ``limits`` is the budget in
-    seconds and in evaluations. ``notes`` are for people.
+    seconds and in evaluations, and ``target`` the score that ends it. ``notes`` are for people.
     """
 
     def __init__(
@@ -105,7 +112,7 @@ class Run:
         self.notes: list[str] = []
         self.limits = (seconds, evaluations)
         self._clock, self._progress, self._found = clock, progress, found
-        self._target = target
+        self.target = target
         self._began = clock() if began is None else began
         self._ahead = Ahead({})
 
@@ -166,7 +173,7 @@ class Run:
         if better and self._found is not None:
             self._found(x, score)
         self.report()
-        if self.best >= self._target:
+        if self.best >= self.target:
             raise TargetReached
         return score
 

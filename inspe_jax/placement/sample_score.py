@@ -11,17 +11,11 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
-from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Problem, Sample
 
 KNOWN = ("coverage", "occlusion", "information_gain")
-"""The metrics that are sums over the bits of a row."""
+"""The metrics that are sums over the bits of a row. Others count nothing here."""
 _PART = 256  # rows that are converted from bits to numbers at once
-
-
-def further(weights: Mapping[str, float]) -> list[str]:
-    """The metrics with weight that :class:`SampleScore` does not know."""
-    return [name for name, weight in weights.items() if weight and name not in KNOWN]
 
 
 class SampleScore:
@@ -36,11 +30,6 @@ class SampleScore:
     def __init__(self, problem: Problem, sample: Sample) -> None:
         objective, each = problem.objective, problem.voxel_weights(sample)
         weights = objective.weights_by_name
-        if others := further(weights):
-            raise InspeError(
-                f"weight on {', '.join(others)}: what candidates add is known of coverage, "
-                "occlusion and information gain only; search with adam, cma-es or grid"
-            )
         c, o, ig = (weights[name] for name in KNOWN)
         self.sample, self.price = sample, problem.price
         self._weight = c * each.weight

@@ -83,6 +83,8 @@ def before_after_table(result: Result) -> RenderableType:
     Metrics that one of the two records does not have are left out.
     """
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
+    if regions := result.scores.settings.get("regions"):
+        title += f"\n(C, D, P, X, L and R: {', '.join(regions)} only)"
     table = table_of(title, "metric", "symbol", *_CHANGE)
     before, after = result.scores_before, result.scores
     rows = [

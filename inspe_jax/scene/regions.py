@@ -43,6 +43,7 @@ PRECEDENCE: tuple[Region, ...] = (
 def regions_of(names: Sequence[str]) -> tuple[Region, ...]:
     """Regions by their names. Raises InspeError where a name is of no region."""
     known = {region.key: region for region in Region}
+    names = (names,) if isinstance(names, str) else names
     for name in names:
         if name not in known:
             raise InspeError(

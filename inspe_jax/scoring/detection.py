@@ -15,13 +15,14 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.traffic.frames import CLASSES
 
 NONE = 1e-6
@@ -51,9 +52,11 @@ class DetectionCurve:
 
     def chance(self, number: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """g(n), of expected numbers n ≥ 0. Its slope in n is finite everywhere, also at 0."""
-        share = jnp.maximum(number, NONE) / self.half
-        power = share**self.slope if self.slope != 1.5 else share * jnp.sqrt(share)  # faster
-        return jnp.where(number > NONE, self.most * (power / (1.0 + power)), 0.0)
+        share, some = jnp.maximum(number, NONE) / self.half, number > NONE
+        if self.slope in (1.0, 1.5):  # without a logarithm
+            power = share if self.slope == 1.0 else share * jnp.sqrt(share)
+            return jnp.where(some, self.most * (power / (1.0 + power)), 0.0)
+        return jnp.where(some, self.most * jax.nn.sigmoid(self.slope * jnp.log(share)), 0.0)
 
 
 Curves = Mapping[str, tuple[DetectionCurve, ...]]
@@ -92,6 +95,11 @@ def fit_detection(
                 f"box {line}: a row needs sensor, road_user, number and found, such as lidar, car, "
                 "12, 1"
             ) from None
+        for value, known in zip(key, (tuple(detection_curves()), CLASSES), strict=True):
+            if value not in known:
+                raise InspeError(
+                    f"box {line}: '{value}': one of {', '.join(known)}{nearest(value, known)}"
+                )
         if not 0 <= number < float("inf") or found not in (0.0, 1.0):
             raise InspeError(f"box {line}: number is 0 or more and found 0 or 1, not {dict(row)}")
         by.setdefault(key, []).append((number, found))

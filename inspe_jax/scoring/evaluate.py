@@ -132,7 +132,8 @@ def evaluate(
     ``metrics`` are the names of those to compute besides the usual ones and those with weight.
     ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and
     ``visibility`` for information gain is one of :data:`VISIBILITIES`; without them, the scene's
-    profile decides. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
+    profile decides. Metrics that need line of sight take the same, or ``past_others`` in place of
+    ``in_view``. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
     view and shadows are read, and then rays are read as a density; or a
     :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are the light and the weather that
     the sensors work in.

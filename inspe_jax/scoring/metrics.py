@@ -183,6 +183,7 @@ def chosen(
 
     In the registry's order. Raises InspeError where a name is of no metric.
     """
+    names = (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         _check_name(name, f"metric '{name}'")
     weighted = {name for name, weight in (weights or {}).items() if weight}

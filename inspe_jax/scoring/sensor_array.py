@@ -39,7 +39,8 @@ class SensorSet(NamedTuple):
         return cls(
             layout.groups(),
             tuple(layout.reliability.tolist()),
-            tuple(sensor.unit for sensor in layout.sensors),
+            # Numbered anew: some units may have no sensor.
+            tuple(np.unique([s.unit for s in layout.sensors], return_inverse=True)[1].tolist()),
             tuple(sensor.spec.pixels_per_ray for sensor in layout.sensors),
             failures,
         )

@@ -113,8 +113,9 @@ def _of_sensor(
     tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in (SIZES[:, 2], WIDTH, CHORD))
     front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
     roof = chord * jnp.maximum(-foot[None] - tall, 0.0) / away[None]  # as a part of the face
-    slope = (foot + WALKER / 2) / away
-    wide *= share_between_sides(rays, transform, to, slope, wide)
+    middle = (*to, foot + WALKER / 2)
+    inside = share_between_sides(rays, transform, middle, wide, tall)
+    wide *= inside
 
     def chances(number: Float[Array, "K C"]) -> Float[Array, "K C"]:
         return jnp.stack([curve.chance(n) for curve, n in zip(curves, number, strict=True)])
@@ -145,8 +146,8 @@ def _of_sensor(
     return TargetEvidence(
         chance,
         none if camera else amount,
-        _sharp(rays, transform, pixels, (*to, foot + WALKER / 2), tile, width),
-        _precision(to, away, foot, amount, dense[0], sight[0], low[0], camera),
+        _sharp(rays, transform, pixels, middle, tile, width),
+        _precision(to, away, foot, amount, dense[0], sight[0] * inside[-1], low[0], camera),
     )
 
 
@@ -180,7 +181,8 @@ def _sharp(
         return jnp.zeros_like(to[0])
     scale, inside = scale_at(rays, transform, to)
     focal = jnp.sqrt(jnp.asarray(pixels, scale.dtype)) * rays.table.columns_per_unit
-    further = jnp.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2) * (scale * focal / DETECT - 1.0)
+    distance = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2 + to[2] ** 2, 1e-6))
+    further = distance * (scale * focal / DETECT - 1.0)
     lowest = _slabs(tile)[0][0] < (tile.heights[0] - tile.ground) / 2
     return jnp.where(lowest, step(further, width) * step(inside, width), 0.0)
 
@@ -201,9 +203,10 @@ def _precision(
 
     Across the line of sight, n returns or pixels lie evenly over a width w, so that their mean has
     the variance w²/(12 n). Along it, each return has the LiDAR's noise of range. A camera ranges by
-    the pixel in which the foot stands on the ground: with s pixels per metre of an upright face, it
-    is 1/s · d/h long there, for a camera h above and d away; and the ground is level to
-    :data:`LEVEL_GROUND`.
+    the pixel in which a pedestrian's foot stands on the ground: with s pixels per metre of an
+    upright face, it is 1/s · d/h long there, for a camera h above and d away; and the ground is
+    level to :data:`LEVEL_GROUND`. ``foot_seen`` is how often the foot is in sight and in the
+    picture.
     """
     across = (12.0 * amount / jnp.asarray(WIDTH**2, amount.dtype)[:, None]).mean(0)
     if camera:

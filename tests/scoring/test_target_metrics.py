@@ -234,13 +234,45 @@ def test_two_cameras_measure_where_one_does_not():
     assert 1 - crossed < 0.6 * (1 - alone)
 
 
+def test_a_camera_knows_nothing_of_what_is_behind_it():
+    """Nor is anything found there, nor pixels counted, however the scene is cut into tiles."""
+    scene = world(radius=20.0, voxel=1.0, count=0)
+    behind = scene.voxels.columns[:, 0] < -3
+    only = replace(scene.voxels, region=np.where(behind, 0, 1), counted=(0,))
+    layout = place_sensors((CAMERA, [0.0, 0.0, 6.0, 0.0, -0.2, 0.0]))
+    given = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))
+    found = evaluate(replace(scene, voxels=only), layout, **given).metrics
+    assert [found[name] for name in FURTHER] == pytest.approx([0] * 5, abs=1e-6)
+
+
+def test_a_scene_without_traffic_has_them_softly_too():
+    scene, weights = world(**TINY | dict(count=0)), {"detectability": 1.0}
+    layout = random_layout(scene, [LIDAR], seed=5, heights=(3.0, 6.0))
+    exact = evaluate(scene, layout, weights=weights).surrogate
+    soft = evaluate(scene, layout, weights=weights, softness=1e-3).surrogate
+    assert 0 < exact == pytest.approx(soft, abs=1e-3)
+
+
+def test_units_without_sensors_do_not_matter(scene):
+    """Two LiDARs on the first and the last of five units are on two units."""
+    poses = np.array([[9.0, 9.0, 5.0, 0, 0, 0], [-11.0, -8.0, 4.0, 0, 0, 0]])
+    two = place_sensors(*((LIDAR, list(pose)) for pose in poses))
+    units = tuple(Unit(f"u{k}", tuple(poses[k // 4][:2]) + (0.0,)) for k in range(5))
+    sensors = tuple(replace(s, unit=u) for s, u in zip(two.sensors, (0, 4), strict=True))
+    found = [
+        evaluate(scene, of, metrics=("redundancy",)).metrics["redundancy"]
+        for of in (two, replace(two, units=units, sensors=sensors))
+    ]
+    assert found[0] == found[1] > 0.2
+
+
 def test_twice_by_hand():
     twice, weight = jnp.array([[0.5, 1.0, 0.0]]), jnp.array([1.0, 1.0, 2.0])
     assert float(redundancy(twice, weight)[0]) == pytest.approx(0.375)
 
 
 @pytest.mark.parametrize("name", FURTHER)
-def test_softly_they_become_the_exact_ones_and_have_slopes(name):
+def test_softly_they_become_the_exact_ones(name):
     scene = world(**TINY | dict(seed=3))
     layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
     exact = evaluate(scene, layout, metrics=(name,)).metrics[name]
@@ -248,11 +280,12 @@ def test_softly_they_become_the_exact_ones_and_have_slopes(name):
     assert soft.metrics[name] == pytest.approx(exact, abs=2e-3)
 
 
-def test_gradients_are_those_of_differences():
-    """In double precision, every further metric at once, in every coordinate."""
+@pytest.mark.parametrize("name", FURTHER)
+def test_gradients_are_those_of_differences(name):
+    """In double precision, in every coordinate."""
     scene = world(**TINY | dict(seed=3))
     layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
-    weights = dict.fromkeys(FURTHER, 0.2)
+    weights = {name: 1.0}
     with double_precision():
         poses = jnp.asarray(np.asarray(layout.poses), float)
 

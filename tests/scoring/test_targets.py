@@ -7,7 +7,7 @@ from worlds import CAMERA, LIDAR, box_triangles, place_sensors, triangles, with_
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
-from inspe_jax.report.targets import PIXELS, banded, targets_record, targets_view
+from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_record, targets_view
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.targets import BANDS, target_view
 from inspe_jax.sensing.lidar_returns import LidarNoise
@@ -139,15 +139,17 @@ def test_bands_and_records():
 
 
 def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
+    """And one for the chance of detection where there is only one kind."""
     view = target_view(scene, lidars)
-    assert len(targets_view(scene, lidars, view).axes) == 1
+    assert len(targets_view(scene, lidars, view).axes) == 2
     assert "pixels_per_metre" not in targets_record(scene, lidars, view)
     with pytest.raises(InspeError, match="frame 99 is out of range"):
         targets_view(scene, lidars, view, frame=99)
     blind = place_sensors((CAMERA, [9.0, 9.0, 5.0, 0, 0.5, 0.8]))
     view = target_view(scene, blind)
     assert not view.pixel_density.any()
-    assert len(targets_view(scene, blind, view).axes) == 1
+    assert view.detectability.mean() < 0.01
+    assert len(targets_view(scene, blind, view).axes) == 2
     both = place_sensors((LIDAR, [9.0, 9.0, 5.0, 0, 0, 0]), (CAMERA, [9.0, -9.0, 5.0, 0, -0.2, 2]))
     view = target_view(scene, both)
     assert len(targets_view(scene, both, view).axes) == 2
@@ -156,3 +158,18 @@ def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
     values = view.points_on_target
     assert shares["at least 5"] == pytest.approx((values >= 5).mean())
     assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS)
+    assert record["detectability"]["all"] == pytest.approx(view.detectability.mean())
+    assert len(targets_change(scene, (both, view), (both, view)).axes) == 4
+
+
+def test_a_target_is_found_by_what_is_in_sight_of_it():
+    """Behind a truck all of a pedestrian is hidden; behind a car, what is above it is found."""
+    open_ = world(radius=25.0, voxel=0.5, count=0)
+    layout = place_sensors((LIDAR, [-15.0, 0.25, 4.0, 0.0, 0.0, 0.0]))
+    place = np.flatnonzero((open_.voxels.columns == [6.25, 0.25]).all(1))[0]
+    found = []
+    for height in (None, 1.2, 3.6):
+        scene = open_ if height is None else with_boxes(open_, (3.5, 0.25, 0, 3.0, 2.5, height))
+        found.append(target_view(scene, layout, "pedestrian").detectability[place])
+    assert found[0] > found[1] > 0.1
+    assert found[2] == 0

@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from worlds import box_triangles
+from worlds import CAMERA, box_triangles
 
 import inspe_jax
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.frames import ROAD_USERS
+from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility.in_view import transform_of
-from inspe_jax.visibility.target_rays import rays_on_target
+from inspe_jax.visibility.target_rays import rays_on_face, rays_on_target, share_between_sides
 
 SLABS = np.arange(0.0, 4.01, 0.5)
 DISTANCES = (1.0, 3.0, 6.0, 10.0, 20.0, 35.0, 49.0)
@@ -142,3 +143,68 @@ def test_the_number_has_a_slope():
     for k, step in ((0, 0.1), (2, 0.05), (4, 2e-3)):
         ahead, back = (float(number(pose.at[k].add(sign * step))) for sign in (1, -1))
         assert float(slope[k]) == pytest.approx((ahead - back) / (2 * step), rel=0.05)
+
+
+def on_boxes(spec, pose, foot, size, headings=6):
+    """Rays of a grid that meet an upright box, mean over headings: each ray against its slabs."""
+    origin, turned = np.asarray(pose[:3]), rotation(np.asarray(pose[3:], float), np)
+    rays, found = spec.grid.directions() @ turned.T, []
+    to = np.asarray(foot) + [0, 0, size[2] / 2] - origin
+    near = rays @ to / np.linalg.norm(to) > np.cos(min(np.pi, 6.0 / np.linalg.norm(to)))
+    for yaw in (np.arange(headings) + 0.3) * np.pi / headings:
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+        start, along = axes @ -to, rays[near] @ axes.T
+        with np.errstate(divide="ignore"):
+            ends = (np.array([-1, 1])[:, None, None] * np.asarray(size) / 2 - start) / along
+        first, last = ends.min(0).max(1), ends.max(0).min(1)
+        found.append(((first < last) & (last > 0) & (first < spec.grid.reach)).sum())
+    return np.mean(found)
+
+
+UPSIDE_DOWN = np.pi
+STEEP = [
+    ("camera", (0.0, -np.radians(60), 0.4)),
+    ("camera", (0.0, -np.radians(80), 0.4)),
+    ("camera", (0.0, -np.radians(90), 0.4)),
+    ("camera", (UPSIDE_DOWN, -0.2, 0.4)),
+    ("camera", (2.6, -0.2, 0.4)),
+    ("camera", (0.3, -0.4, 3.0)),
+    ("sector", (UPSIDE_DOWN, -0.25, 0.4)),
+    ("sector", (0.2, -0.2, -3.0)),
+    ("nearly round", (0.15, 0.0, 0.4)),
+    ("nearly round", (0.0, 0.1, 3.0)),
+]
+
+
+@pytest.mark.parametrize(("kind", "turns"), STEEP)
+def test_a_field_of_view_ends_at_its_sides_however_it_is_turned(kind, turns):
+    """The share of places where a pedestrian has rays, and their number there, of rays that are
+    walked one by one: on boxes for maps, and on faces for scores."""
+    rows = tuple(np.radians(np.linspace(-30, 20, 40)).tolist())
+    spec = {
+        "camera": CAMERA.with_performance(1.0, 30.0),
+        "sector": LidarSpec("sector", rows, 400, np.radians(80), 30.0),
+        "nearly round": LidarSpec("nearly round", rows, 900, np.radians(355), 30.0),
+    }[kind]
+    pose, size = [0.0, 0.0, 7.0, *turns], (0.5, 0.5, 1.72)
+    rng = np.random.default_rng(3)
+    away, bearing = rng.uniform(4, 14, 60), rng.uniform(-np.pi, np.pi, 60)
+    feet = np.column_stack([away * np.cos(bearing), away * np.sin(bearing), np.zeros(60)])
+    walked = np.array([on_boxes(spec, pose, foot, size) for foot in feet])
+    transform, rays = transform_of(jnp.asarray(pose, float)), spec.grid.rays
+    at = jnp.asarray(feet, float)
+    slabs = jnp.asarray([0.0, 0.5, 1.0, 1.5, 2.0], float)
+    boxes = np.asarray(rays_on_target(rays, transform, at, slabs, size=size)).sum(1)
+    to = at[:, 0], at[:, 1]
+    edges = jnp.minimum(slabs, size[2])[:, None] - pose[2] + jnp.zeros((1, 60))
+    faces = np.asarray(rays_on_face(rays, transform, to, edges[:-1], edges[1:])[0]).sum(0)
+    wide, tall = (jnp.full((1, 1), x) for x in (2 * 1.0 / np.pi, size[2]))
+    middle = (*to, jnp.full(60, size[2] / 2 - pose[2]))
+    share = np.asarray(share_between_sides(rays, transform, middle, wide, tall))[0]
+    faces = faces * share * float(wide[0, 0])
+    assert 0.03 < (walked > 0).mean() < 1
+    for found in (boxes, faces):
+        assert (found > 0.5).mean() == pytest.approx((walked > 0.5).mean(), abs=0.07)
+        assert found.sum() == pytest.approx(walked.sum(), rel=0.25)
+        assert np.corrcoef(np.sqrt(found), np.sqrt(walked))[0, 1] > 0.95

@@ -19,7 +19,7 @@ from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Run
-from inspe_jax.placement.sample_score import SampleScore, times
+from inspe_jax.placement.sample_score import KNOWN, SampleScore, times
 
 TRIES = 64
 """Finer moves tried for a unit in one step."""
@@ -405,11 +405,14 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
     return replace(state, now=state.x, moved=0, width=width)
 
 
-GREEDY = method_of(
-    "greedy",
-    "sensor by sensor the best candidate pose, then exchanges and finer moves",
-    {"look": Placing, "place": Placing, "exchange": Exchanging, "move": Moving},
-    begin,
-    step,
-    ahead,
+GREEDY = replace(
+    method_of(
+        "greedy",
+        "sensor by sensor the best candidate pose, then exchanges and finer moves",
+        {"look": Placing, "place": Placing, "exchange": Exchanging, "move": Moving},
+        begin,
+        step,
+        ahead,
+    ),
+    knows=KNOWN,
 )

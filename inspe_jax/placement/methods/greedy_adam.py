@@ -23,7 +23,7 @@ from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge, finer, 
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import SampleScore, further
+from inspe_jax.placement.sample_score import SampleScore
 
 PLACING = 0.4
 """Share of the budget at which the first round's placement ends at the latest."""
@@ -231,7 +231,7 @@ _AIMED = method_of(
 
 def _for(run: Run) -> Method:
     """The method for a run's sensors and objective."""
-    if further(run.problem.objective.weights_by_name):
+    if greedy.GREEDY.unknown(run.problem.objective.weights_by_name):
         return CMA_ES
     return _AIMED if aimed(run.problem) else greedy.GREEDY
 

@@ -66,6 +66,19 @@ def test_a_search_ends_at_its_target(scene):
     assert stopped.status == "target reached"
 
 
+def test_a_checkpoint_that_reached_its_target_goes_on_to_a_higher_one(scene, tmp_path):
+    start = starting_layout(scene, {CAMERA: 2})
+    given = dict(method="random", evaluations=40.0, objective=FOUND, checkpoint=tmp_path / "c.npz")
+    first = optimise(scene, start, **given, target=0.1)
+    assert first.status == "target reached"
+    assert first.evaluations == 1
+    again = optimise(scene, start, **given, target=0.1)
+    assert (again.status, again.evaluations) == ("target reached", 1)
+    whole = optimise(scene, start, **given)
+    assert whole.status == "budget spent"
+    assert whole.objective == optimise(scene, start, **given | dict(checkpoint=None)).objective
+
+
 def test_only_the_regions_that_are_named_count(scene):
     start = starting_layout(scene, {CAMERA: 1, LIDAR: 1})
     on = Objective(weights={"coverage": 1.0}, regions=("crosswalk",))
@@ -99,7 +112,7 @@ def test_what_does_not_weigh_regions_is_refused(scene):
 
 def test_greedy_says_what_it_does_not_know_and_the_default_does_without(scene):
     start = starting_layout(scene, {CAMERA: 2})
-    with pytest.raises(InspeError, match=r"weight on detectability.*cma-es"):
+    with pytest.raises(InspeError, match=r"does not know detectability.*cma-es"):
         optimise(scene, start, "greedy", evaluations=5.0, objective=FOUND)
     given = dict(evaluations=60.0, objective=FOUND)
     default, cma = (optimise(scene, start, name, **given) for name in ("greedy-adam", "cma-es"))

@@ -286,7 +286,7 @@ def _terms(
     if all(metric.terms is None for metric in asked.metrics):
         return {}
     tiles = tiled.tiles
-    work = partial(_tile_terms, metrics=asked.metrics)
+    work = partial(_tile_terms, metrics=asked.metrics, whole=tiles.slabs == 1)
     if not any(metric.sight for metric in asked.metrics):
         sights = None
 
@@ -314,7 +314,7 @@ def _terms(
     return jax.tree.map(joined, *parts)
 
 
-@partial(jax.jit, static_argnames="metrics")
+@partial(jax.jit, static_argnames=("metrics", "whole"))
 def _tile_terms(
     tiles: Tile,
     last: Bool[Array, " N"],
@@ -325,13 +325,15 @@ def _tile_terms(
     sensors: SensorArray,
     *,
     metrics: tuple[Metric, ...],
+    whole: bool,
 ) -> dict[str, Any]:
-    """:func:`_terms` of some tiles."""
+    """:func:`_terms` of some tiles. ``whole``: they have whole columns."""
 
     @unless_empty
     def terms(tile: Tile, *given: Any) -> dict[str, Any]:
         last, views, sights = given
-        at = TileEvidence(BITS, tile, views, sights, frames, poses, sensors, last)
+        of_sensors = views, sights, frames, poses, sensors
+        at = TileEvidence(BITS, tile, *of_sensors, last, whole)
         return tile_terms(metrics, at)
 
     by_tile = (tiles, last, *(x if x is None else x.swapaxes(0, 1) for x in (views, sights)))

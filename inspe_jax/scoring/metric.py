@@ -53,7 +53,8 @@ class TileEvidence:
     ``views`` are the sets that each of S sensors has in view, as ``reading`` stores them.
     ``sights`` (S, C, Z) is the number of ``frames`` in which each has each voxel in line of sight;
     None unless some metric needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no
-    slab of levels is above the tile. Not an array itself: it lives while a program is traced.
+    slab of levels is above the tile; ``whole``: there are no slabs, the tile has whole columns. Not
+    an array itself: it lives while a program is traced.
     """
 
     reading: Sets
@@ -64,6 +65,7 @@ class TileEvidence:
     poses: Float[Array, "S 6"]
     sensors: SensorArray
     last: Bool[Array, ""]
+    whole: bool
 
     @property
     def failures(self) -> Groups | None:

@@ -65,7 +65,8 @@ def read_softly(
         counts, sights = join_frames(parts), None
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)
-        at = TileEvidence(numbers, tile, f, sights, tiled.frame_count, poses, sensors, last)
+        of_sensors = f, sights, tiled.frame_count, poses, sensors
+        at = TileEvidence(numbers, tile, *of_sensors, last, tiled.tiles.slabs == 1)
         visible = f if asked.visibility == "in_view" else at.visible
         covered = numbers.any_of(f, failures)
         return (

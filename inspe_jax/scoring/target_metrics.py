@@ -11,6 +11,8 @@ columns, weighted by region as coverage is, and over the classes. What is seen i
 of several sensors it is taken as independent, as information gain does.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -37,11 +39,6 @@ def detectability(chance: Float[Array, "R K L"], weight: Float[Array, " L"]) -> 
     return weighted_mean(chance.mean(1), weight)
 
 
-def _fused_chance(found: Evidence) -> Float[Array, " 1+G"]:
-    chance = leave_one_out(found.columns("detectability"), found.failures)
-    return detectability(chance, found.weight)
-
-
 def points_on_target(
     returns: Float[Array, "R K L"], weight: Float[Array, " L"], width: Width = None
 ) -> Float[Array, " R"]:
@@ -53,11 +50,6 @@ def points_on_target(
     """
     further = SCALE * (jnp.sqrt(jnp.maximum(returns, 1e-6) / FEW) - 1.0)
     return weighted_mean(step(further, width).mean(1), weight)
-
-
-def _enough_points(found: Evidence) -> Float[Array, " 1+G"]:
-    returns = _totals(found.columns("points_on_target"), found.failures)
-    return points_on_target(returns, found.weight, found.width)
 
 
 def _totals(each: Float[Array, "S ..."], failures: Groups | None) -> Float[Array, "1+G ..."]:
@@ -95,11 +87,6 @@ def position_error(precision: Float[Array, "R 3 L"]) -> Float[Array, "R L"]:
     # The determinant of a sum of information is at least the prior's: rounding must not undo that.
     determinant = jnp.maximum(xx * yy - xy * xy, prior * (xx + yy - prior))
     return jnp.sqrt((xx + yy) / determinant)
-
-
-def _fused_place(found: Evidence) -> Float[Array, " 1+G"]:
-    precision = _totals(found.columns("localisation"), found.failures)
-    return localisation(precision, found.weight)
 
 
 def redundancy(twice: Float[Array, "R L"], weight: Float[Array, " L"]) -> Float[Array, " R"]:
@@ -152,14 +139,40 @@ def seen_twice(at: TileEvidence) -> Float[Array, "1+G C"]:
 NoneOne = tuple[Array, Array]
 """The chances that none, and that exactly one, of some units sees each voxel."""
 
+# ── Rows of the registry ────────────────────────────────────────────────────
+
+Fuse = Callable[[Float[Array, "S ..."], Groups | None], Float[Array, "1+G ..."]]
+"""Fuses all sensors, and all but each group's."""
+
+
+def _of_targets(name: str, fuse: Fuse) -> Callable[[TileEvidence], Array]:
+    """What each sensor has on road users, by the name of a field of
+    :class:`~inspe_jax.scoring.target_evidence.TargetEvidence`.
+
+    Where a tile has whole columns it is fused at once: tiles are the work of all cores.
+    """
+
+    def terms(at: TileEvidence) -> Array:
+        each = getattr(at.targets, name)
+        return fuse(each, at.failures) if at.whole else each
+
+    return terms
+
+
+def _fused(found: Evidence, name: str, fuse: Fuse) -> Float[Array, "1+G ... L"]:
+    """A metric's terms of columns, of all sensors and without each group."""
+    columns = found.columns(name)
+    return columns if found.slabs == 1 else fuse(columns, found.failures)
+
+
 ROWS = (
     Metric(
         "detectability",
         "D",
         0.0,
         "chance that a detector finds a road user, mean over places, classes and frames",
-        _fused_chance,
-        lambda at: at.targets.chance,
+        lambda found: detectability(_fused(found, "detectability", leave_one_out), found.weight),
+        _of_targets("chance", leave_one_out),
         sight=True,
         usual=False,
         by_region=True,
@@ -169,8 +182,10 @@ ROWS = (
         "P",
         0.0,
         f"share of places where a road user gets {FEW:g} LiDAR returns or more",
-        _enough_points,
-        lambda at: at.targets.returns,
+        lambda found: points_on_target(
+            _fused(found, "points_on_target", _totals), found.weight, found.width
+        ),
+        _of_targets("returns", _totals),
         sight=True,
         usual=False,
         by_region=True,
@@ -180,10 +195,8 @@ ROWS = (
         "X",
         0.0,
         "share of places with 25 pixels per metre or more, without traffic",
-        lambda found: pixel_density(
-            leave_one_out(found.columns("pixel_density"), found.failures), found.weight
-        ),
-        lambda at: at.targets.sharp,
+        lambda found: pixel_density(_fused(found, "pixel_density", leave_one_out), found.weight),
+        _of_targets("sharp", leave_one_out),
         sight=True,
         usual=False,
         by_region=True,
@@ -193,8 +206,8 @@ ROWS = (
         "L",
         0.0,
         f"share of the error of a road user's place, {2**0.5 * UNKNOWN:.1f} m, that is removed",
-        _fused_place,
-        lambda at: at.targets.precision,
+        lambda found: localisation(_fused(found, "localisation", _totals), found.weight),
+        _of_targets("precision", _totals),
         sight=True,
         usual=False,
         by_region=True,

@@ -84,7 +84,8 @@ def before_after_table(result: Result) -> RenderableType:
     """
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
     if regions := result.scores.settings.get("regions"):
-        title += f"\n(C, D, P, X, L and R: {', '.join(regions)} only)"
+        some = [m.symbol for m in listed_in(result.scores) if m.by_region]
+        title += f"\n({' and '.join(some)} of {', '.join(regions)} only)"
     table = table_of(title, "metric", "symbol", *_CHANGE)
     before, after = result.scores_before, result.scores
     rows = [

@@ -1,16 +1,20 @@
 """The cheapest mix that reaches a target, and objectives on some regions only."""
 
+import io
+
 import numpy as np
 import pytest
+from rich.console import Console
 
 import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.optimise import optimise
+from inspe_jax.placement.optimise import methods, optimise
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.studies.cheapest import cheapest
 from inspe_jax.placement.studies.pareto import starting_layout
+from inspe_jax.report.tables import before_after_table
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
@@ -101,6 +105,9 @@ def test_only_the_regions_that_are_named_count(scene):
         ]
     )
     assert result.objective == pytest.approx(careful, abs=0.03)
+    out = io.StringIO()
+    Console(file=out, width=120).print(before_after_table(result))
+    assert "(C and D of crosswalk, sidewalk only)" in out.getvalue()
 
 
 def test_what_does_not_weigh_regions_is_refused(scene):
@@ -114,6 +121,7 @@ def test_greedy_says_what_it_does_not_know_and_the_default_does_without(scene):
     start = starting_layout(scene, {CAMERA: 2})
     with pytest.raises(InspeError, match=r"does not know detectability.*cma-es"):
         optimise(scene, start, "greedy", evaluations=5.0, objective=FOUND)
+    assert set(methods()) - set(methods(FOUND)) == {"greedy"}
     given = dict(evaluations=60.0, objective=FOUND)
     default, cma = (optimise(scene, start, name, **given) for name in ("greedy-adam", "cma-es"))
     spent = [[point.evaluations for point in of.history] for of in (default, cma)]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_output
+from inspe_jax.core.files import check_output, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
@@ -272,6 +272,8 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             visibility=objective.visibility,
             metrics=objective.metrics,
         )
+        if not objective.regions:
+            return found
         return replace(found, settings=found.settings | dict(regions=list(objective.regions)))
 
     after = scores(found)
@@ -321,7 +323,7 @@ def _settings(problem: Problem) -> dict[str, Any]:
             }
             for case in problem.cases
         ],
-        "objective": asdict(problem.objective),
+        "objective": json_value(asdict(problem.objective)),
         "constraints": {
             "heights": list(limits.heights),
             "span_heights": list(limits.span_heights),

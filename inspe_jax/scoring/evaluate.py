@@ -181,7 +181,7 @@ def evaluate(
         ),
         seen_share=measured.seen_share[tiled.tiles.place],
         settings=dict(
-            weights=by_name,
+            weights={name: by_name[name] for name in values},
             profile=scene.profile.name,
             **options,
             softness=softness,

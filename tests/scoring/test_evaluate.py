@@ -271,7 +271,7 @@ def test_settings_and_seen_share():
     scene = world()
     layout = random_layout(scene, [LIDAR], seed=0)
     scores = evaluate(scene, layout)
-    assert scores.settings["weights"] == metrics.weights_of()
+    assert metrics.weights_of(scores.settings["weights"]) == metrics.weights_of()
     assert scores.seen_share.shape == (len(scene.voxels.columns),)
     assert 0 < scores.seen_share.mean() < scores.coverage + 0.05
     # As printed: 1 − Σ_visible H / Σ H.

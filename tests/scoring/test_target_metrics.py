@@ -131,6 +131,7 @@ def replace_sensors(layout, sensors):
     return make_layout(moved, [layout.units[u] for u in used], np.asarray(layout.poses)[sensors])
 
 
+@pytest.mark.slow
 def test_shares_of_places_are_those_of_the_maps(scene, layout, scores):
     """Returns of all LiDARs together, and pixels per metre of the best camera."""
     views = [target_view(scene, layout, name) for name in CLASSES]
@@ -202,6 +203,7 @@ def test_weights_bring_a_metric_with_them(scene, layout, scores):
         evaluate(scene, layout, metrics=("detectabilty",))
 
 
+@pytest.mark.slow
 def test_columns_in_slabs_of_levels_are_whole(layout):
     """Columns of more levels than a word has bits give what those of fewer give."""
     fine, coarse = world(**TALL), world(**TALL | dict(voxel=0.25))

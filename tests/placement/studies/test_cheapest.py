@@ -20,6 +20,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scoring.targets import target_view
 
+pytestmark = pytest.mark.slow  # many searches, each with programs of its own
 CAMERA, LIDAR = "paper-camera", "velodyne-vlp-16"
 COUNTS = {CAMERA: (0, 1, 2), LIDAR: (0, 1)}
 FOUND = Objective(weights={"detectability": 1.0}, prices={CAMERA: 1000.0})

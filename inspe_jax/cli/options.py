@@ -158,6 +158,23 @@ class SearchOptions(WeightOptions):
         """Seconds for each search, in a command that runs several."""
         return 20.0 if self.seconds is None and self.evaluations is None else self.seconds
 
+    def of_mixes(
+        self, method: str | None, seed: int, callback: Callable[[float, float, str], None] | None
+    ) -> dict[str, Any]:
+        """Method, budget, seed and progress of a command that searches many mixes of devices."""
+        from inspe_jax.placement.optimise import DEFAULT_METHOD
+        from inspe_jax.placement.studies.pareto import mix_name
+
+        return dict(
+            method=method or DEFAULT_METHOD,
+            seconds=self.seconds_each(),
+            evaluations=self.evaluations,
+            seed=seed,
+            progress=None
+            if callback is None
+            else lambda row, done, best: callback(done, best, mix_name(row)),
+        )
+
     def conditions(self) -> "list[Conditions]":
         """The conditions: every light that is given, with the weather."""
         from inspe_jax.sensing.conditions import Conditions

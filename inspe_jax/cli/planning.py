@@ -78,8 +78,7 @@ def pareto(
     - `inspe pareto roundabout --budget 10000 --failures`
     """
     from inspe_jax.core.files import check_folder
-    from inspe_jax.placement.optimise import DEFAULT_METHOD
-    from inspe_jax.placement.studies.pareto import device_mixes, mix_name, save_pareto
+    from inspe_jax.placement.studies.pareto import device_mixes, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
     from inspe_jax.report.sheet import save_figure
@@ -96,15 +95,9 @@ def pareto(
         found = search(
             cases,
             wanted,
-            method=method or DEFAULT_METHOD,
-            seconds=options.seconds_each(),
-            evaluations=options.evaluations,
-            seed=seed,
             objective=objective,
             constraints=constraints,
-            progress=None
-            if callback is None
-            else lambda row, done, best: callback(done, best, mix_name(row)),
+            **options.of_mixes(method, seed, callback),
         )
     save_pareto(found, folder)
     out.print(pareto_table(found))

@@ -240,10 +240,8 @@ def _find_cheapest(
     options: SearchOptions,
 ) -> None:
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
-    from inspe_jax.placement.optimise import DEFAULT_METHOD
     from inspe_jax.placement.result import save_result
     from inspe_jax.placement.studies.cheapest import cheapest, check_target
-    from inspe_jax.placement.studies.pareto import device_mixes, mix_name
     from inspe_jax.report.tables import cheapest_table
 
     check_target(target)
@@ -255,21 +253,14 @@ def _find_cheapest(
         cases = options.cases(world)
     names = [sensor.spec.name for sensor in placed.sensors]
     wanted = counts(device) if device else {n: range(names.count(n) + 1) for n in sorted({*names})}
-    total = len(device_mixes(wanted, objective))
     with search_bar("searching") as callback:
         found = cheapest(
             cases,
             wanted,
             target,
-            method=method or DEFAULT_METHOD,
-            seconds=options.seconds_each(),
-            evaluations=options.evaluations,
-            seed=seed,
             objective=objective,
             constraints=constraints,
-            progress=None
-            if callback is None
-            else lambda row, done, best: callback(done, best, mix_name(row)),
+            **options.of_mixes(method, seed, callback),
         )
     out.print(cheapest_table(found))
     best = found.best
@@ -280,8 +271,8 @@ def _find_cheapest(
         others = len(found.searched) - 1
         words = f"{best.name} reaches {target:g}; of mixes that cost no more, {others} searched"
         words += ", none reaches it" if others else ""
-    if len(found.searched) < total and found.found is None:
-        words += f"; {total - len(found.searched)} were not searched"
+    if found.found is None and (left := found.total - len(found.searched)):
+        words += f"; {left} were not searched"
     out.print(words, highlight=False, soft_wrap=True)
     with busy("drawing"):
         drawn = _draw(world, best.result, folder)

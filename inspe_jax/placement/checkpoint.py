@@ -167,11 +167,12 @@ class CheckpointWriter:
         check_same(kept, self.of, self.path)
         run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path)
         self._kept = kept
+        reached = run.best >= run.target
         over = kept.status == "converged" or (kept.status and kept.limits == run.limits)
-        if kept.status == "target reached" or run.best >= run.target:
-            over = run.best >= run.target
-        if over or run.left <= 0:
-            self.ended = kept.status or ("target reached" if over else "budget spent")
+        if kept.status == "target reached":
+            over = False  # of another target than this
+        if reached or over or run.left <= 0:
+            self.ended = kept.status or ("target reached" if reached else "budget spent")
             run.notes.append(
                 f"{self.path} has a search that has ended ({self.ended}); delete it to start "
                 "again" + (", or give a larger budget" if self.ended == "budget spent" else "")

@@ -56,11 +56,13 @@ Start = tuple[Float[np.ndarray, " N"], tuple[str, ...]]
 
 def methods(objective: Objective | None = None) -> dict[str, str]:
     """The names of all search methods that can maximise an objective, each with a line about it."""
+    return {row.name: row.summary for row in _knowing(objective)}
+
+
+def _knowing(objective: Objective | None) -> list[Method]:
+    """The search methods that know all metrics with weight."""
     weights = (objective or Objective()).weights_by_name
-    return {name: row.summary for name, row in METHODS.items() if not row.unknown(weights)}
-
-
-_known_methods = methods  # a parameter of `compare` has that name
+    return [row for row in METHODS.values() if not row.unknown(weights)]
 
 
 def optimise(
@@ -158,7 +160,7 @@ def compare(
     method, the seed, the share of its budget spent and its best score. Ctrl-C ends the comparison
     with the searches so far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
-    methods = tuple(_known_methods(objective)) if methods is None else methods
+    methods = [row.name for row in _knowing(objective)] if methods is None else methods
     rows = [_method(name, objective) for name in methods]
     if not rows:
         raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")
@@ -348,7 +350,7 @@ def _method(name: str, objective: Objective | None) -> Method:
     if others := METHODS[name].unknown((objective or Objective()).weights_by_name):
         raise InspeError(
             f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "
-            f"{', '.join(_known_methods(objective))}"
+            f"{', '.join(row.name for row in _knowing(objective))}"
         )
     return METHODS[name]
 

@@ -7,7 +7,7 @@ exact ones too, in the same record as `inspe score --json` writes.
 import base64
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any
@@ -128,12 +128,14 @@ def report_page(
 
     parts = []
     for entry in entries:
+        of_columns = layers(scene, entry.shed)
+        maps = _maps(scene, entry, of_columns, frame)
         parts.append(
             dict(
                 name=entry.layout.name,
                 record=scores_record(entry.scores, scene, entry.layout),
-                blind=_shares(layers(scene, entry.shed)["blind"]),
-                figures=[(words, drawn(figure)) for words, figure in _maps(scene, entry, frame)],
+                blind=_shares(of_columns["blind"]),
+                figures=[(words, drawn(figure)) for words, figure in maps],
                 scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
                 search=_search(scene, entry, frame, drawn),
                 tolerance=None
@@ -191,7 +193,8 @@ def report_sheets(
     figures = [scene_view(scene, frame=frame)]
     figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
     for entry in entries:
-        figures += [figure for _, figure in _maps(scene, entry, frame)]
+        of_columns = layers(scene, entry.shed)
+        figures += [figure for _, figure in _maps(scene, entry, of_columns, frame)]
         if entry.result is not None:
             figures += [_moves(scene, entry, frame), history_view([entry.result])]
     if front:
@@ -214,9 +217,10 @@ def check_names(names: Sequence[str]) -> None:
             )
 
 
-def _maps(scene: Scene, entry: ReportEntry, frame: int) -> Iterator[tuple[str, Figure]]:
+def _maps(
+    scene: Scene, entry: ReportEntry, of_columns: Mapping[str, MapLayer], frame: int
+) -> Iterator[tuple[str, Figure]]:
     """The maps of a layout, each with its caption."""
-    of_columns = layers(scene, entry.shed)
     for name, words in CAPTIONS.items():
         yield words, _plan(scene, entry, of_columns[name], frame)
     if entry.targets is not None:

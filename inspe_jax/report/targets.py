@@ -16,7 +16,8 @@ from inspe_jax.report.sheet import SIDE, frame_map, house_style, sheet_of_two
 from inspe_jax.report.tables import table_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.targets import BANDS, FEW, TargetView
+from inspe_jax.scoring.detection import BANDS, FEW
+from inspe_jax.scoring.targets import TargetView
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.queries import check_frame
 

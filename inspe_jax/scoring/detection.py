@@ -25,6 +25,18 @@ from scipy.special import expit, logit
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.traffic.frames import CLASSES
 
+BANDS: dict[str, float] = {
+    "monitor": 12.5,
+    "detect": 25.0,
+    "observe": 62.5,
+    "recognise": 125.0,
+    "identify": 250.0,
+}
+"""Least pixels per metre across a target for each task of an operator: EN 62676-4."""
+
+FEW = 5.0
+"""Fewer LiDAR returns on a target than this are called few: a convention."""
+
 NONE = 1e-6
 """Fewer returns or pixels than this are none."""
 _FEWEST = 30  # boxes that three numbers are fitted to

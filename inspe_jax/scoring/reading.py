@@ -146,9 +146,7 @@ class Bits:
 
     def chances(self, found: UInt[Array, "... C"], levels: int) -> Float[Array, "... Z C"]:
         """1 for each voxel of a set, 0 for the others."""
-        level = jnp.arange(levels, dtype=found.dtype).reshape(-1, 1)
-        bits = jnp.right_shift(*jnp.broadcast_arrays(found[..., None, :], level))
-        return (bits & found.dtype.type(1)).astype(float)
+        return jnp.moveaxis(bitmask.chances(found, levels), 0, -2)
 
     def column_sums(self, found: UInt[Array, "F C"], frames: Frames) -> Int[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""
@@ -261,7 +259,7 @@ class Numbers:
 
     def voxels(self, tile: Tile) -> Float[Array, "Z C"]:
         """The voxels that there are."""
-        return self._chances(tile.there, len(tile.heights))
+        return bitmask.chances(tile.there, len(tile.heights))
 
     def in_frames(self, found: Float[Array, "... Z C"]) -> Float[Array, "... Z 1 C"]:
         """A set that is the same in every frame."""
@@ -269,7 +267,7 @@ class Numbers:
 
     def solid(self, frames: Frames, levels: int) -> Float[Array, "Z F C"]:
         """The voxels inside a vehicle. They do not depend on sensors and are read exactly."""
-        return self._chances(frames.solid, levels)
+        return bitmask.chances(frames.solid, levels)
 
     def both(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
         """Intersection of two sets: their chances multiplied."""
@@ -398,12 +396,6 @@ class Numbers:
     def frames(self, tile: Tile, prisms: Prism) -> Frames:
         """Frames of a tile, with the masks of its solid voxels found from the prisms."""
         return Frames(prisms, solid_in(tile, prisms))
-
-    @staticmethod
-    def _chances(words: UInt[Array, "..."], levels: int) -> Float[Array, "Z ..."]:
-        """Masks as 0 and 1 for each level."""
-        z = jnp.arange(levels, dtype=words.dtype).reshape(-1, *[1] * words.ndim)
-        return ((words[None] >> z) & words.dtype.type(1)).astype(float)
 
     @staticmethod
     def _real(frames: Frames) -> Float[Array, " F"]:

@@ -15,16 +15,17 @@ from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.scoring.detection import BANDS, detection_curves
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
+from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import rays_on_face, scale_at, share_between_sides
 from inspe_jax.visibility.tiles import Tile
 
-DETECT = 25.0
-"""Pixels per metre of EN 62676-4's task "detect"."""
+DETECT = BANDS["detect"]
+"""Pixels per metre that are asked for."""
 LEVEL_GROUND = 0.05
 """Standard deviation of the ground's height, by which a camera ranges [m]."""
 _NOISE = LidarNoise()
@@ -108,7 +109,7 @@ def _of_sensor(
     dense *= step(jnp.asarray(rays.table.reach, kind) - distance, width)
     dense *= jnp.asarray(pixels, kind) if camera else _NOISE.share_returned(distance, jnp)
     dense /= high - low  # per square metre of the face
-    sight *= _there(tile, kind)
+    sight *= bitmask.chances(tile.there, len(tile.heights))
 
     tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in (SIZES[:, 2], WIDTH, CHORD))
     front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
@@ -156,12 +157,6 @@ def _slabs(tile: Tile) -> tuple[Float[Array, "Z C"], Float[Array, "Z C"]]:
     middle = tile.heights - tile.ground[None]
     each = middle[1] - middle[0] if len(middle) > 1 else 2 * middle[0]
     return middle - each[None] / 2, middle + each[None] / 2
-
-
-def _there(tile: Tile, kind: jnp.dtype) -> Float[Array, "Z C"]:
-    """1 where a voxel exists, 0 where it is padding."""
-    level = jnp.arange(len(tile.heights), dtype=tile.there.dtype)[:, None]
-    return ((tile.there[None] >> level) & tile.there.dtype.type(1)).astype(kind)
 
 
 def _sharp(

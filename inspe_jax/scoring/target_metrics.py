@@ -12,16 +12,16 @@ of several sensors it is taken as independent, as information gain does.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import Groups, Width, leave_one_out, step, weighted_mean, without_each
+from inspe_jax.scoring.detection import BANDS, FEW
 from inspe_jax.scoring.metric import Evidence, Metric, TileEvidence
 
-FEW = 5.0
-"""Fewer LiDAR returns on a target than this are called few: a convention."""
 SCALE = 20.0
 """A typical distance [m]: how much further off a target could be is measured from there."""
 UNKNOWN = 2.0
@@ -165,63 +165,55 @@ def _fused(found: Evidence, name: str, fuse: Fuse) -> Float[Array, "1+G ... L"]:
     return columns if found.slabs == 1 else fuse(columns, found.failures)
 
 
+def _row(
+    name: str,
+    symbol: str,
+    summary: str,
+    value: Callable[[Evidence], Float[Array, " 1+G"]],
+    terms: Callable[[TileEvidence], Any],
+) -> Metric:
+    """A row of a metric that is computed where it is asked for, and weighs regions."""
+    flags = dict(sight=True, usual=False, by_region=True)
+    return Metric(name, symbol, 0.0, summary, value, terms, **flags)
+
+
 ROWS = (
-    Metric(
+    _row(
         "detectability",
         "D",
-        0.0,
         "chance that a detector finds a road user, mean over places, classes and frames",
         lambda found: detectability(_fused(found, "detectability", leave_one_out), found.weight),
         _of_targets("chance", leave_one_out),
-        sight=True,
-        usual=False,
-        by_region=True,
     ),
-    Metric(
+    _row(
         "points_on_target",
         "P",
-        0.0,
         f"share of places where a road user gets {FEW:g} LiDAR returns or more",
         lambda found: points_on_target(
             _fused(found, "points_on_target", _totals), found.weight, found.width
         ),
         _of_targets("returns", _totals),
-        sight=True,
-        usual=False,
-        by_region=True,
     ),
-    Metric(
+    _row(
         "pixel_density",
         "X",
-        0.0,
-        "share of places with 25 pixels per metre or more, without traffic",
+        f"share of places with {BANDS['detect']:g} pixels per metre or more, without traffic",
         lambda found: pixel_density(_fused(found, "pixel_density", leave_one_out), found.weight),
         _of_targets("sharp", leave_one_out),
-        sight=True,
-        usual=False,
-        by_region=True,
     ),
-    Metric(
+    _row(
         "localisation",
         "L",
-        0.0,
         f"share of the error of a road user's place, {2**0.5 * UNKNOWN:.1f} m, that is removed",
         lambda found: localisation(_fused(found, "localisation", _totals), found.weight),
         _of_targets("precision", _totals),
-        sight=True,
-        usual=False,
-        by_region=True,
     ),
-    Metric(
+    _row(
         "redundancy",
         "R",
-        0.0,
         "share of voxels that two units or more see, behind traffic",
         lambda found: redundancy(found.columns("redundancy") / found.levels, found.weight),
         seen_twice,
-        sight=True,
-        usual=False,
-        by_region=True,
     ),
 )
 """The rows of the registry for these metrics."""

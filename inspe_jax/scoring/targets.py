@@ -27,18 +27,6 @@ from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.queries import check_layout
 from inspe_jax.visibility.target_rays import picture_scale, rays_on_target
 
-BANDS: dict[str, float] = {
-    "monitor": 12.5,
-    "detect": 25.0,
-    "observe": 62.5,
-    "recognise": 125.0,
-    "identify": 250.0,
-}
-"""Least pixels per metre across a target for each task of an operator: EN 62676-4."""
-
-FEW = 5.0
-"""Fewer LiDAR returns on a target than this are called few: a convention."""
-
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class TargetView:

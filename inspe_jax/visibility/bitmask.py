@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax.core.numerics import Groups, without_each
 
@@ -31,6 +31,12 @@ def pack(flags: Bool[np.ndarray, "... n"]) -> UInt[np.ndarray, "... w"]:
     size = kind.itemsize * 8
     flags = np.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, -n % size)])
     return np.packbits(flags, axis=-1, bitorder="little").view(kind.newbyteorder("<")).astype(kind)
+
+
+def chances(masks: UInt[Array, "..."], levels: int) -> Float[Array, "Z ..."]:
+    """1 for each level whose bit is set in a mask, 0 for the others."""
+    z = jnp.arange(levels, dtype=masks.dtype).reshape(-1, *[1] * masks.ndim)
+    return ((masks[None] >> z) & masks.dtype.type(1)).astype(float)
 
 
 def unpack(masks: UInt[np.ndarray, "... w"], n: int) -> Bool[np.ndarray, "... n"]:

@@ -22,8 +22,8 @@ import inspe_jax
 from inspe_jax import Softness, evaluate, evaluate_many
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import detection_curves
-from inspe_jax.scoring.target_metrics import FEW, UNKNOWN, position_error, redundancy
+from inspe_jax.scoring.detection import FEW, detection_curves
+from inspe_jax.scoring.target_metrics import UNKNOWN, position_error, redundancy
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
@@ -155,8 +155,8 @@ def test_two_units_see_a_voxel(scene, layout, scores):
 
 
 def sight_of(scene, layout):
-    """The share of frames (V,) in which each sensor sees each voxel, by Embree; a road user's own
-    voxels are seen past it, so they are taken from the scores' own lines of sight."""
+    """The share of frames in which each sensor sees each voxel (S, V), from the lines of sight that
+    scores count, which have tests of their own. Embree does not look past a road user itself."""
     from inspe_jax.scoring.asked import Asked
     from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
     from inspe_jax.scoring.sensor_array import SensorSet, sensor_array

@@ -9,7 +9,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_record, targets_view
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.targets import BANDS, target_view
+from inspe_jax.scoring.detection import BANDS
+from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.lidar_returns import LidarNoise
 
 ALL_RETURN = LidarNoise(lost=0.0, weakest_lost=0.0)

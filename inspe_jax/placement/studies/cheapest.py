@@ -13,7 +13,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
 from inspe_jax.placement.problem import Case, cases_of
-from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, starting_layout
+from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, progress_of, starting_layout
 from inspe_jax.scene.scene import Scene
 
 
@@ -70,11 +70,6 @@ def cheapest(
     starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     searched: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
-
-        def report(done: float, best: float, k: int = k, row: Mapping[str, int] = row) -> None:
-            if progress is not None:
-                progress(row, (k + done) / len(wanted), best)
-
         try:
             result = optimise(
                 cases,
@@ -85,7 +80,7 @@ def cheapest(
                 seed,
                 objective,
                 constraints,
-                progress=report,
+                progress=progress_of(progress, row, k, len(wanted)),
                 target=target,
             )
         except KeyboardInterrupt:

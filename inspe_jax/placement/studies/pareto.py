@@ -158,7 +158,7 @@ def pareto(
                 seeds=(seed,),
                 objective=objective,
                 constraints=constraints,
-                progress=_progress_of(progress, row, k, len(wanted)),
+                progress=progress_of(progress, row, k, len(wanted)),
             )
         except KeyboardInterrupt:
             if not found:
@@ -262,15 +262,17 @@ def device_mixes(
     return within
 
 
-def _progress_of(
+def progress_of(
     progress: Callable[[Mapping[str, int], float, float], None] | None,
     row: Mapping[str, int],
     k: int,
     total: int,
-) -> Callable[[str, int, float, float], None] | None:
+) -> Callable[..., None] | None:
+    """What the search of mix number ``k`` of ``total`` calls: its last two arguments are the share
+    of its budget spent and its best score."""
     if progress is None:
         return None
-    return lambda method, seed, done, best: progress(row, (k + done) / total, best)
+    return lambda *search: progress(row, (k + search[-2]) / total, search[-1])
 
 
 def _on_front(mix: DeviceMix, others: Sequence[DeviceMix]) -> bool:

@@ -88,7 +88,8 @@ SETTINGS = (*BUILD_SETTINGS, *CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS)
 class StudyJob:
     """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`.
 
-    ``metrics`` are computed; they change no other number.
+    ``metrics`` are computed: the usual ones, those the study asks for, and those with weight in
+    some job. They change no other number.
     """
 
     source: SceneSource
@@ -110,20 +111,20 @@ class StudyJob:
 
 @dataclass(frozen=True)
 class Study:
-    """The jobs of a study, in the order of the results, and the study's name.
-
-    ``metrics`` are in its results: the usual ones, those it asks for, and those with weight in some
-    job.
-    """
+    """The jobs of a study, in the order of the results, and the study's name."""
 
     name: str
     jobs: tuple[StudyJob, ...]
-    metrics: tuple[str, ...] = ()
 
     @cached_property
     def tags(self) -> tuple[str, ...]:
         """Every tag that a scene has."""
         return tuple(dict.fromkeys(tag for job in self.jobs for tag in job.tags))
+
+    @cached_property
+    def metrics(self) -> tuple[str, ...]:
+        """Every metric that a job computes."""
+        return tuple(dict.fromkeys(name for job in self.jobs for name in job.metrics))
 
 
 # ── The file ────────────────────────────────────────────────────────────────
@@ -244,11 +245,7 @@ def make_study(
                         settings = build | _completed(conditioned(rest))
                         job = StudyJob(source, layout, settings, dict(item.tags))
                         jobs.setdefault(job.key, job)
-    return Study(
-        entry.name or name,
-        tuple(replace(job, metrics=found) for job in jobs.values()),
-        found,
-    )
+    return Study(entry.name or name, tuple(replace(job, metrics=found) for job in jobs.values()))
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:

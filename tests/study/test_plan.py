@@ -10,7 +10,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import save_layout
-from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, load_study
+from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, Study, load_study
 from inspe_jax.study.work import place_layout
 
 STUDY = """
@@ -43,6 +43,12 @@ def read(tmp_path):
         return load_study(path)
 
     return read
+
+
+def test_jobs_that_are_chosen_from_a_study_keep_its_metrics(read):
+    study = read(STUDY, metrics=["redundancy"])
+    assert "redundancy" in study.metrics
+    assert Study("some", study.jobs[2:]).metrics == study.metrics
 
 
 def test_every_combination_is_a_job(read):

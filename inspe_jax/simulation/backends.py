@@ -23,8 +23,8 @@ Opening = Callable[..., AbstractContextManager["Recorder"]]
 class Backend:
     """A way to record.
 
-    ``open`` takes a scene, a layout, conditions, a :class:`Recording`, a seed and a server, and
-    gives a recorder for a ``with`` block. ``packages`` are the libraries that the recorded bytes
+    ``open`` takes a scene, a layout, conditions, a :class:`Recording`, a seed, a server and an
+    appearance seed, and gives a recorder for a ``with`` block. ``packages`` are the libraries that the recorded bytes
     depend on. A ``remote`` backend records with a server. ``most_workers`` processes can record at
     the same time; None if there is no limit.
     """
@@ -38,7 +38,8 @@ class Backend:
 def _embedded(*given: Any) -> "AbstractContextManager[Recorder]":
     from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 
-    return nullcontext(EmbeddedRecorder(*given[:-1]))
+    *most, _, appearance_seed = given
+    return nullcontext(EmbeddedRecorder(*most, appearance_seed))
 
 
 def _carla(*given: Any) -> "AbstractContextManager[Recorder]":
@@ -88,15 +89,17 @@ def recorder_of(
     recording: "Recording | None" = None,
     seed: int = 0,
     server: "Server | None" = None,
+    appearance_seed: int = 0,
 ) -> "AbstractContextManager[Recorder]":
     """A recorder of a scene's traffic, for a ``with`` block, by the name of its backend.
 
     ``conditions`` are fair ones and ``recording`` is the default one if not given; ``seed`` is
-    that of the noise; ``server`` is for backends that record with one. Raises InspeError for a
-    backend that is not in :data:`BACKENDS`, or as the recorder does.
+    that of the noise, and ``appearance_seed`` that of the road users' shapes and colours;
+    ``server`` is for backends that record with one. Raises InspeError for a backend that is not in
+    :data:`BACKENDS`, or as the recorder does.
     """
     from inspe_jax.sensing.conditions import FAIR
 
     check_backend(backend)
     around = FAIR if conditions is None else conditions
-    return BACKENDS[backend].open(scene, layout, around, recording, seed, server)
+    return BACKENDS[backend].open(scene, layout, around, recording, seed, server, appearance_seed)

@@ -76,6 +76,10 @@ class Image(Deferred):
     ``intrinsic`` is the calibration in pixels. ``depth`` is measured along the camera's axis [m],
     and infinite where nothing was hit; ``instance`` is track + 1, and 0 where there is no road
     user; ``semantic`` is a label. Each of these three may be None.
+
+    ``pixels`` is the number of pixels that show each of the frame's B road users, ``share`` their
+    share (0…1) of those that would show it if nothing stood before it; None if they were not
+    counted.
     """
 
     pose: Float[np.ndarray, "6"]
@@ -84,15 +88,22 @@ class Image(Deferred):
     depth: Float[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
     instance: Int[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
     semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
+    pixels: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
+    share: Float[np.ndarray, " B"] | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Scan(Deferred):
     """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
-    0…1."""
+    0…1.
+
+    ``returns`` is the number of them that came back from each of the frame's B road users; None if
+    they were not counted.
+    """
 
     pose: Float[np.ndarray, "6"]
     points: Float[np.ndarray, "N 4"] = field(repr=False)
+    returns: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +156,20 @@ def check_frame(frame: Frame) -> None:
         _numbers(station.pose, (6,), f"{here}: pose")
         for i, image in enumerate(station.images):
             _check_image(image, f"{here}: image {i}")
+            _check_counts(image, ("pixels", "share"), frame.boxes, f"{here}: image {i}")
         for i, scan in enumerate(station.scans):
             _numbers(scan.pose, (6,), f"{here}: scan {i}: pose")
             _check_points(scan.points, f"{here}: scan {i}: points")
+            _check_counts(scan, ("returns",), frame.boxes, f"{here}: scan {i}")
+
+
+def _check_counts(
+    record: Image | Scan, fields: Sequence[str], boxes: Sequence[RoadUserBox], where: str
+) -> None:
+    for name in fields:
+        counts = getattr(record, name)
+        if counts is not None:
+            _numbers(counts, (len(boxes),), f"{where}: {name}")
 
 
 def _check_box(box: RoadUserBox, where: str) -> None:

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
@@ -15,6 +16,8 @@ from inspe_jax.simulation.frame import Frame, Image, Scan, Station
 
 LAYERS = ("depth", "instance", "semantic")
 """What a camera can record in addition to its pictures."""
+TURN = 0.1
+"""How long a LiDAR's turn takes, if nothing else is said [s]: usual devices turn at 10 Hz."""
 CONNECTING = 3.0
 """How long to wait for a connection to a server [s]."""
 
@@ -24,7 +27,8 @@ class Recording:
     """Settings of a recording.
 
     ``rate`` is the number of frames per second [Hz]; ``layers`` are of :data:`LAYERS`;
-    ``image_scale`` multiplies the cameras' own resolution; ``noise`` is that of the LiDARs.
+    ``image_scale`` multiplies the cameras' own resolution; ``noise`` is that of the LiDARs, and
+    ``turn`` how long a turn of theirs takes [s], 0 if all rays are fired at once.
 
     The digest of a scenario contains the names of this class, of :class:`LidarNoise`, and of their
     fields. If these changed, runs that were stopped could not go on.
@@ -34,6 +38,7 @@ class Recording:
     layers: tuple[str, ...] = ()
     image_scale: float = 1.0
     noise: LidarNoise = field(default_factory=LidarNoise)
+    turn: float = added(TURN)
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
@@ -41,6 +46,8 @@ class Recording:
             raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
         if not (np.isfinite(self.image_scale) and 0 < self.image_scale <= 4):
             raise InspeError(f"image_scale {self.image_scale} is out of range: above 0, up to 4")
+        if not (np.isfinite(self.turn) and 0 <= self.turn <= 1):
+            raise InspeError(f"turn {self.turn} s is out of range: 0 to 1")
         for name in self.layers:
             if name not in LAYERS:
                 raise InspeError(

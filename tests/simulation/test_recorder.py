@@ -136,7 +136,7 @@ def test_points_lie_on_surfaces_within_the_noise(scene, corners):
     lidar = recorder.sensors[0]
     returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
     noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
-    scan = lidar.scan(returns, noise, np.random.default_rng(1))
+    scan = lidar.scan(returns, 0, noise, np.random.default_rng(1))
     back = np.isfinite(returns.distance)
     off = np.linalg.norm(scan.points[:, :3], axis=1) - returns.distance[back]
     assert off.std() == pytest.approx(0.03, rel=0.05)
@@ -156,7 +156,7 @@ def test_the_given_share_of_returns_is_lost(scene, corners):
     total = np.isfinite(returns.distance).sum()
 
     def left(**noise):
-        return len(lidar.scan(returns, LidarNoise(**noise), np.random.default_rng(0)).points)
+        return len(lidar.scan(returns, 0, LidarNoise(**noise), np.random.default_rng(0)).points)
 
     assert left(lost=0.0, weakest_lost=0.0) == total
     assert left(lost=0.3, weakest_lost=0.0) == pytest.approx(0.7 * total, rel=0.02)

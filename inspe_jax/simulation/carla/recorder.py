@@ -49,11 +49,13 @@ class CarlaRecorder:
         recording: Recording | None = None,
         seed: int = 0,
         server: Server | None = None,
+        appearance_seed: int = 0,
     ) -> None:
         self.recording, self.server = recording or Recording(), server or Server()
         self.recording.check()
         self.server.check()
         self.scene, self.conditions, self.seed = scene, conditions, seed
+        self.appearance_seed = appearance_seed
         self.layout = conditions.layout(layout)
         self.poses = np.asarray(self.layout.poses, float)
         self.notes = notes_of(self.layout)
@@ -69,7 +71,7 @@ class CarlaRecorder:
                 )
             )
             lights = self.conditions != FAIR
-            self.actors = Actors(self.session, self.scene.traffic, lights, self.seed)
+            self.actors = Actors(self.session, self.scene.traffic, lights, self.appearance_seed)
             self.queues = [self._sensor_queues(s) for s in range(len(self.layout))]
             self._warm_up()
             self._stack = stack.pop_all()

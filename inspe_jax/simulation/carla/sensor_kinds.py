@@ -111,7 +111,8 @@ def _lidar_attributes(spec: LidarSpec, recording: Recording) -> dict[str, str]:
 def _scan(measured: Measured) -> Scan:
     directions, distances = points_of(measured.data["points"])
     noise = measured.recording.noise
-    return Scan(measured.pose, apply_noise(directions, distances, noise, measured.rng))
+    points, _ = apply_noise(directions, distances, noise, measured.rng)
+    return Scan(measured.pose, points)
 
 
 SENSOR_KINDS: dict[str, CarlaSensorKind] = {

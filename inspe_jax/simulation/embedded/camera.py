@@ -143,7 +143,8 @@ class Camera:
         self, spec: CameraSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
     ) -> None:
         self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
-        self.static_caster, self.seed = surroundings.static_caster, surroundings.seed
+        self.static_caster = surroundings.static_caster
+        self.appearance_seed = surroundings.appearance_seed
         self.recording, shading = surroundings.recording, surroundings.shading
         scale = self.recording.image_scale
         self.shading, self.light = shading, shading.light
@@ -211,7 +212,7 @@ class Camera:
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
         """The picture of one frame, with the layers that the recording asks for."""
-        return self.image(actors, self.seed, rng, self.recording.layers)
+        return self.image(actors, self.appearance_seed, rng, self.recording.layers)
 
     def image(
         self,
@@ -235,11 +236,25 @@ class Camera:
             middle = seen if after == 0 else middle
         shape = (self.height, self.width)
         rgb = tone_map(total.reshape(*shape, 3), self.light, rng)
+        middle = middle or self._changes_at(actors, painted, 0.0)
         extra = {}
         if layers:
-            whole = self._layers(middle or self._changes_at(actors, painted, 0.0), actors.boxes)
+            whole = self._layers(middle, actors.boxes)
             extra = {name: whole[name].reshape(shape) for name in layers}
-        return Image(self.pose, self.intrinsic, rgb, **extra)
+        pixels = np.bincount(middle.box[middle.box >= 0], minlength=len(actors.boxes))
+        share = self._visible_share(pixels, actors)
+        return Image(self.pose, self.intrinsic, rgb, **extra, pixels=pixels, share=share)
+
+    def _visible_share(
+        self, pixels: Int[np.ndarray, " B"], actors: FrameActors
+    ) -> Float[np.ndarray, " B"]:
+        """What share ``pixels`` are of those that show each road user where it stands alone."""
+        share, box_corners = np.zeros(len(pixels)), corners(actors.boxes)
+        for k in np.flatnonzero(pixels):
+            near = self._pixels_near(box_corners[k : k + 1])
+            hits = actors.alone(int(k)).cast(self.origin, self.directions[near], FAR)
+            share[k] = pixels[k] / max((hits.face >= 0).sum(), pixels[k])
+        return share
 
     def _layers(self, seen: ChangedPixels, boxes: tuple[RoadUserBox, ...]) -> dict[str, np.ndarray]:
         """Depth, instance and semantic of every pixel."""

@@ -1,6 +1,7 @@
 """A LiDAR in a world of triangles: a ray of every channel at every azimuth, one turn per frame.
 
-The turn is centred on the frame's time, and the road users move meanwhile.
+The turn is centred on the frame's time, and the road users move meanwhile. Nothing returns from
+beyond the LiDAR's reach.
 """
 
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ class Lidar:
     def __init__(
         self, spec: LidarSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
     ) -> None:
-        self.recording = surroundings.recording
+        self.recording, self.reach = surroundings.recording, spec.reach
         self.pose = np.asarray(pose, float)
         self.body = spec.grid.directions()  # (R, 3), channel by channel
         self.directions = self.body @ rotation(self.pose[3:], np).T
@@ -49,30 +50,36 @@ class Lidar:
         hits = surroundings.static_caster.cast(self.origin, self.directions, spec.reach)
         self.static_distance = hits.distance
         column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
-        self.turn = (column + 0.5) / spec.azimuth_count - 0.5  # −½ … ½ of a turn
+        self.phase = (column + 0.5) / spec.azimuth_count - 0.5  # −½ … ½ of a turn
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Scan:
-        """The points of one turn, which takes as long as the step from frame to frame."""
-        return self.scan(self.cast(actors, 1.0 / self.recording.rate), self.recording.noise, rng)
+        """The points of one turn."""
+        returns = self.cast(actors, self.recording.turn)
+        return self.scan(returns, len(actors.boxes), self.recording.noise, rng)
 
-    def cast(self, actors: FrameActors, period: float) -> Returns:
-        """What the rays hit in one turn of ``period`` seconds about the frame's time.
+    def cast(self, actors: FrameActors, turn: float) -> Returns:
+        """What the rays hit in one turn of ``turn`` seconds about the frame's time.
 
-        With a period of 0 all rays are fired at once.
+        With a turn of 0 s all rays are fired at once.
         """
         distance, box = self.static_distance.copy(), np.full(len(self.body), -1)
-        sectors = SECTORS if period > 0 else 1
-        sector = np.clip(((self.turn + 0.5) * sectors).astype(int), 0, sectors - 1)
-        after = ((sector + 0.5) / sectors - 0.5) * period
+        sectors = SECTORS if turn > 0 else 1
+        sector = np.clip(((self.phase + 0.5) * sectors).astype(int), 0, sectors - 1)
+        after = ((sector + 0.5) / sectors - 0.5) * turn
         for k in range(sectors):
-            road_users, caster = actors.at(((k + 0.5) / sectors - 0.5) * period)
+            road_users, caster = actors.at(((k + 0.5) / sectors - 0.5) * turn)
             own = np.flatnonzero(sector == k)
-            hits = caster.cast(self.origin, self.directions[own], distance[own])
+            limit = np.minimum(distance[own], self.reach)
+            hits = caster.cast(self.origin, self.directions[own], limit)
             hit = hits.face >= 0
             distance[own[hit]] = hits.distance[hit]
             box[own[hit]] = road_users.box[hits.face[hit]]
         return Returns(self.body, distance, box, after)
 
-    def scan(self, returns: Returns, noise: LidarNoise, rng: np.random.Generator) -> Scan:
-        """The points of the returns that are not lost."""
-        return Scan(self.pose, apply_noise(returns.direction, returns.distance, noise, rng))
+    def scan(
+        self, returns: Returns, boxes: int, noise: LidarNoise, rng: np.random.Generator
+    ) -> Scan:
+        """The points of the returns that are not lost; ``boxes`` is the number of road users."""
+        points, back = apply_noise(returns.direction, returns.distance, noise, rng)
+        own = returns.box[back]
+        return Scan(self.pose, points, np.bincount(own[own >= 0], minlength=boxes))

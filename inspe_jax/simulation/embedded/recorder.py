@@ -23,6 +23,9 @@ class EmbeddedRecorder:
 
     Raises InspeError where Embree is missing, the recording is not valid, or a sensor is of a kind
     that this recorder does not know.
+
+    ``seed`` is that of the sensors' noise; ``appearance_seed`` that of the road users' shapes and
+    colours, which so may be the same under other layouts and in other light.
     """
 
     notes: tuple[str, ...] = ()
@@ -34,10 +37,11 @@ class EmbeddedRecorder:
         conditions: Conditions = FAIR,
         recording: Recording | None = None,
         seed: int = 0,
+        appearance_seed: int = 0,
     ) -> None:
         self.recording = recording or Recording()
         self.recording.check()
-        self.scene, self.seed = scene, seed
+        self.scene, self.seed, self.appearance_seed = scene, seed, appearance_seed
         layout = conditions.layout(layout)
         poses = np.asarray(layout.poses, float)
         self.layout = layout
@@ -47,7 +51,7 @@ class EmbeddedRecorder:
         self.static_caster = Caster(self.static_world.triangles)
         shading = Shading(conditions, self.static_world.poles - self.static_world.center)
         surroundings = Surroundings(
-            self.static_world, self.static_caster, shading, self.recording, seed
+            self.static_world, self.static_caster, shading, self.recording, appearance_seed
         )
         self.sensors = [
             simulated_sensor(sensor.spec, pose, surroundings)
@@ -56,7 +60,7 @@ class EmbeddedRecorder:
 
     def frame(self, t: int) -> Frame:
         """Frame t of the scene's traffic, as every station recorded it."""
-        boxes = boxes_at(self.scene.traffic, t, self.seed)
+        boxes = boxes_at(self.scene.traffic, t, self.appearance_seed)
         actors = FrameActors(boxes, self.static_world.center)
         recorded = [
             sensor.record(actors, np.random.default_rng([self.seed, t, s, 3]))

@@ -95,6 +95,7 @@ class FrameActors:
         self.velocity = np.array([box.velocity for box in boxes], float).reshape(-1, 3)
         self._now = pose_road_users(boxes, center)
         self._at: dict[float, tuple[RoadUserTriangles, Caster]] = {}
+        self._alone: dict[int, Caster] = {}
 
     def at(self, after: float) -> tuple[RoadUserTriangles, Caster]:
         """The road users ``after`` seconds from the frame's time: each moves on at its velocity."""
@@ -103,3 +104,9 @@ class FrameActors:
             road_users = replace(self._now, triangles=self._now.triangles + way[:, None])
             self._at[after] = road_users, Caster(road_users.triangles)
         return self._at[after]
+
+    def alone(self, k: int) -> Caster:
+        """The k-th road user without the others, at the frame's time."""
+        if k not in self._alone:
+            self._alone[k] = Caster(self._now.triangles[self._now.box == k])
+        return self._alone[k]

@@ -12,12 +12,12 @@ from inspe_jax.simulation.recorder import Recording
 class Surroundings:
     """The world around the sensors, its light, and what is to be recorded.
 
-    ``static_caster`` casts rays into the triangles of ``static_world``. ``seed`` is that of the
-    road users' looks.
+    ``static_caster`` casts rays into the triangles of ``static_world``.
+    ``appearance_seed`` is that of the road users' shapes and colours.
     """
 
     static_world: StaticWorld
     static_caster: Caster
     shading: Shading
     recording: Recording
-    seed: int
+    appearance_seed: int

@@ -24,9 +24,9 @@ class Backend:
     """A way to record.
 
     ``open`` takes a scene, a layout, conditions, a :class:`Recording`, a seed, a server and an
-    appearance seed, and gives a recorder for a ``with`` block. ``packages`` are the libraries that the recorded bytes
-    depend on. A ``remote`` backend records with a server. ``most_workers`` processes can record at
-    the same time; None if there is no limit.
+    appearance seed, and gives a recorder for a ``with`` block. ``packages`` are the libraries that
+    the recorded bytes depend on. A ``remote`` backend records with a server. ``most_workers``
+    processes can record at the same time; None if there is no limit.
     """
 
     open: Opening
@@ -39,7 +39,7 @@ def _embedded(*given: Any) -> "AbstractContextManager[Recorder]":
     from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 
     *most, _, appearance_seed = given
-    return nullcontext(EmbeddedRecorder(*most, appearance_seed))
+    return nullcontext(EmbeddedRecorder(*most, appearance_seed=appearance_seed))
 
 
 def _carla(*given: Any) -> "AbstractContextManager[Recorder]":

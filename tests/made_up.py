@@ -78,7 +78,9 @@ def scan(pose, rng):
 
 
 @contextmanager
-def recorder_of(backend, scene, layout, conditions, recording, seed, server=None):
+def recorder_of(
+    backend, scene, layout, conditions, recording, seed, server=None, appearance_seed=0
+):
     if layout.name == "unheard of":
         raise InspeError("recording needs embreex, which is not installed")
     yield Recorder(scene, layout, recording, seed)

@@ -79,7 +79,7 @@ def check_scenario(scenario, attenuation=None, lidar_range=RANGE, every_box_hit=
 def readers_order(scenario: Path) -> list[str]:
     """Agents in the order of readers: sorted as text, and the first moved to the end if
     negative."""
-    agents = sorted(p.name for p in scenario.iterdir() if p.is_dir())
+    agents = sorted(p.name for p in scenario.iterdir() if p.is_dir() and p.name != ".frames")
     need(agents, f"{scenario}: no agent")
     for agent in agents:
         need(re.fullmatch(r"-[1-9]\d*", agent), f"{scenario / agent}: not the id of a unit")
@@ -178,6 +178,7 @@ def check_pictures(path: Path, i: int, k: np.ndarray) -> None:
 
 
 def check_things(path: Path, content: dict) -> dict:
+    """The road users, by track; speeds must be those of their velocities, where these are given."""
     things = content["vehicles"]
     parts = {}
     for section, kind in KINDS.items():
@@ -198,6 +199,9 @@ def check_things(path: Path, content: dict) -> dict:
         half = [0, 0, thing["extent"][2]]
         need(thing["center"] == half, f"{where}.center: not straight up by half the height")
         need(numbers(thing["speed"], (), f"{where}.speed") >= 0, f"{where}.speed: below 0")
+        if "velocity" in thing:
+            fast = 3.6 * np.linalg.norm(numbers(thing["velocity"], (3,), f"{where}.velocity"))
+            need(abs(fast - thing["speed"]) < 1e-5, f"{where}.velocity: {fast} km/h is not speed")
     return things
 
 
@@ -205,18 +209,19 @@ def check_lidars(path: Path, content: dict, attenuation) -> np.ndarray:
     """Points (N, 4) of the first LiDAR as in the file: x, y, z and intensity."""
     lidars = sorted(int(m[1]) for m in (re.fullmatch(r"lidar_pose(\d+)", k) for k in content) if m)
     need(lidars == list(range(len(lidars))), f"{path}: LiDARs {lidars} are not 0, 1, …")
-    clouds = list(path.parent.glob(f"{path.stem}_lidar*.pcd"))
+    plain = path.with_suffix(".pcd")
+    second = path.with_name(f"{path.stem}_lidar0.pcd")  # the Infra-Set variant's name of the first
+    clouds = [plain, *(set(path.parent.glob(f"{path.stem}_lidar*.pcd")) - {second})]
     need(len(clouds) == len(lidars), f"{path}: {len(lidars)} LiDARs, {len(clouds)} point clouds")
     for i in lidars:
-        file = path.with_name(f"{path.stem}_lidar{i}.pcd")
+        file = path.with_name(f"{path.stem}_lidar{i}.pcd") if i else plain
         points = parse_pcd(file)
         if attenuation is not None:
             expected = np.exp(-attenuation * np.linalg.norm(points[:, :3], axis=1))
             off = np.abs(points[:, 3] - expected).max(initial=0)
             need(off <= 0.51 / 255, f"{file}: an intensity is off by {off:g}")
-    plain = path.with_suffix(".pcd")
-    same = plain.read_bytes() == path.with_name(f"{path.stem}_lidar0.pcd").read_bytes()
-    need(same, f"{plain}: not the points of the first LiDAR")
+    same = not second.exists() or plain.read_bytes() == second.read_bytes()
+    need(same, f"{second}: not the points of the first LiDAR")
     return parse_pcd(plain)
 
 

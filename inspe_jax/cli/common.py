@@ -208,7 +208,10 @@ def busy(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress(what: str) -> Iterator[Any]:
-    """Show a progress bar on a terminal; yields a callback (done, total), or None elsewhere."""
+    """Show a progress bar on a terminal; yields a callback (done, total), or None elsewhere.
+
+    The callback may be told ``what`` is counted now, and begins anew where that has changed.
+    """
     if not err.is_terminal:
         yield None
         return
@@ -220,9 +223,10 @@ def progress(what: str) -> Iterator[Any]:
     with Progress(*columns, console=err, transient=True, speed_estimate_period=1e9) as bar:
         task = bar.add_task(what, total=None)
 
-        def report(done: int, total: int) -> None:
-            if bar.tasks[0].total is None:  # steps of an earlier run say nothing of speed
-                bar.reset(task, total=total, completed=done)
+        def report(done: int, total: int, what: str = what) -> None:
+            # Steps of an earlier run say nothing of speed.
+            if bar.tasks[0].total is None or what != bar.tasks[0].description:
+                bar.reset(task, total=total, completed=done, description=what)
             bar.update(task, completed=done)
 
         yield report

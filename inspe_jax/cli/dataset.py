@@ -1,4 +1,4 @@
-"""The commands `inspe dataset stats` and `inspe dataset show`.
+"""The commands `inspe dataset stats`, `inspe dataset show` and `inspe dataset check`.
 
 Modules that take long to import, such as matplotlib, are imported inside the commands.
 """
@@ -8,10 +8,21 @@ from typing import Annotated
 
 import typer
 
-from inspe_jax.cli.common import PlotOption, app, busy, check_record, err, out, progress, show
+from inspe_jax.cli.common import (
+    PlotOption,
+    app,
+    busy,
+    check_record,
+    counted,
+    err,
+    note,
+    out,
+    progress,
+    show,
+)
 
 dataset_app = typer.Typer(
-    help="Look at data sets: statistics, and single frames.",
+    help="Look at data sets: statistics, single frames, and whether files are damaged.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -20,6 +31,10 @@ app.add_typer(dataset_app, name="dataset")
 SetArgument = Annotated[
     Path, typer.Argument(metavar="DIR", help="A data set, one split of it, or one scenario.")
 ]
+
+
+SHOWN = 20
+"""Number of faults that are printed."""
 
 
 @dataset_app.command("stats")
@@ -54,6 +69,7 @@ def stats(
     - `inspe dataset stats infra/test --json -`
     """
     from inspe_jax.core.files import check_output, csv_text, write_text
+    from inspe_jax.dataset.check import differing
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.statistics import statistics, table_row
     from inspe_jax.report.dataset_figure import statistics_view
@@ -64,6 +80,7 @@ def stats(
     check_output(row, (".csv",))
     check_record(record)
     data = open_dataset(folder)
+    damaged = [fault for scenario in data.scenarios for fault in differing(scenario)]
     with progress("frames") as tell:
         found = statistics(data, tell)
     show(statistics_table(found), statistics_record(found), record)
@@ -76,6 +93,82 @@ def stats(
         with busy("drawing"):
             save_figure(statistics_view(found), plot)
         said.print(f"drew {plot}", highlight=False)
+    if damaged:
+        note(
+            [
+                f"{damaged[0]}",
+                f"{counted(len(damaged), 'file')} not as the manifests say: see "
+                f"inspe dataset check {folder}",
+            ]
+        )
+        raise typer.Exit(1)
+
+
+@dataset_app.command("check")
+def check_files(
+    folder: SetArgument,
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Read every file, and compare its SHA-256 as well.")
+    ] = False,
+    record: Annotated[
+        str | None,
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            help="Write the result as JSON; - writes it to stdout only.",
+        ),
+    ] = None,
+) -> None:
+    """Check whether files of a data set are missing, cut short or changed.
+
+    `inspe generate` writes a manifest.json with each scenario, which has the size and the SHA-256
+    of every file. Sizes are compared at once; --deep reads the whole set, as fast as the disk
+    allows. The exit status is 1 if a file is not as the manifest says, or a scenario has none. The
+    `inspe generate` that made the set records damaged frames again.
+
+    Examples:
+
+    - `inspe dataset check infra`
+    - `inspe dataset check infra/test --deep --json faults.json`
+    """
+    import json
+    import time
+
+    from inspe_jax.core.files import write_text
+    from inspe_jax.dataset.check import check
+
+    check_record(record)
+    began = time.monotonic()
+    with progress("scenarios") as tell:
+        found = check(folder, deep, tell)
+    seconds = time.monotonic() - began
+    text = json.dumps(found.record, indent=2)
+    if record == "-":
+        typer.echo(text)
+    else:
+        speed = f", {found.size / 1e6 / seconds:,.0f} MB/s" if deep and seconds else ""
+        out.print(
+            f"{counted(found.scenarios, 'scenario')}, {counted(found.files, 'file')}, "
+            f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}{speed}: "
+            f"{counted(len(found.faults), 'fault') if found.faults else 'no fault'}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        if record:
+            write_text(record, text + "\n")
+            out.print(f"wrote {record}", highlight=False)
+    note(map(str, found.faults[:SHOWN]))
+    if len(found.faults) > SHOWN:
+        note([f"and {len(found.faults) - SHOWN:,} more: --json FILE lists all"])
+    if found.unknown:
+        note(
+            [
+                f"{found.unknown[0]}: no manifest.json, so nothing is known of its files "
+                f"({counted(len(found.unknown), 'scenario')} like this)"
+            ]
+        )
+    if found.faults or found.unknown:
+        raise typer.Exit(1)
 
 
 @dataset_app.command("show")

@@ -4,6 +4,7 @@ Modules that take long to import, such as Dask, are imported inside the command.
 """
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -52,6 +53,14 @@ def generate(
             metavar="DIR", help="Folder of the map or saved scene that a data_protocol.yaml names."
         ),
     ] = None,
+    deep: Annotated[
+        bool,
+        typer.Option(
+            "--deep/--sizes",
+            help="Compare what is there by the digests of files, or by their sizes alone, which "
+            "is faster.",
+        ),
+    ] = True,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Check the study and say what it would generate.")
     ] = False,
@@ -76,9 +85,10 @@ def generate(
 
     Every combination is a scenario. It gets a folder in train, validate or test in --out, which
     appears when the scenario is complete. If a run was stopped or killed, the same command goes on,
-    and gives the same bytes. If a scenario cannot be generated, the others are, and the exit status
-    is 1. What the backend cannot record as the layout has it is printed at the end, and noted in
-    the scenario's data_protocol.yaml. This file in place of the study generates the scenario again.
+    and gives the same bytes; files that were damaged since are recorded again. If a scenario cannot
+    be generated, the others are, and the exit status is 1. What the backend cannot record as the
+    layout has it is printed at the end, and noted in the scenario's data_protocol.yaml. This file
+    in place of the study generates the scenario again.
 
     Examples:
 
@@ -113,7 +123,14 @@ def generate(
     try:
         with progress("frames") as report:
             result = run(
-                generation, folder, backend, workers=workers, server=server, progress=report
+                generation,
+                folder,
+                backend,
+                workers=workers,
+                server=server,
+                deep=deep,
+                progress=report,
+                checking=report and partial(report, what="scenarios compared"),
             )
     except KeyboardInterrupt:
         err.print("stopped; give the same command again to resume", soft_wrap=True)
@@ -126,6 +143,10 @@ def generate(
         soft_wrap=True,
     )
     out.print(f"wrote {result.folder}", highlight=False, soft_wrap=True)
+    damaged = [fault for faults in result.repaired.values() for fault in faults]
+    note(f"{fault}: recorded again" for fault in damaged[:SHOWN])
+    if len(damaged) > SHOWN:
+        note([f"and {counted(len(damaged) - SHOWN, 'file')} more"])
     counts = Counter(words for notes in result.notes.values() for words in notes)
     note(f"{words} ({counted(count, 'scenario')})" for words, count in counts.items())
     failures = list(result.failures.items())

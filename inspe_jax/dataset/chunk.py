@@ -12,8 +12,12 @@ from typing import Any
 from filelock import FileLock
 
 from inspe_jax.core.files import parse_yaml
+from inspe_jax.dataset.formats.agents import with_cameras
+from inspe_jax.dataset.formats.ranges import lidar_ranges
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
+from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
+from inspe_jax.dataset.points_in_boxes import counted
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import layout_text, parse_layout
@@ -108,7 +112,9 @@ class WorkerState:
             layout = parse_layout(content, source.name, source.name, scene)
             given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
             self.stack = ExitStack()
-            self.recorder = self.stack.enter_context(recorder_of(chunk.backend, *given))
+            self.recorder = self.stack.enter_context(
+                recorder_of(chunk.backend, *given, plan.appearance_seed)
+            )
             self.notes = self.recorder.notes
             self.protocol = protocol_of(plan, content, chunk.backend, self.notes, chunk.format)
         except Exception as e:
@@ -144,7 +150,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes: tuple[str, ...] = ()
-    stored = FORMATS[chunk.format]
+    stored, options = FORMATS[chunk.format], chunk.plan.files
     try:
         with FileLock(chunk.lock):
             for t in _missing(chunk):
@@ -159,9 +165,14 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                         frame = replace(_worker.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
                         return Outcome(error=f"frame {t}: {message_of(e)}")
+                    frame = counted(frame)
                     if not stored.is_begun(chunk.folder):
-                        stored.write_protocol(chunk.folder, _worker.protocol or {}, frame.stations)
-                    stored.write(chunk.folder, frame)
+                        agents = with_cameras(frame.stations, options.cameras_per_agent)
+                        protocol = _worker.protocol or {}
+                        protocol["lidar_range"] = lidar_ranges(agents, scene.voxels)
+                        stored.write_protocol(chunk.folder, protocol, agents)
+                    files = stored.write(chunk.folder, frame, options)
+                    record_frame(chunk.folder, t, files)
     except Exception as e:
         fault = os_error(e)
         if fault is None:
@@ -190,7 +201,7 @@ def _missing(chunk: Chunk) -> Iterator[int]:
     sender = multiprocessing.parent_process()
     stored, folder = FORMATS[chunk.format], chunk.folder
     # No other process writes frames of this chunk now: this one holds the lock.
-    there = stored.frames(folder, stored.agents(folder)) if stored.is_begun(folder) else ()
+    there = recorded_frames(folder) if stored.is_begun(folder) else ()
     for t in sorted(set(range(chunk.first, chunk.last + 1)) - set(there)):
         if sender is not None and not sender.is_alive():
             return

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
+from inspe_jax.dataset.manifest import Fault
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
 from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
@@ -29,7 +30,8 @@ class GenerationResult:
     all files [bytes]. ``recorded`` is the number of frames of this run, and ``seconds`` the time
     that it took. ``failures`` says, by the name of the scenario, why it could not be generated.
     ``notes`` says what of a scenario could not be recorded as its layout has it; it covers the
-    scenarios that were recorded in this run.
+    scenarios that were recorded in this run. ``repaired`` says what was wrong with the files of
+    scenarios that were complete before.
     """
 
     folder: Path
@@ -40,6 +42,7 @@ class GenerationResult:
     seconds: float
     failures: dict[str, str]
     notes: dict[str, tuple[str, ...]]
+    repaired: dict[str, list[Fault]]
 
 
 def generate(
@@ -49,7 +52,9 @@ def generate(
     *,
     workers: int | None = None,
     server: Server | None = None,
+    deep: bool = True,
     progress: Callable[[int, int], None] | None = None,
+    checking: Callable[[int, int], None] | None = None,
 ) -> GenerationResult:
     """Generate the scenarios of a data set that ``folder`` does not have yet.
 
@@ -59,8 +64,11 @@ def generate(
     as many as the backend allows. ``server`` is the address of the server if the backend needs one,
     the usual one if not given. ``progress`` is called with (frames done, all frames).
 
-    After a run was killed, call this again: it continues, and gives the same bytes. If a scenario
-    cannot be generated, its error is in the result's ``failures``, and the others are generated.
+    After a run was killed, call this again: it continues, and gives the same bytes. Scenarios that
+    are there are compared with their manifests, by digests if ``deep``, otherwise by the sizes of
+    files, and frames that are damaged are recorded again; ``checking`` is called with (scenarios
+    compared, all). If a scenario cannot be generated, its error is in the result's ``failures``,
+    and the others are generated.
 
     Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
     processes. Raises InspeError if Dask is missing, no server answers, the disk is full or cannot
@@ -71,7 +79,7 @@ def generate(
     workers = _checked(backend, workers)
     server = server_of(backend, server)
     try:
-        with DatasetWriter(generation, folder, backend) as writer:
+        with DatasetWriter(generation, folder, backend, deep, checking) as writer:
             had = writer.frames
             failures, notes = _record(writer, generation, backend, workers, server, progress)
             if not failures:
@@ -86,6 +94,7 @@ def generate(
                 seconds=time.monotonic() - began,
                 failures=failures,
                 notes=notes,
+                repaired=writer.damage,
             )
     except OSError as e:
         if e.errno not in FULL:

@@ -15,17 +15,24 @@ its own: scenarios, splits and names here, jobs and searches there. The file::
       seconds: 20                    # length of a scenario
     rate_hz: 10                      # frames per second
     layers: [depth, instance]        # in addition to the pictures; or semantic
-    image_scale: 0.5                 # of the cameras' own resolution, up to 1
+    image_scale: 0.5                 # of the cameras' own resolution, up to 4
+    lidar_turn_s: 0.1                # how long a LiDAR's turn takes; 0: all rays at once
     format: opv2v                    # how files are written
+    pictures: png                    # or jpeg: smaller, and faster to read
+    cameras_per_agent: 4             # for readers that want as many of each; not given: as they are
+    infra_set_names: false           # a second name for the first point cloud of each agent
     splits: {train: 7, validate: 1, test: 2}
-    split_by: scenario               # or scene: see below
+    split_by: scene                  # or intersection, or scenario: see below
 
 The frames of a saved scene must be 1 / ``rate_hz`` apart, and there must be enough of them. Without
 ``seconds`` all of them are used.
 
-Scenarios that differ only in layout, light or weather are of the same scene, and have the same
-traffic. If no traffic may be in two splits, use ``split_by: scene``, and give several values of
-``seed``, so that there are many scenes.
+Scenarios that differ only in layout, light or weather are of the same scene: the same road users
+drive and walk in them, and look the same. A scene is in one split, so that no detector is tested on
+traffic that it was trained on. To test on places that it was not trained on either, use
+``split_by: intersection``; ``split_by: scenario`` divides what is of one scene. Densities and kinds
+of intersections (the tag ``kind``, else the name) are spread over the splits as evenly as whole
+numbers allow.
 """
 
 import hashlib
@@ -33,7 +40,7 @@ import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -44,11 +51,12 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
 from inspe_jax.scene.traffic.frames import MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
 from inspe_jax.simulation.backends import DEFAULT_BACKEND
-from inspe_jax.simulation.recorder import Recording
+from inspe_jax.simulation.recorder import TURN, Recording
 from inspe_jax.study.settings import (
     CONDITIONS,
     WORLD,
@@ -85,7 +93,7 @@ class ScenarioPlan:
     """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`.
 
     ``seed`` is that of the sensors' noise. It differs in every scenario, also where scenarios of
-    one scene have the same traffic.
+    one scene have the same traffic. ``files`` says how they are written.
     """
 
     name: str
@@ -96,6 +104,7 @@ class ScenarioPlan:
     recording: Recording
     seed: int
     tags: Mapping[str, str] = field(default_factory=dict)
+    files: FileOptions = DEFAULT_OPTIONS
 
     @property
     def frames(self) -> int:
@@ -122,6 +131,18 @@ class ScenarioPlan:
     def key(self) -> str:
         """A short text that identifies the scenario: by its content, not by its name."""
         return digest([self.source.anywhere, self.layout, self.settings, self.recording])[:16]
+
+    @cached_property
+    def traffic(self) -> str:
+        """A short text that identifies the road users, whatever sees them, and in whichever
+        light."""
+        of = {key: self.settings[key] for key in ("density", "mix", "traffic", "seed")}
+        return digest([self.source.anywhere, of])[:16]
+
+    @property
+    def appearance_seed(self) -> int:
+        """The seed of the road users' shapes and colours: the same for every layout and light."""
+        return _seed(self.traffic)
 
 
 @dataclass(frozen=True)
@@ -175,8 +196,12 @@ class RecordingEntry(Strict):
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
-    image_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    image_scale: Annotated[float, Field(gt=0, le=4)] = 1.0
+    lidar_turn_s: Annotated[float, Field(ge=0, le=1)] = TURN
     format: str = DEFAULT_FORMAT
+    pictures: str = DEFAULT_OPTIONS.pictures
+    cameras_per_agent: int = DEFAULT_OPTIONS.cameras_per_agent
+    infra_set_names: bool = DEFAULT_OPTIONS.infra_set_names
 
     def recording(self, where: str) -> Recording:
         """The settings of the recording.
@@ -185,14 +210,25 @@ class RecordingEntry(Strict):
         """
         check_format(self.format, f"{where}: format")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
-        return Recording(rate=self.rate_hz, layers=tuple(self.layers), image_scale=self.image_scale)
+        return Recording(
+            rate=self.rate_hz,
+            layers=tuple(self.layers),
+            image_scale=self.image_scale,
+            turn=self.lidar_turn_s,
+        )
+
+    def files(self, where: str) -> FileOptions:
+        """How files are written. Raises InspeError where a value is out of range."""
+        options = FileOptions(**{f.name: getattr(self, f.name) for f in fields(FileOptions)})
+        options.check(where)
+        return options
 
 
 class _File(Sources, RecordingEntry):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: Settings = Settings()
     splits: dict[Literal["train", "validate", "test"], _Proportion] = Field(default=PROPORTIONS)
-    split_by: Literal["scenario", "scene"] = "scenario"
+    split_by: Literal["scene", "intersection", "scenario"] = "scene"
 
 
 def make_generation(
@@ -204,7 +240,7 @@ def make_generation(
     none. Raises InspeError that names the file, the key and what is allowed.
     """
     entry = check_model(_File, with_named_layouts(content), where)
-    recording = entry.recording(where)
+    recording, files = entry.recording(where), entry.files(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings")
     for seconds in whole["seconds"]:
@@ -224,18 +260,14 @@ def make_generation(
                 for around in combinations(given, CONDITIONS, defaults):
                     settings = build | conditioned(around)
                     plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
-                    plans.setdefault(plan.key, replace(plan, tags=dict(item.tags)))
-    done = _named(list(plans.values()))
-    done = [replace(plan, seed=_seed(key)) for key, plan in zip(plans, done, strict=True)]
-    by_scene = entry.split_by == "scene"
-    groups = [plan.scene if by_scene else key for key, plan in zip(plans, done, strict=True)]
-    kinds = {
-        group: (plan.source.name, *([] if by_scene else [plan.conditions.light]))
-        for group, plan in zip(groups, done, strict=True)
-    }
-    splits = _split(kinds, proportions)
-    done = [replace(plan, split=splits[group]) for group, plan in zip(groups, done, strict=True)]
-    return Generation(entry.name or name, tuple(done), format=entry.format)
+                    plans.setdefault(plan.key, replace(plan, tags=dict(item.tags), files=files))
+    done = _named([replace(plan, seed=_seed(key)) for key, plan in plans.items()])
+    groups = [_group(plan, entry.split_by) for plan in done]
+    splits = _split(dict(groups), proportions)
+    scenarios = tuple(
+        replace(plan, split=splits[group]) for (group, _), plan in zip(groups, done, strict=True)
+    )
+    return Generation(entry.name or name, scenarios, format=entry.format)
 
 
 def check_seconds(seconds: float, rate: float, where: str) -> None:
@@ -313,11 +345,22 @@ def _fit(part: Any) -> str:
     return re.sub(r"[^A-Za-z0-9.+-]+", "_", str(part)).strip("._") or "_"
 
 
+def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:
+    """What a scenario is kept together with in a split, and the kind of that."""
+    kind = plan.tags.get("kind", plan.source.name)
+    density = str(plan.settings["density"])
+    return {
+        "intersection": (digest(plan.source.anywhere), (kind,)),
+        "scene": (plan.traffic, (density, kind)),
+        "scenario": (plan.key, (density, kind, plan.conditions.light)),
+    }[split_by]
+
+
 def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -> dict[str, str]:
-    """The split of each key of ``kinds``, which maps keys to their kinds.
+    """The split of each key of ``kinds``, which maps keys to their kinds, coarse to fine.
 
     The sizes of the splits follow the proportions as closely as whole numbers allow. Keys are
-    sorted by the hash of their kind, then by their own hash, and dealt out so that every stretch of
+    sorted by the hashes of their kinds, then by their own, and dealt out so that every stretch of
     this order is split in proportion. So each kind is in all splits, if there are enough keys of
     it, and which keys go where depends on hashes only.
     """
@@ -328,7 +371,12 @@ def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -
     for s in rest[: count - sum(quota)]:
         quota[s] += 1
     found, dealt = {}, [0] * len(quota)
-    order = sorted(kinds, key=lambda key: (_hash(*kinds[key]), _hash(key)))
+
+    def place(key: str) -> tuple[str, ...]:
+        kind = kinds[key]
+        return (*(_hash(*kind[: k + 1]) for k in range(len(kind))), _hash(key))
+
+    order = sorted(kinds, key=place)
     for n, key in enumerate(order, 1):
         left = [s for s in range(len(quota)) if dealt[s] < quota[s]]
         s = max(left, key=lambda s: quota[s] * n / count - dealt[s])

@@ -1,12 +1,13 @@
-"""Counts the points of LiDAR scans inside the boxes of road users."""
+"""Counts what sensors recorded of each road user: points inside its box, pixels that show it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.simulation.frame import RoadUserBox, Scan
+from inspe_jax.simulation.frame import MOST_TRACK, Frame, Image, RoadUserBox, Scan
 
 SLACK = 1e-3
 """A box is made larger by this on every side but the bottom [m]. So points on its faces are inside
@@ -41,6 +42,36 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
         inside &= (dz <= half[2]) & (dz >= 2 * SLACK - half[2])
         counts[:, k] = np.bincount(owner[near[inside]], minlength=len(scans))
     return counts
+
+
+def counted(frame: Frame) -> Frame:
+    """The frame with the returns and the pixels of each road user, where its recorder told none.
+
+    Then returns are the points inside its box, and pixels are counted in the instance picture, if
+    there is one.
+    """
+
+    def of_scan(scan: Scan) -> Scan:
+        if scan.returns is not None:
+            return scan
+        return replace(scan, returns=count_inside([scan], frame.boxes)[0])
+
+    def of_image(image: Image) -> Image:
+        if image.pixels is not None or image.instance is None:
+            return image
+        instance = np.bincount(np.ravel(image.instance), minlength=MOST_TRACK + 2)
+        tracks = np.array([box.track for box in frame.boxes], int)
+        return replace(image, pixels=instance[tracks + 1])
+
+    stations = (
+        replace(
+            station,
+            images=tuple(map(of_image, station.images)),
+            scans=tuple(map(of_scan, station.scans)),
+        )
+        for station in frame.stations
+    )
+    return replace(frame, stations=tuple(stations))
 
 
 def world_points(scan: Scan) -> Float[np.ndarray, "3 N"]:

@@ -6,6 +6,7 @@ content.
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +18,7 @@ from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
+from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.plan import (
     SETTINGS,
@@ -50,7 +52,8 @@ from inspe_jax.study.sources import (
     scene_source,
 )
 
-FORMAT = "inspe_jax scenario 1"
+FORMATS = ("inspe_jax scenario 2", "inspe_jax scenario 1")
+"""Formats of a protocol, the current one first. Scenarios of the other were recorded otherwise."""
 PORT = 2000
 """CARLA's usual port. Readers of OPV2V data sets expect one in the protocol; it has no effect."""
 
@@ -85,6 +88,7 @@ class _Protocol(Strict):
     layout: dict[str, Any]
     versions: dict[str, str]
     notes: list[str] = Field(default=[])
+    lidar_range: dict[int, list[float]] = Field(default={})
     stations: dict[int, str] = Field(default={})
 
 
@@ -117,7 +121,7 @@ def protocol_of(
         "content": source.content or None,
     }
     return {
-        "format": FORMAT,
+        "format": FORMATS[0],
         "name": plan.name,
         "split": plan.split,
         "world": {
@@ -134,8 +138,14 @@ def protocol_of(
             "rate_hz": plan.recording.rate,
             "layers": list(plan.recording.layers),
             "image_scale": plan.recording.image_scale,
+            "lidar_turn_s": plan.recording.turn,
             "seed": plan.seed,
             **({} if format == DEFAULT_FORMAT else {"format": format}),
+            **{
+                f.name: getattr(plan.files, f.name)
+                for f in fields(plan.files)
+                if getattr(plan.files, f.name) != getattr(DEFAULT_OPTIONS, f.name)
+            },
         },
         **({"tags": dict(plan.tags)} if plan.tags else {}),
         "layout": dict(layout),
@@ -169,7 +179,7 @@ def load_generation(
 def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
     entry = check_model(_Protocol, content, where)
     for key, value, known in (
-        ("format", entry.format, (FORMAT,)),
+        ("format", entry.format, FORMATS),
         ("split", entry.split, SPLITS),
         ("recording.backend", entry.recording.backend, tuple(BACKENDS)),
     ):
@@ -190,6 +200,7 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
         recording=recording,
         seed=entry.recording.seed,
         tags=entry.tags,
+        files=entry.recording.files(f"{where}: recording"),
     )
     now = versions(entry.recording.backend)
     differ = [
@@ -198,6 +209,11 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
         if entry.versions.get(name) != now.get(name)
     ]
     notes = [f"made with {', '.join(sorted(differ))}: files may differ"] if differ else []
+    if entry.format != FORMATS[0]:
+        notes.append(
+            "recorded by an earlier version, which let road users return points from beyond a "
+            "LiDAR's reach and gave them another look in each layout: files will differ"
+        )
     recorded = entry.recording
     return Generation(entry.name, (plan,), recorded.backend, tuple(notes), recorded.format)
 

@@ -2,11 +2,12 @@
 
 A scenario is written under ``.unfinished``, where readers do not look, and moves into its split
 when it is complete. So the splits hold complete scenarios only, even if a run is killed. The next
-run records the missing frames only.
+run records the missing frames only, and those of which a file is damaged.
 """
 
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,24 @@ from filelock import FileLock, Timeout
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
-from inspe_jax.dataset.folders import SPLITS, Scenario
+from inspe_jax.dataset.check import GENERATION
+from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
+from inspe_jax.dataset.manifest import (
+    MANIFEST,
+    RECORDS,
+    Fault,
+    faults,
+    read_manifest,
+    recorded_frames,
+    reopen,
+    write_manifest,
+)
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
 
-RECORD, UNFINISHED = "generation.yaml", ".unfinished"
-FORMAT = "inspe_jax data set 1"
+RECORD, UNFINISHED = GENERATION, ".unfinished"
+FORMAT = "inspe_jax data set 2"
 
 _ADVICE = "name another folder, or delete this one to start again"
 
@@ -30,14 +42,24 @@ _ADVICE = "name another folder, or delete this one to start again"
 class DatasetWriter:
     """The folder of a data set, locked for one run.
 
-    ``there`` holds the numbers of the complete frames of each scenario, by name, as last counted.
+    ``there`` holds the numbers of the complete frames of each scenario, by name, as last counted;
+    ``damage`` what was found wrong with scenarios that had been complete.
     """
 
     def __init__(
-        self, generation: Generation, folder: str | os.PathLike[str], backend: str
+        self,
+        generation: Generation,
+        folder: str | os.PathLike[str],
+        backend: str,
+        deep: bool = True,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Raises InspeError if the folder cannot be written to, another run uses it, or it contains
-        another data set or other files."""
+        """Compare finished scenarios with their manifests: ``deep`` by digests, else by sizes.
+
+        ``progress`` is called with the number of scenarios compared and of all. Raises InspeError
+        if the folder cannot be written to, another run uses it, or it contains another data set or
+        other files.
+        """
         self.folder = prepare_folder(folder)
         self.format_name = generation.format
         self.format = FORMATS[generation.format]
@@ -48,7 +70,12 @@ class DatasetWriter:
             raise InspeError(f"{self.folder}: is in use by another run") from None
         try:
             self._check(record_of(generation, backend))
-            self.there = {plan.name: self._resume(plan) for plan in generation.scenarios}
+            self.there: dict[str, set[int]] = {}
+            self.damage: dict[str, list[Fault]] = {}
+            for plan in generation.scenarios:
+                self.there[plan.name] = self._resume(plan, deep)
+                if progress:
+                    progress(len(self.there), len(generation.scenarios))
         except BaseException:
             self._lock.release()
             raise
@@ -76,14 +103,16 @@ class DatasetWriter:
     def finish(self, plan: ScenarioPlan) -> bool:
         """Move a scenario into its split. Gives False, and does not move it, if a frame is
         missing."""
-        folder = self.unfinished(plan)
+        folder, place = self.unfinished(plan), self.place(plan)
         self.there[plan.name] = self._frames(folder)
         if len(self.there[plan.name]) < plan.frames:
             return False
         for part in folder.rglob(".*.part"):  # half-written files of a worker that was killed
             part.unlink()
-        self.place(plan).parent.mkdir(exist_ok=True)
-        os.replace(folder, self.place(plan))
+        write_manifest(folder, [folder / self.format.protocol_file])
+        place.parent.mkdir(exist_ok=True)
+        os.replace(folder, place)
+        shutil.rmtree(place / RECORDS)
         return True
 
     def clear(self) -> None:
@@ -98,8 +127,8 @@ class DatasetWriter:
     def count_frames(self, generation: Generation) -> int:
         """Count the complete frames of all scenarios again, finished or not."""
         for plan in generation.scenarios:
-            place = self.place(plan)
-            self.there[plan.name] = self._frames(place if place.exists() else self.unfinished(plan))
+            if not self.place(plan).exists():
+                self.there[plan.name] = self._frames(self.unfinished(plan))
         return self.frames
 
     @property
@@ -145,25 +174,38 @@ class DatasetWriter:
                     f"{self.folder}: was begun with {name} {was}, but this is {version}; {_ADVICE}"
                 )
 
-    def _resume(self, plan: ScenarioPlan) -> set[int]:
+    def _resume(self, plan: ScenarioPlan, deep: bool) -> set[int]:
         """Numbers of the complete frames of a scenario.
 
-        A finished scenario of which a frame was deleted becomes unfinished again.
+        A finished scenario of which a file is damaged or missing becomes unfinished again.
         """
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
-            there = self._frames(place)
-            if len(there) == plan.frames:
-                return there
+            shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed
+            found = self._faults(place, deep)
+            if not found:
+                return set(range(plan.frames))
+            self.damage[plan.name] = found
             shutil.rmtree(folder, ignore_errors=True)
             folder.parent.mkdir(parents=True, exist_ok=True)
+            reopen(place, found)
             os.replace(place, folder)
         return self._frames(folder)
 
+    def _faults(self, place: Path, deep: bool) -> list[Fault]:
+        """What is wrong with the files of a finished scenario; others than its own do no harm."""
+        try:
+            manifest = read_manifest(place)
+        except InspeError as e:
+            return [Fault(place / MANIFEST, str(e).removeprefix(f"{place / MANIFEST}: "))]
+        if manifest is None:
+            return [Fault(place / MANIFEST, "is missing")]
+        own = {place / path for _, path, _, _ in manifest.all}
+        return [fault for fault in faults(place, manifest, deep) if fault.path in own]
+
     def _frames(self, folder: Path) -> set[int]:
-        """Numbers of the complete frames in a scenario's folder."""
-        begun = self.format.is_begun(folder)
-        return set(Scenario(folder, self.format).frames) if begun else set()
+        """Numbers of the complete frames in the folder of an unfinished scenario."""
+        return set(recorded_frames(folder)) if self.format.is_begun(folder) else set()
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:

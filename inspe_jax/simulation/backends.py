@@ -38,8 +38,10 @@ class Backend:
 def _embedded(*given: Any) -> "AbstractContextManager[Recorder]":
     from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 
-    *most, _, appearance_seed = given
-    return nullcontext(EmbeddedRecorder(*most, appearance_seed=appearance_seed))
+    scene, layout, conditions, recording, seed, _, appearance_seed = given
+    return nullcontext(
+        EmbeddedRecorder(scene, layout, conditions, recording, seed, appearance_seed)
+    )
 
 
 def _carla(*given: Any) -> "AbstractContextManager[Recorder]":

@@ -12,6 +12,7 @@ from frames import WORLD, assert_same, frame
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station, chunk, load_generation
+from inspe_jax.dataset.formats.options import FileOptions
 from inspe_jax.dataset.formats.registry import FORMATS, DatasetFormat
 from inspe_jax.dataset.writer import DatasetWriter
 
@@ -30,7 +31,7 @@ def toy_frames(folder: Path, agents: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(sorted(int(path.stem) for path in folder.glob("*.npz")))
 
 
-def toy_write(folder: Path, given: Frame) -> None:
+def toy_write(folder: Path, given: Frame, options: FileOptions) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     flat = {"time": given.time, "stations": len(given.stations), "boxes": len(given.boxes)}
     for b, box in enumerate(sorted(given.boxes, key=lambda box: box.track)):
@@ -43,8 +44,10 @@ def toy_write(folder: Path, given: Frame) -> None:
             there = {key: value for key, value in vars(image).items() if value is not None}
             flat |= {f"{s}.image{k}.{key}": value for key, value in there.items()}
         for k, scan in enumerate(station.scans):
-            flat |= {f"{s}.scan{k}.{key}": value for key, value in vars(scan).items()}
+            there = {key: value for key, value in vars(scan).items() if value is not None}
+            flat |= {f"{s}.scan{k}.{key}": value for key, value in there.items()}
     np.savez(folder / f"{given.number}.npz", **flat)
+    return [folder / f"{given.number}.npz"]
 
 
 def toy_read(folder: Path, number: int, agents: tuple[int, ...], protocol) -> Frame:

@@ -38,6 +38,7 @@ STUDY = dict(
     settings=dict(radius=15, voxel=2, density=5, seed=[0, 1], light=["midday", "night"],
                   seconds=1.4),
     layers=["depth"],
+    split_by="scenario",
 )  # fmt: skip
 FRAMES = 14
 

@@ -17,8 +17,9 @@ from PIL import Image as Pillow
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, read_frame, write_frame, write_protocol
 from inspe_jax.dataset.formats import protocol_file
+from inspe_jax.dataset.formats.options import FileOptions
 from inspe_jax.dataset.formats.opv2v import writer
-from inspe_jax.dataset.formats.png import read_depth, write_depth
+from inspe_jax.dataset.formats.pictures import read_depth, write_depth
 
 
 def written(folder: Path, given: Frame | None = None) -> Path:
@@ -119,20 +120,19 @@ def large_picture(agent: Path) -> None:
 
 
 def blue_intensity(agent: Path) -> None:
-    for name in ("000068.pcd", "000068_lidar0.pcd"):
-        path = agent / name
-        head, body = path.read_bytes().split(b"DATA binary\n")
-        rows = np.frombuffer(body, "<u4").reshape(-1, 4).copy()
-        rows[:, 3] >>= 16
-        path.unlink()
-        path.write_bytes(head + b"DATA binary\n" + rows.tobytes())
+    path = agent / "000068.pcd"
+    head, body = path.read_bytes().split(b"DATA binary\n")
+    rows = np.frombuffer(body, "<u4").reshape(-1, 4).copy()
+    rows[:, 3] >>= 16
+    path.write_bytes(head + b"DATA binary\n" + rows.tobytes())
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
         (lambda a: (a / "000068.pcd").unlink(), "No such file"),
-        (lambda a: (a / "000068_lidar0.pcd").unlink(), "1 LiDARs, 0 point clouds"),
+        (lambda a: (a / "000068_lidar1.pcd").touch(), "1 LiDARs, 2 point clouds"),
+        (lambda a: (a / "000068_lidar0.pcd").touch(), "not the points of the first"),
         (lambda a: (a / "000068_camera1.png").unlink(), "2 cameras, 1 pictures"),
         (lambda a: (a / "000068.yaml").unlink(), "no frame"),
         (lambda a: (a.parent / "-1" / "000068.yaml").unlink(), "frames are not those"),
@@ -183,6 +183,7 @@ def test_yaml_of_a_known_frame(tmp_path):
         "name": "vehicle.audi.tt",
         "obj_type": "Car",
         "speed": 36,
+        "velocity": [0, -10, 0],
     }
     read = content(scenario / "-1" / "000068.yaml")
     extrinsic = np.array(read["camera0"].pop("extrinsic"))
@@ -283,11 +284,13 @@ def test_yaml_is_the_last_file_of_each_agent(tmp_path, monkeypatch):
     for name in ("write_pcd", "write_rgb", "write_depth", "write_instance", "write_semantic"):
         monkeypatch.setattr(writer, name, lambda path, *_, **__: order.append(path.suffix))
     monkeypatch.setattr(writer, "write_text", lambda path, *_: order.append(path.suffix))
-    monkeypatch.setattr(writer.os, "link", lambda *_: order.append("link"))
+    monkeypatch.setattr(
+        writer, "LAYERS", {name: getattr(writer, f"write_{name}") for name in writer.LAYERS}
+    )
     write_frame(tmp_path, frame())
     assert order[-2:] == [".yaml"] * 2
     assert ".yaml" not in order[:-2]
-    assert len(order) == 2 * (1 + 1 + 2 * 4 + 1)
+    assert len(order) == 2 * (1 + 2 * 4 + 1)
 
 
 def test_a_frame_written_again_leaves_nothing_behind(tmp_path):
@@ -312,18 +315,91 @@ def test_a_frame_is_cleared_so_that_it_can_be_resumed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "unlink", watch)
     write_frame(scenario, frame(stations=[station()]))
-    assert (gone[0], gone[-1]) == ("000068.yaml", "000068_lidar0.pcd")
-    assert len(gone) == len(set(gone)) == 11
+    assert (gone[0], gone[-1]) == ("000068.yaml", "000068.pcd")
+    assert len(gone) == len(set(gone)) == 10
 
 
-def test_one_file_of_points_has_two_names_or_two_copies(tmp_path, monkeypatch):
-    linked = files(written(tmp_path / "a"))
+def test_the_infra_set_variant_has_a_second_name_for_the_points(tmp_path):
+    """A file of its own: a set with hard links would grow when it is copied."""
+    plain = files(written(tmp_path / "a"))
+    write_protocol(tmp_path / "b", {"world": WORLD}, frame().stations)
+    paths = write_frame(tmp_path / "b", frame(), options=FileOptions(infra_set_names=True))
+    more = files(tmp_path / "b")
+    assert {name: more[name] for name in plain} == plain
+    assert more.keys() - plain.keys() == {f"-{n}/000068_lidar0.pcd" for n in (1, 2)}
+    assert all(path.stat().st_nlink == 1 for path in paths)
+    assert {str(path.relative_to(tmp_path / "b")) for path in paths} == more.keys() - {
+        "data_protocol.yaml"
+    }
+    check_scenario(tmp_path / "b")
+    assert_same(read_frame(tmp_path / "b", 68), frame())
 
-    def refuse(*_):
-        raise OSError("no links here")
 
-    monkeypatch.setattr(writer.os, "link", refuse)
-    assert files(written(tmp_path / "b")) == linked
+def test_jpeg_pictures(tmp_path):
+    given, smooth = frame(), np.linspace(0, 255, 48 * 64 * 3).reshape(48, 64, 3).astype(np.uint8)
+    here = given.stations[0]
+    here = replace(here, images=(replace(here.images[0], rgb=smooth, depth=None, instance=None,
+                                         semantic=None),))  # fmt: skip
+    options = FileOptions(pictures="jpeg")
+    paths = write_frame(tmp_path, replace(given, stations=(here,)), options=options)
+    assert sorted(path.suffix for path in paths) == [".jpg", ".pcd", ".yaml"]
+    read = read_frame(tmp_path, 68).stations[0].images[0].rgb
+    assert np.abs(read.astype(int) - smooth).max() < 12
+    with pytest.raises(InspeError, match="pictures: 'jpg': one of png, jpeg; did you mean jpeg"):
+        write_frame(tmp_path, given, options=FileOptions(pictures="jpg"))
+
+
+def test_agents_with_as_many_cameras_each(tmp_path):
+    """Stations with 1, 0 and 5 cameras, four of each wanted: the third becomes two agents."""
+    stations = station(1, cameras=1), station(2, cameras=0), station(3, cameras=5, lidars=0)
+    write_protocol(tmp_path, {"world": WORLD})
+    write_frame(tmp_path, frame(stations=stations), options=FileOptions(cameras_per_agent=4))
+    for agent in (-1, -2, -3, -4):
+        holds = content(tmp_path / str(agent) / "000068.yaml")
+        assert [f"camera{i}" in holds for i in range(5)] == [True] * 4 + [False]
+    check_scenario(tmp_path, lidar_range=(-200, -200, -8, 200, 200, 0))
+    read = read_frame(tmp_path, 68)
+    assert [len(s.images) for s in read.stations] == [1, 0, 4, 1]  # those that fill up are left out
+    assert [len(s.scans) for s in read.stations] == [1, 1, 0, 0]
+    last = read.stations[3].images[0]
+    np.testing.assert_array_equal(last.rgb, stations[2].images[4].rgb)
+    black = content(tmp_path / "-1" / "000068.yaml")["camera3"]
+    assert black["cords"][5] == 90.0  # CARLA's pitch: straight up
+
+
+def test_what_was_observed_of_each_road_user(tmp_path):
+    """Counts of every sensor are read back, also where tracks are not in order."""
+    given = frame()
+    order = len(given.boxes)
+    stations = [
+        replace(
+            s,
+            scans=tuple(replace(x, returns=np.arange(order) + 10 * s.number) for x in s.scans),
+            images=tuple(
+                replace(x, pixels=np.arange(order) * 3, share=np.linspace(0, 1, order))
+                for x in s.images
+            ),
+        )
+        for s in given.stations
+    ]
+    write_protocol(tmp_path, {"world": WORLD})
+    write_frame(tmp_path, replace(given, boxes=given.boxes[::-1], stations=tuple(stations)))
+    check_scenario(tmp_path)
+    read = read_frame(tmp_path, 68)
+    back = [[box.track for box in given.boxes[::-1]].index(box.track) for box in read.boxes]
+    for a, b in zip(read.stations, stations, strict=True):
+        for x, y in zip(a.scans, b.scans, strict=True):
+            np.testing.assert_array_equal(x.returns, y.returns[back])
+        for x, y in zip(a.images, b.images, strict=True):
+            np.testing.assert_array_equal(x.pixels, y.pixels[back])
+            np.testing.assert_allclose(x.share, y.share[back], atol=5e-4)
+    holds = content(tmp_path / "-1" / "000068.yaml")
+    track = read.boxes[0].track
+    each = holds["observed"][track]["lidar_points"]
+    assert holds["observed"][track]["points"] == sum(map(sum, each.values()))
+    wrong = replace(stations[0], scans=(replace(stations[0].scans[0], returns=np.zeros(3)),))
+    with pytest.raises(InspeError, match=r"scan 0: returns must be finite numbers of shape \(4,\)"):
+        write_frame(tmp_path, replace(given, stations=(wrong,)))
 
 
 def test_depth_is_capped_and_reads_as_infinite(tmp_path):

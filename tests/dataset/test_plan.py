@@ -15,7 +15,7 @@ from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.plan import SETTINGS, _split
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.placement.strategies import strategy
-from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import layout_text
 
@@ -111,35 +111,96 @@ def test_seed_and_split_depend_on_the_content_of_a_scenario(read, tmp_path):
 
 
 def test_splits_have_their_proportions(read):
-    generation = read()
+    generation = read(split_by="scenario")
     assert [len(plans) for plans in generation.splits.values()] == [45, 6, 13]
-    for scene, light in product(("four_way", "the circle"), ("midday", "night")):
+    for of in product(("four_way", "the circle"), ("low", "33"), ("midday", "night")):
         own = [
             plan.split
             for plan in generation.scenarios
-            if (plan.source.name, plan.settings["light"]) == (scene, light)
+            if (plan.source.name, str(plan.settings["density"]), plan.settings["light"]) == of
         ]
-        assert len(own) == 16
-        assert 10 <= own.count("train") <= 12
-        assert 1 <= own.count("validate") <= 2
-        assert 3 <= own.count("test") <= 4
+        assert len(own) == 8
+        assert 5 <= own.count("train") <= 6
+        assert 0 <= own.count("validate") <= 1
+        assert 1 <= own.count("test") <= 2
     for key in ("density", "weather", "seed"):  # every value occurs
         for split, plans in generation.splits.items():
             assert len({plan.settings[key] for plan in plans}) == 2, (key, split)
     assert {plan.split for plan in read(splits=dict(test=1)).scenarios} == {"test"}
-    even = read(splits=dict(train=0.5, test=0.5))
+    even = read(splits=dict(train=0.5, test=0.5), split_by="scenario")
     assert [len(plans) for plans in even.splits.values()] == [32, 0, 32]
 
 
-def test_split_by_scene_keeps_traffic_apart(read):
-    seeds = list(range(10))
-    generation = read(settings=dict(seed=seeds, light=["midday", "night"]), split_by="scene")
-    where = {}
+SIX = dict(
+    scenes=[
+        {"built_in": name, "tags": {"kind": ("round", "crossing")[n % 2]}}
+        for n, name in enumerate(BUILT_INS)
+    ],
+    layouts=["Cam-d1", "L-d1"],
+    settings=dict(
+        density=["low", "medium", "high"], light=["midday", "night"], radius=30, seconds=2
+    ),
+    splits=dict(train=4, test=2),
+)
+
+
+def places(generation, *of):
+    """The splits in which each group of scenarios with the same ``of`` is."""
+    found = {}
     for plan in generation.scenarios:
-        where.setdefault(plan.scene, set()).add(plan.split)
+        found.setdefault(tuple(f(plan) for f in of), set()).add(plan.split)
+    return found
+
+
+def test_no_traffic_is_in_two_splits(read):
+    """Whatever the layout, the light, the length or the size of the voxels."""
+    seeds = list(range(10))
+    settings = dict(seed=seeds, light=["midday", "night"], seconds=[1, 2], voxel=[0.5, 1])
+    generation = read(settings=settings)
+    where = places(generation, lambda plan: plan.source.name, lambda plan: plan.settings["seed"])
     assert len(where) == 20
     assert all(len(splits) == 1 for splits in where.values())
-    assert [len(plans) for plans in generation.splits.values()] == [56, 8, 16]
+    assert [len(plans) for plans in generation.splits.values()] == [224, 32, 64]
+
+
+def test_splits_hold_every_density_and_kind_in_proportion(read):
+    """Six intersections of two kinds at three densities, four scenarios of each scene."""
+    generation = read(**SIX)
+    assert [len(plans) for plans in generation.splits.values()] == [48, 0, 24]
+    for split, plans in generation.splits.items():
+        for value in ("low", "medium", "high"):
+            many = sum(plan.settings["density"] == value for plan in plans)
+            assert many == len(plans) / 3, (split, value)
+            for kind in ("round", "crossing"):
+                both = sum(
+                    (plan.settings["density"], plan.tags["kind"]) == (value, kind) for plan in plans
+                )
+                assert both == len(plans) / 6, (split, value, kind)
+
+
+def test_split_by_intersection_tests_on_other_places(read):
+    generation = read(**SIX, split_by="intersection")
+    where = places(generation, lambda plan: plan.source.name)
+    assert len(where) == 6
+    assert all(len(splits) == 1 for splits in where.values())
+    assert [len(plans) for plans in generation.splits.values()] == [48, 0, 24]
+    kinds = {plan.tags["kind"] for plan in generation.splits["test"]}
+    assert kinds == {"round", "crossing"}
+
+
+def test_placements_are_paired(read):
+    """Road users look the same in every layout, light and weather; the noise differs."""
+    scenarios = read().scenarios
+    looks = {}
+    for plan in scenarios:
+        of = plan.source.name, plan.settings["density"], plan.settings["seed"]
+        looks.setdefault(of, set()).add(plan.appearance_seed)
+    assert len(looks) == 8
+    assert all(len(seeds) == 1 for seeds in looks.values())
+    assert len(set.union(*looks.values())) == 8
+    assert len({plan.seed for plan in scenarios}) == len(scenarios)
+    jpeg = read(pictures="jpeg").scenarios
+    assert [plan.seed for plan in jpeg] == [plan.seed for plan in scenarios]
 
 
 @given(
@@ -196,12 +257,15 @@ def test_splits_of_any_number(kinds, proportions, random):
         ),
         (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
         (dict(layers="depth"), r"layers: must be a list, got 'depth'"),
-        (dict(image_scale=2), r"image_scale: .*less than or equal to 1, got 2"),
+        (dict(image_scale=5), r"image_scale: .*less than or equal to 4, got 5"),
+        (dict(lidar_turn_s=2), r"lidar_turn_s: .*less than or equal to 1, got 2"),
+        (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
+        (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),
         (dict(splits=dict(train=0)), r"splits: one of train, validate, test must be above 0"),
         (dict(splits=dict(vaildate=1)), r"splits.vaildate.*'train', 'validate' or 'test', got"),
         (dict(splits=dict(train=-1)), r"splits.train: .*greater than or equal to 0"),
         (dict(splits=[7, 1, 2]), r"splits: must hold keys"),
-        (dict(split_by="layout"), r"split_by: .*'scenario' or 'scene', got 'layout'"),
+        (dict(split_by="layout"), r"split_by: .*'intersection' or 'scenario', got 'layout'"),
     ],
 )
 def test_bad_studies(read, changes, message):

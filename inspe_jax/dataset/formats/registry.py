@@ -6,12 +6,13 @@ figures then work with it.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.opv2v import reader as opv2v_reader
 from inspe_jax.dataset.formats.opv2v import writer as opv2v_writer
 from inspe_jax.dataset.formats.protocol_file import (
@@ -30,8 +31,8 @@ class DatasetFormat:
     ``frames(folder, agents)`` gives the numbers of the frames that are complete.
     ``read(folder, number, agents, protocol)`` gives a frame, and raises InspeError where there is
     none or a file is broken.
-    ``write(folder, frame)`` writes a frame over an earlier one. The folder may be missing. A frame
-    that is only half written must not count as complete.
+    ``write(folder, frame, options)`` writes a frame over an earlier one, and gives its files. The
+    folder may be missing. A frame that is only half written must not count as complete.
     ``example`` is the path of a file of frame 0, for error messages.
     ``protocol_file`` is the name of the YAML file that says what made the scenario.
     """
@@ -39,7 +40,7 @@ class DatasetFormat:
     agents: Callable[[Path], tuple[int, ...]]
     frames: Callable[[Path, tuple[int, ...]], tuple[int, ...]]
     read: Callable[[Path, int, tuple[int, ...], Mapping[str, Any]], Frame]
-    write: Callable[[Path, Frame], None]
+    write: Callable[[Path, Frame, FileOptions], Sequence[Path]]
     example: str
     protocol_file: str = PROTOCOL
 
@@ -110,17 +111,21 @@ def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
 
 
 def write_frame(
-    scenario: str | os.PathLike[str], frame: Frame, format: str = DEFAULT_FORMAT
-) -> None:
-    """Write a frame into the folder of a scenario, in a format of :data:`FORMATS`.
+    scenario: str | os.PathLike[str],
+    frame: Frame,
+    format: str = DEFAULT_FORMAT,
+    options: FileOptions = DEFAULT_OPTIONS,
+) -> tuple[Path, ...]:
+    """Write a frame into the folder of a scenario, in a format of :data:`FORMATS`; gives its files.
 
     A frame of this number that is there is replaced. Every frame of a scenario should have the
-    same stations. Raises InspeError, before anything is written, where the format is unknown or
-    the frame is not valid. For OPV2V see
+    same stations. Raises InspeError, before anything is written, where the format is unknown, an
+    option is out of range, or the frame is not valid. For OPV2V see
     :func:`~inspe_jax.dataset.formats.opv2v.writer.write_frame`.
     """
     check_format(format, "format")
-    FORMATS[format].write(Path(scenario), frame)
+    options.check("options")
+    return tuple(FORMATS[format].write(Path(scenario), frame, options))
 
 
 def write_protocol(

@@ -6,7 +6,7 @@ The latter need only have ``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``e
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,15 @@ from jaxtyping import Float
 from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
-from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, SECTIONS
+from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
-from inspe_jax.dataset.formats.png import read_depth, read_instance, read_rgb, read_semantic
+from inspe_jax.dataset.formats.pictures import (
+    SUFFIXES,
+    read_depth,
+    read_instance,
+    read_rgb,
+    read_semantic,
+)
 from inspe_jax.dataset.formats.protocol_file import as_mapping, brief, load_yaml
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
@@ -67,10 +73,11 @@ def frame_of(
     """A frame of a scenario; pictures and points are read when they are first used.
 
     Its boxes are those of all ``agents`` together, in the order of their tracks. Where agents
-    differ in one, the first agent that lists it is taken. A road user is taken to move the way it
-    faces, since files hold the speed alone; roll and pitch of its box are left out. A camera
-    without its picture is left out, too. Raises InspeError where there is no such frame, or a file
-    is broken: for pixels and points, only when they are used.
+    differ in one, the first agent that lists it is taken. Where files hold the speed of a road
+    user alone, it is taken to move the way it faces; roll and pitch of its box are left out. A
+    camera without its picture is left out, too, and so is one that only fills up an agent's.
+    Raises InspeError where there is no such frame, or a file is broken: for pixels and points, only
+    when they are used.
     """
     if not agents:
         raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")
@@ -79,12 +86,13 @@ def frame_of(
     contents = [_content(path, known) for path in files]
     names = protocol.get("stations")
     names = names if isinstance(names, Mapping) else {}
+    boxes = _boxes(contents, files)
     return Frame(
         number=number,
         time=number * _tick(protocol),
-        boxes=_boxes(contents, files),
+        boxes=boxes,
         stations=tuple(
-            _station(agent, str(names.get(agent, agent)), content, path)
+            _station(agent, str(names.get(agent, agent)), content, path, boxes)
             for agent, content, path in zip(agents, contents, files, strict=True)
         ),
     )
@@ -174,12 +182,16 @@ def _box(track: int, kind: str, entry: Mapping[str, Any], where: str) -> RoadUse
     speed = _numbers(entry, "speed", (), where) if "speed" in entry else np.zeros(())
     pose = from_carla([*(location + middle), *angle])
     ahead = np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
+    velocity = ahead * (speed / KMH)
+    if "velocity" in entry:
+        velocity = flip(_numbers(entry, "velocity", (3,), where))
     name = str(entry.get("name", entry.get("bp_id", "")))
-    yaw = float(pose[5])
-    return RoadUserBox(track, kind, name, pose[:3], yaw, 2 * extent, ahead * (speed / KMH))
+    return RoadUserBox(track, kind, name, pose[:3], float(pose[5]), 2 * extent, velocity)
 
 
-def _station(agent: int, name: str, content: dict[str, Any], path: Path) -> Station:
+def _station(
+    agent: int, name: str, content: dict[str, Any], path: Path, boxes: Sequence[RoadUserBox]
+) -> Station:
     lidars = _numbered(content, "lidar_pose")
     if not lidars and "lidar_pose" in content:
         lidars = {0: "lidar_pose"}
@@ -188,9 +200,38 @@ def _station(agent: int, name: str, content: dict[str, Any], path: Path) -> Stat
         number=-agent,
         name=name,
         pose=from_carla(_numbers(content, ego, (6,), path)),
-        images=tuple(_images(content, path)),
-        scans=tuple(_scans(content, lidars, path)),
+        images=tuple(_images(content, path, _observed(content, agent, "images", boxes, path))),
+        scans=tuple(_scans(content, lidars, path, _observed(content, agent, "scans", boxes, path))),
     )
+
+
+Counts = Mapping[str, Float[np.ndarray, "K B"]]
+"""Of K sensors and B road users, by the field of a scan or an image."""
+
+
+def _observed(
+    content: Mapping[str, Any], agent: int, records: str, boxes: Sequence[RoadUserBox], path: Path
+) -> Counts:
+    """What an agent's scans or images recorded of each road user, as far as the file says it."""
+    observed: dict[Any, Any] = as_mapping(content.get("observed") or {}, f"{path}: observed")
+    found = dict[str, np.ndarray]()
+    for key, of, field, decimals in OBSERVED:
+        own = list[Any]()
+        for box in boxes if of == records else ():
+            where = f"{path}: observed: {box.track}"
+            each = as_mapping(observed.get(box.track) or {}, where)
+            of_agents: dict[Any, Any] = as_mapping(each.get(key) or {}, f"{where}: {key}")
+            own.append(of_agents.get(agent))
+        if own and None not in own:
+            sensors = len(own[0]) if isinstance(own[0], list) else 0
+            rows = _numbers({key: own}, key, (len(own), sensors), path).T
+            found[field] = rows if decimals else rows.astype(int)
+    return found
+
+
+def _of(counts: Counts, i: int) -> dict[str, Any]:
+    """The counts of sensor ``i``."""
+    return {field: rows[i] for field, rows in counts.items() if i < len(rows)}
 
 
 def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
@@ -199,15 +240,17 @@ def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
     return dict(sorted((int(m[1]), m[0]) for m in found if m))
 
 
-def _scans(content: dict[str, Any], lidars: dict[int, str], path: Path) -> Iterator[Scan]:
+def _scans(
+    content: dict[str, Any], lidars: dict[int, str], path: Path, counts: Counts
+) -> Iterator[Scan]:
     """The scans of an agent, their points not yet read; none if the file says "no LiDAR"."""
     for i, key in lidars.items():
         points = path.with_name(f"{path.stem}_lidar{i}.pcd")
-        if i == 0 and not points.is_file():
+        if i == 0 and path.with_suffix(".pcd").is_file():
             points = path.with_suffix(".pcd")
         pose = from_carla(_numbers(content, key, (6,), path))
         if not points.is_file() or NO_LIDAR not in read_notes(points):
-            yield Scan.deferred({"points": partial(_points, points)}, pose=pose)
+            yield Scan.deferred({"points": partial(_points, points)}, pose=pose, **_of(counts, i))
 
 
 def _points(path: Path) -> Float[np.ndarray, "N 4"]:
@@ -215,7 +258,7 @@ def _points(path: Path) -> Float[np.ndarray, "N 4"]:
     return points
 
 
-def _images(content: dict[str, Any], path: Path) -> Iterator[Image]:
+def _images(content: dict[str, Any], path: Path, counts: Counts) -> Iterator[Image]:
     """The images of an agent, their pixels not yet read; cameras without a picture are left out."""
     for i, key in _numbered(content, "camera").items():
         where = f"{path}: {key}"
@@ -223,11 +266,13 @@ def _images(content: dict[str, Any], path: Path) -> Iterator[Image]:
         pose = from_carla(_numbers(camera, "cords", (6,), where))
         intrinsic = _numbers(camera, "intrinsic", (3, 3), where)
         files = {field: path.with_name(f"{path.stem}_{word}{i}.png") for field, word in _PICTURES}
-        if files["rgb"].is_file():
+        jpeg = files["rgb"].with_suffix(SUFFIXES["jpeg"])
+        files["rgb"] = jpeg if jpeg.is_file() else files["rgb"]
+        if files["rgb"].is_file() and not camera.get("blank"):
             there = {field: file for field, file in files.items() if file.is_file()}
             missing = dict.fromkeys(files.keys() - there.keys())
             later = {field: partial(_READERS[field], file) for field, file in there.items()}
-            yield Image.deferred(later, pose=pose, intrinsic=intrinsic, **missing)
+            yield Image.deferred(later, pose=pose, intrinsic=intrinsic, **missing, **_of(counts, i))
 
 
 _PICTURES = (

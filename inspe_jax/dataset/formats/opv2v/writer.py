@@ -1,9 +1,9 @@
-"""Writes frames as OPV2V files, which also have the names and keys of the Infra-Set variant.
+"""Writes frames as OPV2V files, which also have the keys of the Infra-Set variant.
 
-SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar0.pcd`` …, ``_camera0.png`` …, and, if they
+SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar1.pcd`` …, ``_camera0.png`` …, and, if they
 were recorded, ``_depth0.png``, ``_instance0.png`` and ``_semantic0.png``. The YAML file has the
-keys of both. Two things are in no file: the time of a frame, which is its number times the time
-step in ``data_protocol.yaml``, and the direction in which a road user moves.
+keys of both, and under ``observed`` what each sensor recorded of each road user. The time of a
+frame is in no file: it is its number times the time step in ``data_protocol.yaml``.
 """
 
 import os
@@ -15,8 +15,16 @@ import numpy as np
 
 from inspe_jax.core.carla_frame import between, flip, to_carla
 from inspe_jax.core.files import whole_file, write_text
+from inspe_jax.dataset.formats.agents import is_blank, with_cameras
+from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.pcd import write_pcd
-from inspe_jax.dataset.formats.png import write_depth, write_instance, write_rgb, write_semantic
+from inspe_jax.dataset.formats.pictures import (
+    SUFFIXES,
+    write_depth,
+    write_instance,
+    write_rgb,
+    write_semantic,
+)
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
 
@@ -38,29 +46,45 @@ DECIMALS = 7
 """Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
 sum of ``location`` and ``center``."""
 
+LAYERS = {"depth": write_depth, "instance": write_instance, "semantic": write_semantic}
+"""What writes each layer of a picture."""
+
+OBSERVED = (
+    ("lidar_points", "scans", "returns", 0),
+    ("camera_pixels", "images", "pixels", 0),
+    ("visible_share", "images", "share", 3),
+)
+"""Keys of ``observed``: of which records of a station they are, the field, and the decimals."""
+
 MATRIX_DECIMALS = 12
 """Decimals of the entries of matrices, which are multiplied by distances of up to kilometres."""
 
 
-def write_frame(scenario: str | os.PathLike[str], frame: Frame) -> None:
+def write_frame(
+    scenario: str | os.PathLike[str], frame: Frame, options: FileOptions = DEFAULT_OPTIONS
+) -> tuple[Path, ...]:
     """Write a frame into the folder of each station, over an earlier frame of this number.
 
-    Every file appears when it is complete, and the YAML files come last: without them a frame does
-    not count as complete. Every frame of a scenario should have the same stations. Raises
-    InspeError, before anything is written, if the frame is not valid.
+    Gives the files. Every file appears when it is complete, and the YAML files come last: without
+    them a frame does not count as complete. Every frame of a scenario should have the same
+    stations. Raises InspeError, before anything is written, if the frame is not valid.
     """
     check_frame(frame)
     stem = f"{frame.number:06d}"
-    boxes = dump_yaml(_sections(frame.boxes))
-    agents = [make_folder(Path(scenario) / str(-station.number)) for station in frame.stations]
+    stations = with_cameras(frame.stations, options.cameras_per_agent)
+    boxes = dump_yaml(_sections(frame.boxes, stations))
+    agents = [make_folder(Path(scenario) / str(-station.number)) for station in stations]
+    files = list[Path]()
     for agent in agents:
         _clear(agent, stem)
-    for station, agent in zip(frame.stations, agents, strict=True):
-        _write_scans(agent, stem, station.scans)
+    for station, agent in zip(stations, agents, strict=True):
+        files += _write_scans(agent, stem, station.scans, options)
         for i, image in enumerate(station.images):
-            _write_image(agent, stem, i, image)
-    for station, agent in zip(frame.stations, agents, strict=True):
-        write_text(agent / f"{stem}.yaml", dump_yaml(_sensors(station)) + boxes)
+            files += _write_image(agent, stem, i, image, options)
+    for station, agent in zip(stations, agents, strict=True):
+        files.append(agent / f"{stem}.yaml")
+        write_text(files[-1], dump_yaml(_sensors(station)) + boxes)
+    return tuple(files)
 
 
 def _clear(agent: Path, stem: str) -> None:
@@ -68,7 +92,7 @@ def _clear(agent: Path, stem: str) -> None:
 
     So a folder with many files is listed only if a frame of this number was begun before.
     """
-    last, first = agent / f"{stem}.yaml", agent / f"{stem}_lidar0.pcd"
+    last, first = agent / f"{stem}.yaml", agent / f"{stem}.pcd"
     if not (last.exists() or first.exists()):
         return
     last.unlink(missing_ok=True)
@@ -78,29 +102,33 @@ def _clear(agent: Path, stem: str) -> None:
     first.unlink(missing_ok=True)
 
 
-def _write_scans(agent: Path, stem: str, scans: Sequence[Scan]) -> None:
-    """Write the scans. The first one gets two names: OPV2V's and the Infra-Set variant's."""
-    first = agent / f"{stem}_lidar0.pcd"
+def _write_scans(agent: Path, stem: str, scans: Sequence[Scan], options: FileOptions) -> list[Path]:
+    """Write the scans: the first one with OPV2V's name, and with Infra-Set's if it is asked for.
+
+    A second name is a copy. A hard link would grow to one when the set is copied.
+    """
+    first = agent / f"{stem}.pcd"
+    files = [first, *(agent / f"{stem}_lidar{i}.pcd" for i in range(1, len(scans)))]
     if not scans:
         write_pcd(first, np.zeros((0, 4)), note=NO_LIDAR)
-    for i, scan in enumerate(scans):
-        write_pcd(agent / f"{stem}_lidar{i}.pcd", flip(scan.points))
-    second = agent / f"{stem}.pcd"
-    try:
-        os.link(first, second)  # most of a set is points: two names, but stored only once
-    except OSError:
-        with whole_file(second) as f:
+    for file, scan in zip(files, scans, strict=False):
+        write_pcd(file, flip(scan.points))
+    if options.infra_set_names:
+        files.append(agent / f"{stem}_lidar0.pcd")
+        with whole_file(files[-1]) as f:
             f.write(first.read_bytes())
+    return files
 
 
-def _write_image(agent: Path, stem: str, i: int, image: Image) -> None:
-    write_rgb(agent / f"{stem}_camera{i}.png", image.rgb)
-    if image.depth is not None:
-        write_depth(agent / f"{stem}_depth{i}.png", image.depth)
-    if image.instance is not None:
-        write_instance(agent / f"{stem}_instance{i}.png", image.instance)
-    if image.semantic is not None:
-        write_semantic(agent / f"{stem}_semantic{i}.png", image.semantic)
+def _write_image(agent: Path, stem: str, i: int, image: Image, options: FileOptions) -> list[Path]:
+    files = [agent / f"{stem}_camera{i}{SUFFIXES[options.pictures]}"]
+    write_rgb(files[0], image.rgb)
+    for name, write in LAYERS.items():
+        layer = getattr(image, name)
+        if layer is not None:
+            files.append(agent / f"{stem}_{name}{i}.png")
+            write(files[-1], layer)
+    return files
 
 
 def _sensors(station: Station) -> dict[str, Any]:
@@ -126,18 +154,48 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
         "cords": cords,
         "extrinsic": _rounded(between(lidar, cords), MATRIX_DECIMALS),
         "intrinsic": _rounded(image.intrinsic, MATRIX_DECIMALS),
+        **({"blank": True} if is_blank(image) else {}),
     }
 
 
-def _sections(boxes: Sequence[RoadUserBox]) -> dict[str, dict[int, Any]]:
-    """The part of the YAML file about road users: all in ``vehicles``, and again by kind."""
-    ordered = sorted(boxes, key=lambda box: box.track)
+def _sections(
+    boxes: Sequence[RoadUserBox], stations: Sequence[Station]
+) -> dict[str, dict[int, Any]]:
+    """The part of the YAML file about road users: all in ``vehicles``, and again by kind; then what
+    was observed of each."""
+    order = sorted(range(len(boxes)), key=lambda k: boxes[k].track)
+    ordered = [boxes[k] for k in order]
     entries = {int(box.track): _entry(box) for box in ordered}
     sections: dict[str, dict[int, Any]] = {"vehicles": entries}
     for kind, section in SECTIONS.items():
         tracks = [int(box.track) for box in ordered if box.kind == kind]
         sections[section] = {track: entries[track] for track in tracks}
-    return sections
+    observed = {int(boxes[k].track): _observed(k, stations) for k in order}
+    return sections | ({"observed": observed} if any(observed.values()) else {})
+
+
+def _observed(k: int, stations: Sequence[Station]) -> dict[str, Any]:
+    """What the sensors recorded of road user ``k``: numbers of each sensor of each agent.
+
+    ``lidar_points`` are the LiDARs' returns, ``camera_pixels`` the pixels that show it and
+    ``visible_share`` their share of those that would if nothing stood before it.
+    """
+    found: dict[str, Any] = {}
+    for key, records, field, decimals in OBSERVED:
+        each = {
+            -station.number: [getattr(record, field) for record in getattr(station, records)]
+            for station in stations
+        }
+        known = {
+            agent: [_rounded(counts[k], decimals) for counts in own]
+            for agent, own in each.items()
+            if own and all(counts is not None for counts in own)
+        }
+        if known:
+            found[key] = known
+    if "lidar_points" in found:
+        found = {"points": sum(map(sum, found["lidar_points"].values())), **found}
+    return found
 
 
 def _entry(box: RoadUserBox) -> dict[str, Any]:
@@ -146,7 +204,7 @@ def _entry(box: RoadUserBox) -> dict[str, Any]:
     half = np.asarray(box.size, float) / 2
     x, y, z = np.asarray(box.center, float)
     cords = to_carla([x, y, z - half[2], 0.0, 0.0, box.yaw])
-    speed = np.linalg.norm(np.asarray(box.velocity, float))
+    velocity = _rounded(flip(np.asarray(box.velocity, float)))
     return {
         "angle": _rounded(cords[3:]),
         "center": _rounded([0.0, 0.0, half[2]]),
@@ -154,7 +212,8 @@ def _entry(box: RoadUserBox) -> dict[str, Any]:
         "location": _rounded(cords[:3]),
         "name": box.name,
         "obj_type": box.kind.capitalize(),
-        "speed": _rounded(speed * KMH),
+        "speed": _rounded(np.linalg.norm(velocity) * KMH),
+        "velocity": velocity,
     }
 
 

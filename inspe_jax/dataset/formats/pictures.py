@@ -1,10 +1,11 @@
-"""Reads and writes pictures as PNG files: colour, depth, instance and semantic.
+"""Reads and writes pictures: colour as PNG or JPEG, depth, instance and semantic as PNG.
 
 The compression is fixed, so that the same picture always gives the same bytes.
 """
 
 import os
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ COMPRESSION = {"compress_level": 1, "compress_type": zlib.Z_RLE}
 """Runs of one value are what repeats in these pictures; noise does not repeat. Searching for longer
 repetitions takes half as long again, and saves nothing."""
 
+QUALITY = {"quality": 95, "subsampling": 0}
+"""Of JPEG files: colours at full resolution, and errors of about two steps of 255."""
+
+SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
+"""By the names of :data:`~inspe_jax.dataset.formats.options.PICTURES`."""
+
 DEPTH_UNIT = 0.01
 """The resolution of a depth picture [m]."""
 
@@ -27,8 +34,11 @@ DEPTH_CAP = 2**16 - 1
 
 
 def write_rgb(path: Path, rgb: Any) -> None:
-    """Write uint8 (H, W, 3)."""
-    _write(path, np.asarray(rgb, np.uint8))
+    """Write uint8 (H, W, 3) as the suffix says: .png or .jpg."""
+    if path.suffix == SUFFIXES["jpeg"]:
+        _write(path, np.asarray(rgb, np.uint8), "JPEG", QUALITY)
+    else:
+        _write(path, np.asarray(rgb, np.uint8))
 
 
 def write_depth(path: Path, depth: Any) -> None:
@@ -68,9 +78,14 @@ def read_semantic(path: Path) -> UInt8[np.ndarray, "H W"]:
     return _read(path, "L")
 
 
-def _write(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
+def _write(
+    path: str | os.PathLike[str],
+    pixels: np.ndarray,
+    kind: str = "PNG",
+    settings: Mapping[str, Any] = COMPRESSION,
+) -> None:
     with whole_file(path) as f:
-        Pillow.fromarray(np.ascontiguousarray(pixels)).save(f, "PNG", **COMPRESSION)
+        Pillow.fromarray(np.ascontiguousarray(pixels)).save(f, kind, **settings)
 
 
 def _read(path: Path, mode: str | None) -> np.ndarray:
@@ -78,11 +93,11 @@ def _read(path: Path, mode: str | None) -> np.ndarray:
     files."""
     check_input(path)
     try:
-        with Pillow.open(path, formats=["PNG"]) as picture:
+        with Pillow.open(path, formats=["PNG", "JPEG"]) as picture:
             given = picture.mode
             pixels = np.array(picture.convert(mode) if mode == "RGB" else picture)
     except (OSError, SyntaxError, ValueError, EOFError) as e:
-        raise InspeError(f"{path}: not a readable PNG file: {e}") from e
+        raise InspeError(f"{path}: not a readable picture: {e}") from e
     # Some versions of Pillow convert 16 bits to 32.
     allowed = {"RGB": (given,), "L": ("L", "P")}.get(str(mode), ("I;16", "I;16B", "I"))
     if given not in allowed:

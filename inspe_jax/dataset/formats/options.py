@@ -1,0 +1,42 @@
+"""What a format leaves open of how files are written."""
+
+from dataclasses import dataclass
+
+from inspe_jax.core.digest import added
+from inspe_jax.core.errors import InspeError, nearest
+
+PICTURES = ("png", "jpeg")
+MOST_CAMERAS = 16
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """How the files of a frame are written.
+
+    ``pictures`` is one of :data:`PICTURES`: JPEG files are a quarter of the size and are read four
+    times as fast, but lose what the eye hardly sees, and few other readers look for them.
+    ``cameras_per_agent`` is the number of cameras that each agent shall have, for readers that
+    want the same number of all; 0 leaves them as they are.
+    ``infra_set_names`` gives the first point cloud of each agent a second name, ``_lidar0.pcd``,
+    as the Infra-Set variant of OPV2V has it.
+    """
+
+    pictures: str = added("png")
+    cameras_per_agent: int = added(0)
+    infra_set_names: bool = added(False)
+
+    def check(self, where: str) -> None:
+        """Raise InspeError where a value is out of range."""
+        if self.pictures not in PICTURES:
+            raise InspeError(
+                f"{where}: pictures: '{self.pictures}': one of {', '.join(PICTURES)}"
+                f"{nearest(self.pictures, PICTURES)}"
+            )
+        if not 0 <= self.cameras_per_agent <= MOST_CAMERAS:
+            raise InspeError(
+                f"{where}: cameras_per_agent: {self.cameras_per_agent} is out of range: 1 to "
+                f"{MOST_CAMERAS}, or 0 for as many as there are"
+            )
+
+
+DEFAULT_OPTIONS = FileOptions()

@@ -1,0 +1,220 @@
+"""The manifest of a scenario: size and digest of every file, so that damage is found.
+
+While a scenario is generated, each frame that is written gets a record of its files, in the folder
+:data:`RECORDS`. When the scenario is complete, these become its ``manifest.json``::
+
+    {"format": "inspe_jax manifest 1",
+     "files": {"data_protocol.yaml": [2041, "9f86d0…"]},
+     "frames": {"0": {"-1/000000.pcd": [812345, "60303a…"], …}, …}}
+
+Paths are relative to the scenario's folder; digests are SHA-256. A file is compared by its size, or
+read and compared by its digest as well, which takes as long as reading the disk does.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import write_text
+
+MANIFEST, RECORDS = "manifest.json", ".frames"
+FORMAT = "inspe_jax manifest 1"
+Files = Mapping[str, tuple[int, str]]
+"""Size [bytes] and SHA-256 of files, by their path relative to the scenario's folder."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The files of a scenario: those of each frame, by its number, and the others."""
+
+    files: Files
+    frames: Mapping[int, Files]
+
+    @property
+    def all(self) -> Iterator[tuple[int | None, str, int, str]]:
+        """The frame (None: of no frame), path, size and digest of every file."""
+        for path, (size, digest) in self.files.items():
+            yield None, path, size, digest
+        for number, files in self.frames.items():
+            for path, (size, digest) in files.items():
+                yield number, path, size, digest
+
+    @property
+    def size(self) -> int:
+        """Size of all files [bytes]."""
+        return sum(size for _, _, size, _ in self.all)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A file that is not as the manifest says: what is wrong, and the frame it belongs to (None:
+    to no frame)."""
+
+    path: Path
+    what: str
+    frame: int | None = None
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.what}"
+
+
+# ── Writing ─────────────────────────────────────────────────────────────────
+
+
+def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
+    """Record the files of a frame that has been written. Its record is its last file."""
+    record = folder / RECORDS / f"{number:06d}.json"
+    record.parent.mkdir(exist_ok=True)
+    write_text(record, _text(_measured(folder, files)))
+
+
+def recorded_frames(folder: Path) -> dict[int, Files]:
+    """The records of the frames of an unfinished scenario, of which all files have their size."""
+    found = dict[int, Files]()
+    for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
+        files = _files(_read_json(path), path)
+        if not any(_fault_of(folder / file, size) for file, (size, _) in files.items()):
+            found[int(path.stem)] = files
+    return found
+
+
+def write_manifest(folder: Path, files: Iterable[Path]) -> None:
+    """Put the frames' records together, with ``files`` that belong to no frame."""
+    content = {
+        "format": FORMAT,
+        "files": _measured(folder, files),
+        "frames": {str(number): own for number, own in recorded_frames(folder).items()},
+    }
+    write_text(folder / MANIFEST, _text(content))
+
+
+def reopen(folder: Path, found: Iterable[Fault]) -> None:
+    """Make a complete scenario an unfinished one, which lacks the frames with a fault.
+
+    A file that belongs to no frame is written with the next frame: where one is at fault, it is
+    deleted, and the first frame is lacking as well. Without a readable manifest all frames lack.
+    """
+    found = list(found)
+    if any(fault.path == folder / MANIFEST for fault in found):
+        (folder / MANIFEST).unlink(missing_ok=True)
+        return
+    manifest = read_manifest(folder)
+    frames = dict(manifest.frames) if manifest else {}
+    for fault in found:
+        if fault.frame is None:
+            fault.path.unlink(missing_ok=True)
+        frames.pop(min(frames, default=0) if fault.frame is None else fault.frame, None)
+    for number, files in frames.items():
+        record = folder / RECORDS / f"{number:06d}.json"
+        record.parent.mkdir(exist_ok=True)
+        write_text(record, _text(files))
+    (folder / MANIFEST).unlink(missing_ok=True)
+
+
+def _measured(folder: Path, files: Iterable[Path]) -> dict[str, tuple[int, str]]:
+    return {
+        path.relative_to(folder).as_posix(): (path.stat().st_size, _digest(path))
+        for path in sorted(files)
+    }
+
+
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, indent=1) + "\n"
+
+
+# ── Reading and comparing ───────────────────────────────────────────────────
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """The manifest of a scenario; None where there is none. Raises InspeError if it is broken."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    content = _read_json(path)
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InspeError(f"{path}: not a manifest of this version of the package")
+    frames = content.get("frames")
+    if not isinstance(frames, dict) or not all(map(str.isdigit, frames)):
+        raise InspeError(f"{path}: frames: must hold files by the number of their frame")
+    return Manifest(
+        files=_files(content.get("files"), path),
+        frames={int(number): _files(files, path) for number, files in frames.items()},
+    )
+
+
+def faults(folder: Path, manifest: Manifest, deep: bool = False) -> list[Fault]:
+    """The files that are not as the manifest says; ``deep`` also reads and compares them.
+
+    Files that the manifest does not know are faults too, but for hidden ones.
+    """
+    rows = list(manifest.all)
+
+    def check(row: tuple[int | None, str, int, str]) -> Fault | None:
+        number, path, size, digest = row
+        what = _fault_of(folder / path, size, digest if deep else None)
+        return Fault(folder / path, what, number) if what else None
+
+    # A digest is computed without Python's lock, so that threads use every core.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = [fault for fault in pool.map(check, rows, chunksize=16) if fault]
+    known = {path for _, path, _, _ in rows} | {MANIFEST}
+    for path in sorted(_visible_files(folder)):
+        if path.relative_to(folder).as_posix() not in known:
+            found.append(Fault(path, "not in the manifest"))
+    return found
+
+
+def _fault_of(path: Path, size: int, digest: str | None = None) -> str:
+    """What is wrong with a file; empty if nothing is."""
+    try:
+        now = path.stat().st_size
+        if now != size:
+            return f"is {now} bytes long, and was {size}"
+        if digest is not None and _digest(path) != digest:
+            return "its content has changed"
+    except FileNotFoundError:
+        return "is missing"
+    except OSError as e:
+        return f"cannot be read: {e.strerror}"
+    return ""
+
+
+def _visible_files(folder: Path) -> Iterator[Path]:
+    for top, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(top) / name for name in names if not name.startswith("."))
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as f:
+        return hashlib.file_digest(f, "sha256").hexdigest()
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as e:
+        raise InspeError(f"{path}: not JSON: {e}") from None
+
+
+def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:
+    """Files of a manifest. Raises InspeError where they are none, or lie outside the folder."""
+    entries: Iterable[tuple[Any, Any]] = content.items() if isinstance(content, dict) else [("", 0)]
+    found = dict[str, tuple[int, str]]()
+    for path, entry in entries:
+        match entry:
+            case [int(size), str(digest)] if _is_inside(path):
+                found[path] = size, digest
+            case _:
+                raise InspeError(f"{where}: {path}: must be the size and the digest of a file")
+    return found
+
+
+def _is_inside(path: str) -> bool:
+    return not Path(path).is_absolute() and ".." not in Path(path).parts

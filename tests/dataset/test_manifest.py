@@ -1,0 +1,248 @@
+"""Manifests: damage of every sort is found, and `generate` repairs it to the same bytes."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import made_up
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import inspe_jax.cli  # noqa: F401, which adds the commands
+from inspe_jax.cli.common import app
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset import chunk, load_generation
+from inspe_jax.dataset.check import check
+from inspe_jax.dataset.manifest import MANIFEST, read_manifest
+from inspe_jax.dataset.writer import DatasetWriter
+
+FRAMES = 4
+STUDY = dict(
+    scenes=[{"built_in": "four_way"}],
+    layouts=["Cam-d1/L-d1"],
+    settings=dict(radius=15, voxel=2, density=5, seconds=FRAMES / 10, light=["midday", "night"]),
+    layers=["depth"],
+)
+
+
+def generation(folder: Path):
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump(STUDY))
+    return load_generation(path)
+
+
+def record(plan_of, out: Path, deep: bool = True) -> dict[str, list]:
+    """What `generate` does, without processes; gives what was repaired."""
+    with DatasetWriter(plan_of, out, "embedded", deep) as writer:
+        for plan in plan_of.scenarios:
+            if writer.place(plan).exists():
+                continue
+            given = writer.unfinished(plan), writer.lock(plan, 0), 0, FRAMES - 1, FRAMES
+            todo = chunk.Chunk(plan, "embedded", *given)
+            assert not chunk.work(chunk.build(todo), todo).error
+            assert writer.finish(plan)
+        writer.clear()
+        return writer.damage
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A set of two scenarios with a made-up recorder, and the plan of it."""
+    folder = tmp_path_factory.mktemp("manifest")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chunk, "recorder_of", made_up.recorder_of)
+        patch.setattr(chunk, "_worker", chunk.WorkerState())
+        plan = generation(folder)
+        assert record(plan, folder / "out") == {}
+    return plan, folder / "out"
+
+
+@pytest.fixture
+def copy(made, tmp_path, monkeypatch):
+    monkeypatch.setattr(chunk, "recorder_of", made_up.recorder_of)
+    monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
+    plan, out = made
+    shutil.copytree(out, tmp_path / "out")
+    return plan, tmp_path / "out"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def scenario(out: Path) -> Path:
+    return sorted(path.parent for path in out.rglob(MANIFEST))[0]
+
+
+def test_a_whole_set_has_no_fault(made):
+    _, out = made
+    for deep in (False, True):
+        found = check(out, deep)
+        assert (found.scenarios, found.faults, found.unknown) == (2, (), ())
+    files = [path for path in out.rglob("*") if path.is_file() and path.name[0] != "."]
+    own = [path for path in files if path.name not in (MANIFEST, "generation.yaml")]
+    assert found.files == len(own)
+    assert found.size == sum(path.stat().st_size for path in own)
+    manifest = read_manifest(scenario(out))
+    assert sorted(manifest.frames) == list(range(FRAMES))
+    assert [*manifest.files] == ["data_protocol.yaml"]
+
+
+def test_a_copy_has_the_same_size(made, copy):
+    """No file has two names, which a copy would make two files."""
+    (_, out), (_, other) = made, copy
+    assert check(other).size == check(out).size == check(other, deep=True).size
+    assert all(path.stat().st_nlink == 1 for path in out.rglob("*.pcd"))
+
+
+def flip_bit(path: Path, at: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[at] ^= 0x40
+    path.write_bytes(data)
+
+
+def to_nan(path: Path) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[:-16] + np.full(1, np.nan, "<f4").tobytes() + data[-12:])
+
+
+def move_box(path: Path) -> None:
+    text = path.read_text()
+    first = text.index("location: [") + len("location: [")
+    path.write_text(text[:first] + ("1" if text[first] != "1" else "2") + text[first + 1 :])
+
+
+DAMAGE = {
+    "a picture is missing": ("000001_camera0.png", Path.unlink, False, "is missing"),
+    "a picture is cut short": (
+        "000001_camera0.png", lambda p: p.write_bytes(p.read_bytes()[:-9]), False, "bytes long"),
+    "a picture has changed": ("000001_camera0.png", lambda p: flip_bit(p, 60), True, "has changed"),
+    "a depth picture has changed": (
+        "000001_depth0.png", lambda p: flip_bit(p, 60), True, "has changed"),
+    "a byte of a point is flipped": ("000001.pcd", lambda p: flip_bit(p, -30), True, "has changed"),
+    "a point is NaN": ("000001.pcd", to_nan, True, "has changed"),
+    "a box has moved": ("000001.yaml", move_box, True, "has changed"),
+    "the boxes are missing": ("000001.yaml", Path.unlink, False, "is missing"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damage_is_found_and_repaired(made, copy, name):
+    file, damage, needs_deep, what = DAMAGE[name]
+    plan, out = copy
+    path = next(path for path in sorted(scenario(out).rglob(file)))
+    damage(path)
+    (fault,) = check(out, deep=True).faults
+    assert (fault.path, fault.frame) == (path, 1)
+    assert what in fault.what
+    assert (check(out).faults == ()) == needs_deep
+    ((repaired,),) = record(plan, out).values()
+    assert repaired == fault
+    assert content(out) == content(made[1])
+
+
+def test_a_protocol_and_a_manifest_are_repaired(made, copy):
+    plan, out = copy
+    whole = content(made[1])
+    place = scenario(out)
+    (place / "data_protocol.yaml").write_bytes(b"world: {}\n")
+    assert [fault.frame for fault in check(out).faults] == [None]
+    assert len(record(plan, out)) == 1
+    assert content(out) == whole
+    for text in (None, "{", '{"format": "another"}', '{"format": "inspe_jax manifest 1"}'):
+        if text is None:
+            (place / MANIFEST).unlink()
+            assert check(out).unknown == (place,)
+        else:
+            (place / MANIFEST).write_text(text)
+            assert len(check(out).faults) == 1
+        assert len(record(plan, out)) == 1
+        assert content(out) == whole
+
+
+def test_sizes_alone_are_compared_where_that_is_asked_for(copy):
+    plan, out = copy
+    flip_bit(next(iter(sorted(scenario(out).rglob("*.pcd")))), -3)
+    assert record(plan, out, deep=False) == {}
+    assert len(record(plan, out)) == 1
+
+
+def test_a_scenario_that_is_gone_and_a_file_too_many(copy):
+    _, out = copy
+    place = scenario(out)
+    (place / "-1" / "000099.yaml").write_text("{}")
+    (place / ".DS_Store").touch()
+    other = next(path.parent for path in out.rglob(MANIFEST) if path.parent != place)
+    shutil.rmtree(other)
+    faults = check(out).faults
+    assert {(fault.path, fault.what.split(":")[0]) for fault in faults} == {
+        (other, "is missing"), (place / "-1" / "000099.yaml", "not in the manifest"),
+    }  # fmt: skip
+
+
+def test_a_manifest_that_points_out_of_its_folder_is_rejected(copy):
+    _, out = copy
+    path = scenario(out) / MANIFEST
+    for name in ("../../generation.yaml", "/etc/hostname"):
+        given = json.loads(path.read_text())
+        given["files"][name] = [1, "0" * 64]
+        path.write_text(json.dumps(given))
+        with pytest.raises(InspeError, match="must be the size and the digest"):
+            read_manifest(path.parent)
+
+
+def test_half_a_frame_is_not_complete(copy):
+    """A file that a crash of the machine left empty: the record of its frame says its size."""
+    plan, out = copy
+    with DatasetWriter(plan, out, "embedded") as writer:
+        one = plan.scenarios[0]
+        folder = writer.unfinished(one)
+        folder.parent.mkdir(parents=True)
+        shutil.rmtree(writer.place(one))
+        given = folder, writer.lock(one, 0), 0, FRAMES - 1, FRAMES
+        todo = chunk.Chunk(one, "embedded", *given)
+        chunk.work(chunk.build(todo), todo)
+        (folder / "-1" / "000002.pcd").write_bytes(b"")
+        assert not writer.finish(one)
+        assert writer.there[one.name] == {0, 1, 3}
+
+
+def test_the_command(copy, tmp_path):
+    _, out = copy
+    run = CliRunner().invoke
+    whole = run(app, ["dataset", "check", str(out), "--deep"])
+    assert whole.exit_code == 0
+    assert "2 scenarios" in whole.output
+    assert "no fault" in whole.output
+    path = next(iter(sorted(scenario(out).rglob("*.pcd"))))
+    path.write_bytes(b"")
+    told = run(app, ["dataset", "check", str(out), "--json", str(tmp_path / "faults.json")])
+    assert told.exit_code == 1
+    assert f"{path}: is 0 bytes long" in told.stderr
+    (fault,) = json.loads((tmp_path / "faults.json").read_text())["faults"]
+    assert fault["file"] == str(path)
+    stats = run(app, ["dataset", "stats", str(out)])
+    assert stats.exit_code == 1
+
+
+def test_counts_where_a_recorder_tells_none():
+    """Points in the box, and pixels in the instance picture."""
+    from frames import car, frame, scan, station
+
+    from inspe_jax.dataset.points_in_boxes import counted
+
+    here = station(1, cameras=1, lidars=0)
+    points = np.array([[0.0, 0.0, 0.0, 1.0], [30.0, 0.0, 0.0, 1.0]])
+    on = scan()
+    on = replace(on, pose=np.array([10.0, 20.0, 0.75, 0, 0, 0]), points=points)
+    instance = np.zeros_like(here.images[0].instance)
+    instance[0, :3] = 4  # track 3
+    shown = replace(here.images[0], instance=instance)
+    given = frame(boxes=[car(3)], stations=[replace(here, images=(shown,), scans=(on,))])
+    (found,) = counted(given).stations
+    assert found.scans[0].returns.tolist() == [1]
+    assert found.images[0].pixels.tolist() == [3]

@@ -6,12 +6,15 @@ Modules that take long to import, such as Dask, are imported inside the command.
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from inspe_jax.cli.common import app, busy, counted, err, note, out, progress
 from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
+
+if TYPE_CHECKING:
+    from inspe_jax.dataset import Generation
 
 SHOWN = 3
 """Number of failed scenarios whose error is printed."""
@@ -62,7 +65,12 @@ def generate(
         ),
     ] = True,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check the study and say what it would generate.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Say what the set would hold, its size and the time it takes: builds every scene, "
+            "and tries every device on one frame.",
+        ),
     ] = False,
 ) -> None:
     """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
@@ -112,13 +120,7 @@ def generate(
     server_of(backend or generation.backend, server)
     note(generation.notes)
     if dry_run:
-        each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
-        out.print(
-            f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
-            f"{counted(generation.frames, 'frame')}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        _tell_what_it_would_hold(generation, backend or generation.backend, workers)
         return
     try:
         with progress("frames") as report:
@@ -158,3 +160,26 @@ def generate(
             soft_wrap=True,
         )
         raise typer.Exit(1)
+
+
+def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: int | None) -> None:
+    """Print a table of the splits, and the size and the time that the set would take."""
+    import os
+
+    from inspe_jax.dataset.estimate import estimate
+    from inspe_jax.report.dataset_tables import content_table
+
+    with progress("scenarios") as report:
+        found = estimate(generation, backend, report)
+    out.print(content_table(generation, found))
+    if found.size is None or found.seconds is None:
+        note([f"backend {backend}: size and time are not known without its server"])
+        return
+    workers = workers or os.cpu_count() or 1
+    hours = found.seconds / workers / 3600
+    took = f"{hours:.1f} h" if hours >= 1 else f"{max(60 * hours, 0.1):.1f} min"
+    out.print(
+        f"about {found.size / 1e9:.3g} GB, and {took} with {counted(workers, 'worker')} like this",
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -20,7 +20,7 @@ from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.points_in_boxes import counted
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.layout import layout_text, parse_layout
+from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recorder, Server
 from inspe_jax.study.sources import SceneSource
@@ -106,10 +106,7 @@ class WorkerState:
         release_compiled(chunk.scene)
         self.key, plan = chunk.plan.key, chunk.plan
         try:
-            source = plan.layout
-            text = source.text or layout_text(place_layout(source, scene))
-            content = {"name": source.name, **parse_yaml(text, source.name)}
-            layout = parse_layout(content, source.name, source.name, scene)
+            layout, content = layout_of(plan, scene)
             given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
             self.stack = ExitStack()
             self.recorder = self.stack.enter_context(
@@ -131,6 +128,14 @@ class WorkerState:
 
 _worker = WorkerState()
 _recording = threading.Lock()
+
+
+def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]:
+    """The layout of a scenario on its scene, and its content as in a layout file."""
+    source = plan.layout
+    text = source.text or layout_text(place_layout(source, scene))
+    content = {"name": source.name, **parse_yaml(text, source.name)}
+    return parse_layout(content, source.name, source.name, scene), content
 
 
 def build(chunk: Chunk) -> Scene | str:

@@ -140,6 +140,11 @@ class ScenarioPlan:
         return digest([self.source.anywhere, of])[:16]
 
     @property
+    def kind(self) -> str:
+        """The kind of intersection: the tag ``kind``, or else the name of the scene."""
+        return self.tags.get("kind", self.source.name)
+
+    @property
     def appearance_seed(self) -> int:
         """The seed of the road users' shapes and colours: the same for every layout and light."""
         return _seed(self.traffic)
@@ -347,12 +352,11 @@ def _fit(part: Any) -> str:
 
 def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:
     """What a scenario is kept together with in a split, and the kind of that."""
-    kind = plan.tags.get("kind", plan.source.name)
     density = str(plan.settings["density"])
     return {
-        "intersection": (digest(plan.source.anywhere), (kind,)),
-        "scene": (plan.traffic, (density, kind)),
-        "scenario": (plan.key, (density, kind, plan.conditions.light)),
+        "intersection": (digest(plan.source.anywhere), (plan.kind,)),
+        "scene": (plan.traffic, (density, plan.kind)),
+        "scenario": (plan.key, (density, plan.kind, plan.conditions.light)),
     }[split_by]
 
 

@@ -8,7 +8,9 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from inspe_jax.core.version import __version__
+from inspe_jax.dataset.estimate import Estimate
 from inspe_jax.dataset.folders import Scenario
+from inspe_jax.dataset.plan import Generation
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.dataset.statistics import PointCounts, Statistics, bands, table_row
 from inspe_jax.report.tables import table_of
@@ -16,6 +18,26 @@ from inspe_jax.simulation.frame import KINDS
 
 _AXES = ("length", "width", "height")
 _NONE = "–"
+
+
+def content_table(generation: Generation, found: Estimate) -> RenderableType:
+    """Tables of a data set that is to be generated: its splits, and how balanced they are."""
+    splits = [(name, split) for name, split in found.splits.items() if split.scenarios]
+    sizes = table_of(
+        f"Data set {generation.name}", "split", "scenes", "scenarios", "frames",
+        *(f"{kind}s" for kind in KINDS),
+    )  # fmt: skip
+    for name, split in splits:
+        boxes = (f"{split.boxes[kind]:,}" for kind in KINDS)
+        counts = (len(split.scenes), split.scenarios, split.frames)
+        sizes.add_row(name, *(f"{count:,}" for count in counts), *boxes)
+    balance = table_of("Scenarios of each split", "", *(name for name, _ in splits))
+    plans = generation.scenarios
+    for value in dict.fromkeys(str(plan.settings["density"]) for plan in plans):
+        balance.add_row(Text(value), *(f"{split.densities[value]:,}" for _, split in splits))
+    for value in dict.fromkeys(plan.kind for plan in plans):
+        balance.add_row(Text(value), *(f"{split.kinds[value]:,}" for _, split in splits))
+    return Group(sizes, "", balance)
 
 
 def statistics_table(found: Statistics) -> RenderableType:

@@ -1,0 +1,49 @@
+"""What a data set would hold and take, compared with what it then holds and takes."""
+
+import pytest
+import yaml
+
+from inspe_jax.dataset import chunk, load_generation, statistics
+from inspe_jax.dataset.estimate import estimate
+from inspe_jax.dataset.writer import DatasetWriter
+
+pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+
+STUDY = dict(
+    scenes=[{"built_in": "four_way", "tags": {"kind": "crossing"}}],
+    layouts=["Cam-d1/L-d1", "L-c"],
+    settings=dict(radius=15, voxel=2, density=8, seconds=0.4, seed=[0, 1]),
+    image_scale=0.1,
+    splits=dict(train=1, test=1),
+)
+
+
+def test_sizes_and_counts_are_those_of_the_set(tmp_path, monkeypatch):
+    path = tmp_path / "study.yaml"
+    path.write_text(yaml.safe_dump(STUDY))
+    generation = load_generation(path)
+    told = []
+    found = estimate(generation, progress=lambda done, total: told.append((done, total)))
+    assert told == [(n, 4) for n in range(1, 5)]
+    assert [path] == list(tmp_path.iterdir())  # nothing is left behind
+    assert found.seconds > 0
+    monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
+    with DatasetWriter(generation, tmp_path / "out", "embedded") as writer:
+        for plan in generation.scenarios:
+            given = writer.unfinished(plan), writer.lock(plan, 0), 0, plan.frames - 1, plan.frames
+            todo = chunk.Chunk(plan, "embedded", *given)
+            assert not chunk.work(chunk.build(todo), todo).error
+            assert writer.finish(plan)
+        writer.clear()
+    made = statistics(tmp_path / "out")
+    for split in made.splits:
+        expected = found.splits[split.name]
+        assert (split.scenarios, split.frames) == (expected.scenarios, expected.frames)
+        assert split.boxes == sum(expected.boxes.values())
+        assert expected.kinds == {"crossing": split.scenarios}
+        assert expected.densities == {"8": split.scenarios}
+    assert {kind: sum(s.boxes[kind] for s in found.splits.values()) for kind in made.boxes} == (
+        made.boxes
+    )
+    own = sum(f.stat().st_size for f in (tmp_path / "out").rglob("-*/*"))
+    assert found.size == pytest.approx(own, rel=0.1)

@@ -171,6 +171,13 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
 
     with progress("scenarios") as report:
         found = estimate(generation, backend, report)
+    each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
+    out.print(
+        f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
+        f"{counted(generation.frames, 'frame')}",
+        highlight=False,
+        soft_wrap=True,
+    )
     out.print(content_table(generation, found))
     if found.size is None or found.seconds is None:
         note([f"backend {backend}: size and time are not known without its server"])

@@ -272,7 +272,13 @@ def make_generation(
     scenarios = tuple(
         replace(plan, split=splits[group]) for (group, _), plan in zip(groups, done, strict=True)
     )
-    return Generation(entry.name or name, scenarios, format=entry.format)
+    notes = tuple(
+        f"{split} is empty: {_counted(len(splits), entry.split_by)} for {len(SPLITS)} splits; give "
+        "more values of seed, or another split_by"
+        for split, share in zip(SPLITS, proportions, strict=True)
+        if share and split not in splits.values()
+    )
+    return Generation(entry.name or name, scenarios, notes=notes, format=entry.format)
 
 
 def check_seconds(seconds: float, rate: float, where: str) -> None:
@@ -348,6 +354,10 @@ def _word(value: Any) -> str:
 def _fit(part: Any) -> str:
     """A part of a name: letters, digits and a few signs; others become ``_``."""
     return re.sub(r"[^A-Za-z0-9.+-]+", "_", str(part)).strip("._") or "_"
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:

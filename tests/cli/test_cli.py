@@ -369,11 +369,16 @@ def test_a_study_is_checked_and_counted_before_it_is_run(inspe, files):
 
 
 def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
-    text = "scenes: [{built_in: four_way}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
+    text = (
+        "scenes: [{built_in: four_way, radius: 15, voxel: 2}]\nlayouts: [layout.yaml, L-c]\n"
+        "settings: {light: [%s], seconds: 1}\nimage_scale: 0.1\n"
+    )
     (files / "set.yaml").write_text(text % "midday, night")
-    status, words, _ = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
+    status, words, notes = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
     assert status == 0
-    assert "set: 4 scenarios (3 train, 0 validate, 1 test), 400 frames" in words
+    assert "set: 4 scenarios (4 train, 0 validate, 0 test), 40 frames" in words
+    assert "GB, and 0." in words
+    assert "test is empty: 1 scene for 3 splits; give more values of seed, or another" in notes
     status, _, words = inspe("generate", "set.yaml", "--out", "set", "--dry-run", "--server", "sim")
     assert status == 2
     assert "server sim:2000: goes with backend carla, and this is embedded" in words

@@ -16,6 +16,7 @@ its own: scenarios, splits and names here, jobs and searches there. The file::
     rate_hz: 10                      # frames per second
     layers: [depth, instance]        # in addition to the pictures; or semantic
     image_scale: 0.5                 # of the cameras' own resolution, up to 4
+    image_size: [352, 128]           # or width and height of all pictures
     lidar_turn_s: 0.1                # how long a LiDAR's turn takes; 0: all rays at once
     format: opv2v                    # how files are written
     pictures: png                    # or jpeg: smaller, and faster to read
@@ -202,6 +203,7 @@ class RecordingEntry(Strict):
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
     image_scale: Annotated[float, Field(gt=0, le=4)] = 1.0
+    image_size: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
     lidar_turn_s: Annotated[float, Field(ge=0, le=1)] = TURN
     format: str = DEFAULT_FORMAT
     pictures: str = DEFAULT_OPTIONS.pictures
@@ -215,12 +217,19 @@ class RecordingEntry(Strict):
         """
         check_format(self.format, f"{where}: format")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
-        return Recording(
+        size = self.image_size
+        found = Recording(
             rate=self.rate_hz,
             layers=tuple(self.layers),
             image_scale=self.image_scale,
             turn=self.lidar_turn_s,
+            image_size=(size[0], size[1]) if size else None,
         )
+        try:
+            found.check()
+        except InspeError as e:
+            raise InspeError(f"{where}: {e}") from None
+        return found
 
     def files(self, where: str) -> FileOptions:
         """How files are written. Raises InspeError where a value is out of range."""

@@ -138,6 +138,7 @@ def protocol_of(
             "rate_hz": plan.recording.rate,
             "layers": list(plan.recording.layers),
             "image_scale": plan.recording.image_scale,
+            **({"image_size": list(size)} if (size := plan.recording.image_size) else {}),
             "lidar_turn_s": plan.recording.turn,
             "seed": plan.seed,
             **({} if format == DEFAULT_FORMAT else {"format": format}),

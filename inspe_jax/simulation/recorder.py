@@ -18,6 +18,8 @@ LAYERS = ("depth", "instance", "semantic")
 """What a camera can record in addition to its pictures."""
 TURN = 0.1
 """How long a LiDAR's turn takes, if nothing else is said [s]: usual devices turn at 10 Hz."""
+MOST_PIXELS = 8192
+"""The largest width and height of a picture."""
 CONNECTING = 3.0
 """How long to wait for a connection to a server [s]."""
 
@@ -27,8 +29,10 @@ class Recording:
     """Settings of a recording.
 
     ``rate`` is the number of frames per second [Hz]; ``layers`` are of :data:`LAYERS`;
-    ``image_scale`` multiplies the cameras' own resolution; ``noise`` is that of the LiDARs, and
-    ``turn`` how long a turn of theirs takes [s], 0 if all rays are fired at once.
+    ``image_scale`` multiplies the cameras' own resolution; ``image_size`` (width, height), where
+    given, is that of all pictures instead: they show the same, with pixels that need not be square.
+    ``noise`` is that of the LiDARs, and ``turn`` how long a turn of theirs takes [s], 0 if all rays
+    are fired at once.
 
     The digest of a scenario contains the names of this class, of :class:`LidarNoise`, and of their
     fields. If these changed, runs that were stopped could not go on.
@@ -39,6 +43,7 @@ class Recording:
     image_scale: float = 1.0
     noise: LidarNoise = field(default_factory=LidarNoise)
     turn: float = added(TURN)
+    image_size: tuple[int, int] | None = added(None)
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
@@ -46,6 +51,13 @@ class Recording:
             raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
         if not (np.isfinite(self.image_scale) and 0 < self.image_scale <= 4):
             raise InspeError(f"image_scale {self.image_scale} is out of range: above 0, up to 4")
+        if self.image_size is not None and not all(1 <= n <= MOST_PIXELS for n in self.image_size):
+            raise InspeError(
+                f"image_size {list(self.image_size)} is out of range: width and height, each 1 to "
+                f"{MOST_PIXELS}"
+            )
+        if self.image_size is not None and self.image_scale != 1:
+            raise InspeError("image_size and image_scale: give one of them")
         if not (np.isfinite(self.turn) and 0 <= self.turn <= 1):
             raise InspeError(f"turn {self.turn} s is out of range: 0 to 1")
         for name in self.layers:
@@ -53,6 +65,12 @@ class Recording:
                 raise InspeError(
                     f"layer '{name}': one of {', '.join(LAYERS)}{nearest(name, LAYERS)}"
                 )
+
+    def picture_size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the pictures of a camera that has these itself [pixels]."""
+        if self.image_size is not None:
+            return self.image_size
+        return max(1, round(width * self.image_scale)), max(1, round(height * self.image_scale))
 
 
 @dataclass(frozen=True)

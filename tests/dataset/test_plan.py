@@ -258,6 +258,12 @@ def test_splits_of_any_number(kinds, proportions, random):
         (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
         (dict(layers="depth"), r"layers: must be a list, got 'depth'"),
         (dict(image_scale=5), r"image_scale: .*less than or equal to 4, got 5"),
+        (dict(image_size=[352]), r"image_size: needs at least 2, has 1"),
+        (
+            dict(image_size=[352, 0]),
+            r"image_size \[352, 0\] is out of range: width and",
+        ),
+        (dict(image_size=[352, 128], image_scale=0.5), r"image_size and image_scale: give one"),
         (dict(lidar_turn_s=2), r"lidar_turn_s: .*less than or equal to 1, got 2"),
         (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
         (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),

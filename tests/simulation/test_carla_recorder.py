@@ -459,7 +459,7 @@ def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
     tags = np.array([[13, 19, 12], [1, 19, 11]])
     numbers = np.array([[700, 8, 9], [8, 8, 0]])
     depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
-    intrinsic = intrinsic_of(replace(client.CAMERA, width=3, height=2, focal=30.0), 1.0)
+    intrinsic = intrinsic_of(replace(client.CAMERA, width=3, height=2, focal=30.0), (3, 2))
     found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (box,))
     np.testing.assert_array_equal(found, [[5, 5, 0], [0, 5, 0]])
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from worlds import CAMERA, place_sensors, with_boxes, world
 
+from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.conditions import Conditions
@@ -137,6 +138,29 @@ def test_lost_returns_are_not_counted(empty):
     all_of = scan_of(scene, lidar()).returns[0]
     half = replace(EXACT, noise=LidarNoise(range=0.0, lost=0.5, weak=0.0))
     assert scan_of(scene, lidar(), recording=half).returns[0] == pytest.approx(all_of / 2, rel=0.1)
+
+
+@pytest.mark.parametrize("size", [(640, 240), (352, 128), (160, 240)])
+def test_pictures_of_any_size_show_the_same(empty, size):
+    """As wide and as high a view, with other pixels: a road user covers the same share of it."""
+    scene = standing(empty, "truck", (18.0, 3.0))
+    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, -0.2, 0.1]))
+    shares, middles = [], []
+    for given in ((320, 240), size):
+        recording = Recording(layers=("instance",), image_size=given)
+        image = EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations[0].images[0]
+        assert image.rgb.shape == (given[1], given[0], 3)
+        on = np.argwhere(image.instance > 0) + 0.5
+        shares.append(len(on) / image.instance.size)
+        middles.append(on.mean(0) / image.instance.shape)
+        # The calibration says where the middle of the box is.
+        (box,) = EmbeddedRecorder(scene, layout, recording=recording).frame(0).boxes
+        body = (box.center - image.pose[:3]) @ rotation(image.pose[3:], np)
+        u, v, w = image.intrinsic @ [-body[1], -body[2], body[0]]
+        assert np.abs(on[:, 1] - u / w).min() < 1
+        assert np.abs(on[:, 0] - v / w).min() < 1
+    assert shares[0] == pytest.approx(shares[1], rel=0.03)
+    np.testing.assert_allclose(middles[0], middles[1], atol=0.005)
 
 
 def test_pixels_and_visible_share_of_each_road_user(empty):

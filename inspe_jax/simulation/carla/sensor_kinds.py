@@ -85,12 +85,13 @@ def _pictures(recording: Recording) -> dict[str, str]:
 
 
 def _camera_attributes(spec: CameraSpec, recording: Recording) -> dict[str, str]:
-    return camera_attributes(spec, recording.image_scale)
+    return camera_attributes(spec, recording.picture_size(spec.width, spec.height))
 
 
 def _image(measured: Measured) -> Image:
     data, pose, layers = measured.data, measured.pose, dict[str, Any]()
-    intrinsic = intrinsic_of(measured.spec, measured.recording.image_scale)
+    spec = measured.spec
+    intrinsic = intrinsic_of(spec, measured.recording.picture_size(spec.width, spec.height))
     if "depth" in data:
         layers["depth"] = depth_of(data["depth"])
     if "instance" in data:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.core.carla_frame import flip
+from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
@@ -46,12 +47,17 @@ def lidar_attributes(spec: LidarSpec, rate: float) -> dict[str, str]:
     }
 
 
-def camera_attributes(spec: CameraSpec, scale: float) -> dict[str, str]:
-    """Attributes of a camera: the size of the picture and its horizontal field of view.
+def camera_attributes(spec: CameraSpec, size: tuple[int, int]) -> dict[str, str]:
+    """Attributes of a camera: ``size`` of the picture (width, height), horizontal field of view.
 
-    ``scale`` multiplies the spec's own resolution.
+    Raises InspeError for a size of another shape than the spec's own.
     """
-    height, width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
+    width, height = size
+    if abs(height - spec.height * width / spec.width) > 1:
+        raise InspeError(
+            f"image_size [{width}, {height}]: CARLA's pixels are square, and {spec.name} has "
+            f"{spec.width} x {spec.height} of them: give a size of the same shape"
+        )
     across = 2 * np.degrees(np.arctan(spec.width / 2 / spec.focal))
     return {
         "image_size_x": str(width),
@@ -60,12 +66,12 @@ def camera_attributes(spec: CameraSpec, scale: float) -> dict[str, str]:
     }
 
 
-def intrinsic_of(spec: CameraSpec, scale: float) -> Float[np.ndarray, "3 3"]:
+def intrinsic_of(spec: CameraSpec, size: tuple[int, int]) -> Float[np.ndarray, "3 3"]:
     """Calibration of a camera with :func:`camera_attributes`, in pixels.
 
     Pixels are square, and the principal point is in the middle.
     """
-    height, width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
+    width, height = size
     focal = spec.focal * width / spec.width
     return np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
 

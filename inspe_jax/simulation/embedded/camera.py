@@ -146,9 +146,8 @@ class Camera:
         self.static_caster = surroundings.static_caster
         self.appearance_seed = surroundings.appearance_seed
         self.recording, shading = surroundings.recording, surroundings.shading
-        scale = self.recording.image_scale
         self.shading, self.light = shading, shading.light
-        self.height, self.width = (max(1, round(n * scale)) for n in (spec.height, spec.width))
+        self.width, self.height = self.recording.picture_size(spec.width, spec.height)
         across, down = self.width / spec.width, self.height / spec.height
         self.intrinsic = np.array(
             [

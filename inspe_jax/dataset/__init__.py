@@ -2,8 +2,10 @@
 
 import warnings
 
+from inspe_jax.dataset.check import Check, check
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
+from inspe_jax.dataset.formats.options import FileOptions
 from inspe_jax.dataset.formats.registry import read_frame, write_frame, write_protocol
 from inspe_jax.dataset.generate import GenerationResult, generate
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
@@ -13,7 +15,9 @@ from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import Server
 
 __all__ = [
+    "Check",
     "Dataset",
+    "FileOptions",
     "Frame",
     "Generation",
     "GenerationResult",
@@ -25,6 +29,7 @@ __all__ = [
     "Server",
     "Station",
     "Statistics",
+    "check",
     "generate",
     "load_generation",
     "open",

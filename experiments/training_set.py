@@ -1,0 +1,244 @@
+"""Claim: a data set of the ten intersections holds the road users that its densities ask for.
+
+Records a tenth of the set of ten intersections, three densities, three lights and the paper's nine
+placements: all of its scenarios at 1 Hz instead of 10, with pictures as detectors take them. Tells,
+by class, density and placement, how many road users a frame has of those asked for, how many have
+no LiDAR return, and how many points lie in a box for each return of its road user; the latter also
+for LiDARs whose turn takes as long as a frame, as before the turn was a setting. Draws the sizes of
+road users with those of real vehicles. The set stays where --keep says; a run that was stopped goes
+on there.
+"""
+
+import argparse
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from common import MAPS, command_line, write_results
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+from table2 import HERE
+
+from inspe_jax.cli.common import progress
+from inspe_jax.dataset import Dataset, generate, load_generation, open
+from inspe_jax.dataset.points_in_boxes import count_inside
+from inspe_jax.placement.strategies import STRATEGIES
+from inspe_jax.scene.traffic.frames import CLASSES, DENSITIES, MIXES, quota
+from inspe_jax.simulation.frame import Frame
+
+LIGHTS = ("midday", "dusk", "night")
+SPLITS = dict(train=7, validate=1, test=2)
+PICTURE = [352, 128]
+"""Width and height that camera detectors of the paper take."""
+REAL: dict[str, list[tuple[str, float, float]]] = {
+    "car": [("Fiat 500", 3.57, 1.63), ("VW Golf", 4.28, 1.79), ("Ford Transit", 5.53, 2.06)],
+    "truck": [
+        ("long van", 7.37, 2.02),
+        ("city bus", 12.0, 2.55),
+        ("semi-trailer", 16.5, 2.55),
+    ],
+    "cyclist": [("city bicycle", 1.8, 0.6), ("cargo bicycle", 2.5, 0.8)],
+    "pedestrian": [("adult", 0.5, 0.5)],
+}
+"""Length and width [m]: makers' data sheets; the longest that EU directive 96/53/EC allows."""
+
+console = Console()
+
+
+def options() -> argparse.Namespace:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--keep", type=Path, help="folder that the set stays in: about 3 GB")
+    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
+    parser.add_argument("--mix", default="mixed", choices=list(MIXES), help="of the road users")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    if not given.quick and not MAPS.is_dir():
+        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
+    return given
+
+
+@contextmanager
+def folder(keep: Path | None) -> Iterator[Path]:
+    """Where the set goes: a folder of its own, or one that is gone afterwards."""
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+        yield keep
+        return
+    with tempfile.TemporaryDirectory() as found:
+        yield Path(found)
+
+
+def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
+    """The content of a study file."""
+    settings = dict(density=list(DENSITIES)[1:], light=list(LIGHTS), seconds=10, mix=given.mix)
+    content: dict[str, Any] = dict(
+        name="ten intersections", layouts=list(STRATEGIES), settings=settings, rate_hz=1,
+        pictures="jpeg", image_size=PICTURE, splits=SPLITS,
+    )  # fmt: skip
+    if given.quick:
+        settings |= dict(density=["low"], light=["midday"], seconds=2, radius=25, voxel=1)
+        scenes = [{"built_in": "four_way"}, {"built_in": "t_junction"}]
+        content |= dict(scenes=scenes, layouts=["Cam-c/L-c", "L-d1"], splits=dict(train=1, test=1))
+    else:
+        scenes = yaml.safe_load((HERE / "intersections.yaml").read_text(encoding="utf-8"))
+        content |= dict(scenes=[scene | dict(map=str(MAPS / scene["map"])) for scene in scenes])
+    return content | changes
+
+
+def recorded(content: dict[str, Any], into: Path, workers: int | None) -> Dataset:
+    """The set of a study, recorded as far as it is not there."""
+    path = into.with_suffix(".yaml")
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with progress(into.name) as report:
+        made = generate(load_generation(path), into, workers=workers, progress=report)
+    assert not made.failures, made.failures
+    size = f"{made.size / 1e6:,.0f} MB"
+    console.print(
+        f"{into.name}: {made.scenarios} scenarios, {made.frames} frames, {size}; "
+        f"{made.recorded} frames in {made.seconds:,.0f} s",
+        highlight=False,
+    )
+    return open(into)
+
+
+# ── What a set holds ────────────────────────────────────────────────────────
+
+
+def of_frame(frame: Frame) -> np.ndarray:
+    """Class, returns of its own and points inside, of each road user (B, 3)."""
+    scans = [scan for station in frame.stations for scan in station.scans]
+    own = sum((np.asarray(s.returns) for s in scans), np.zeros(len(frame.boxes), int))
+    inside = count_inside(scans, frame.boxes).sum(0) if scans else np.zeros_like(own)
+    return np.column_stack([[CLASSES.index(box.kind) for box in frame.boxes], own, inside])
+
+
+def counted(data: Dataset, mix: str) -> "Rows":
+    """A row for each placement, density and class, of the scenarios at midday.
+
+    In another light LiDARs return the same, but for their noise.
+    """
+    found: dict[tuple[str, str], list[np.ndarray]] = {}
+    chosen = [s for s in data.scenarios if s.protocol["settings"]["light"] == LIGHTS[0]]
+    with progress("reading scenarios") as report:
+        for done, scenario in enumerate(chosen, 1):
+            layout = str(scenario.protocol["layout"]["name"])
+            at = layout, str(scenario.protocol["settings"]["density"])
+            found.setdefault(at, []).extend(of_frame(scenario.frame(t)) for t in scenario.frames)
+            if report:
+                report(done, len(chosen))
+    rows = []
+    for (placement, density), frames in found.items():
+        asked = quota(MIXES[mix], [True] * len(CLASSES), DENSITIES[density])
+        every = np.concatenate(frames)
+        for k, name in enumerate(CLASSES):
+            own = every[every[:, 0] == k]
+            rows.append(
+                dict(
+                    placement=placement,
+                    density=density,
+                    road_user=name,
+                    frames=len(frames),
+                    asked=int(asked[k]),
+                    boxes=len(own),
+                    without_return=int((own[:, 1] == 0).sum()),
+                    returns=int(own[:, 1].sum()),
+                    points_inside=int(own[:, 2].sum()),
+                )
+            )
+    return rows
+
+
+Rows = list[dict[str, Any]]
+
+
+def total(rows: Rows, **of: str) -> Counter[str]:
+    """Sums over the rows of the placement, density or class given."""
+    found: Counter[str] = Counter()
+    for row in rows:
+        if all(row[key] == value for key, value in of.items()):
+            found.update({key: value for key, value in row.items() if isinstance(value, int)})
+    return found
+
+
+def densities_table(rows: Rows) -> Table:
+    """Road users of each class a frame, of those asked for."""
+    found = Table("density", *(f"{name}s" for name in CLASSES), "all", title="Road users a frame")
+    for density in dict.fromkeys(row["density"] for row in rows):
+        cells = []
+        for of in (*({"road_user": name} for name in CLASSES), {}):
+            sums, classes = total(rows, density=density, **of), 1 if of else len(CLASSES)
+            one = next(row for row in rows if row["density"] == density)["placement"]
+            asked = total(rows, density=density, placement=one, **of)["asked"]
+            cells.append(f"{sums['boxes'] * classes / sums['frames']:.1f} of {asked}")
+        found.add_row(density, *cells)
+    return found
+
+
+def placements_table(rows: Rows, title: str) -> Table:
+    """Boxes without a return, and points in a box for each return of its road user."""
+    found = Table("placement", title=title)
+    for name in CLASSES:
+        found.add_column(f"{name}s without\na return, points\na return")
+    for placement in dict.fromkeys(row["placement"] for row in rows):
+        if STRATEGIES[placement].lidars:
+            cells = []
+            for name in CLASSES:
+                sums = total(rows, placement=placement, road_user=name)
+                none = sums["without_return"] / max(sums["boxes"], 1)
+                cells.append(f"{none:.1%}, {sums['points_inside'] / max(sums['returns'], 1):.2f}")
+            found.add_row(placement, *cells)
+    return found
+
+
+def draw(data: Dataset) -> Figure:
+    """Length and width of the road users of each class, and those of real ones."""
+    sizes: dict[str, dict[Any, np.ndarray]] = {name: {} for name in CLASSES}
+    for scenario in data.scenarios:
+        for box in scenario.frame(scenario.frames[0]).boxes:
+            of = tuple(scenario.protocol["scene"].items()), scenario.protocol["settings"]["density"]
+            sizes[box.kind][str(of), box.track] = box.size
+    figure = Figure(figsize=(12, 5), layout="constrained")
+    axes = figure.subplots(2, len(CLASSES))
+    for column, name in enumerate(CLASSES):
+        every = np.array(list(sizes[name].values())).reshape(-1, 3)
+        for axis, word in enumerate(("length", "width")):
+            ax = axes[axis, column]
+            ax.hist(every[:, axis], bins=30, color="C0", alpha=0.8)
+            for k, (label, *real) in enumerate(REAL[name]):
+                ax.axvline(real[axis], color=f"C{k + 1}", ls="--", lw=1, label=label)
+            ax.set_xlabel(f"{word} [m]")
+            if axis == 0:
+                ax.set_title(f"{name}: {len(every)}")
+                ax.legend(fontsize=7)
+    return figure
+
+
+def main() -> None:
+    """Record, count, print, draw and write."""
+    given = options()
+    stem = "training_set_quick" if given.quick else "training_set"
+    with folder(given.keep) as into:
+        data = recorded(study(given), into / "set", given.workers)
+        rows = counted(data, given.mix)
+        # As before the turn was a setting: it took as long as a frame.
+        slow = study(given, lidar_turn_s=1, layouts=["L-d1"])
+        slow["settings"] |= dict(light=[LIGHTS[0]])
+        before = counted(recorded(slow, into / "slow_turn", given.workers), given.mix)
+        draw(data).savefig(given.out / f"{stem}.png", dpi=150)
+    console.print(densities_table(rows))
+    console.print(placements_table(rows, "What LiDARs return of road users"))
+    console.print(placements_table(before, "The same with a turn of 1 s"))
+    every = [row | dict(turn_s=turn) for turn, part in ((0.1, rows), (1.0, before)) for row in part]
+    write_results(given.out / f"{stem}.csv", every, dict(mix=given.mix, study=study(given)))
+    console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
+
+
+if __name__ == "__main__":
+    main()

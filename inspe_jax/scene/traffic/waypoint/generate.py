@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
@@ -18,11 +18,25 @@ from inspe_jax.scene.traffic.frames import (
     pack_frames,
     quota,
 )
+from inspe_jax.scene.traffic.waypoint.congestion import CongestedModel
 from inspe_jax.scene.traffic.waypoint.model import WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths
+from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
 
 WARM_UP = 40.0
 """Time [s] that the model runs before the first frame."""
+
+CONGESTED_WARM_UP = 60.0
+"""The same where the roads fill [s]: long enough for queues to form behind the junction."""
+
+WATCHED = 20.0
+"""Last part of the warm-up [s], over which road users are counted."""
+
+MISSING, CLASS_MISSING = (0.05, 2.0), (0.3, 1.5)
+"""Roads do not hold all if this share is missing, and this many; and the same of any class.
+
+A place that is small or has few road users waits a while for each, and is not full for that.
+"""
 
 STEP = 0.2
 """Longest step of the model [s]."""
@@ -42,12 +56,17 @@ def waypoint_traffic(
     """Traffic on the waypoints of an intersection's routes (paper, section 4).
 
     There are about ``count`` objects at a time within ``radius`` [m] of the
-    centre, or as many as the roads hold, in ``frames`` frames ``step`` seconds
-    apart. ``mix`` is a key of :data:`MIXES`. Unlike in the paper, road users
+    centre, in ``frames`` frames ``step`` seconds apart. ``mix`` is a key of
+    :data:`MIXES`. Unlike in the paper, road users
     keep their distance, slow down for bends and give way where paths cross,
     first come first served. They never overlap. Cyclists keep to the right of
     the lane, and pedestrians have routes of their own. A road user that leaves
-    is replaced at an entry as soon as there is room. Yaw is the direction of
+    is replaced at an entry as soon as there is room. Where that leaves road
+    users missing, traffic is that of
+    :class:`~inspe_jax.scene.traffic.waypoint.congestion.CongestedModel`; what
+    it still lacks, :func:`~inspe_jax.scene.traffic.frames.shortfall` says.
+    Where the map has no sidewalks, people walk as
+    :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says. Yaw is the direction of
     travel; boxes stand at the route's own height. ``progress`` is called with
     (frames done, frames).
 
@@ -56,16 +75,15 @@ def waypoint_traffic(
     route lies within the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
-    paths = lay_paths(intersection, radius)
+    walked = MIXES[mix].shares[CLASSES.index("pedestrian")] > 0
+    place = with_walkways(intersection, radius) if walked else intersection
+    paths = lay_paths(place, radius)
     kind = _kinds(paths, MIXES[mix], count)
     if len(kind) < count:
         raise InspeError(
             f"{intersection.name}: no route within {radius:g} m of the centre for mix '{mix}'"
         )
-    rng = np.random.default_rng(seed)
-    model = WaypointModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix].spread, rng)
-    model.fill()
-    _advance(model, WARM_UP)
+    model = _warmed_up(paths, kind, mix, seed)
     seen = []
     for frame in range(frames):
         if frame:
@@ -86,10 +104,43 @@ def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
     return np.repeat(np.arange(len(CLASSES), dtype=np.int8), quota(mix, has_path, count))
 
 
-def _advance(model: WaypointModel, time: float) -> None:
+def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointModel:
+    """A model after its warm-up: of free roads, or of congested ones if those do not hold all."""
+    rng = np.random.default_rng(seed)
+    spread = MIXES[mix].spread
+    model = WaypointModel(paths, ROAD_USERS, rng.permutation(kind), spread, rng)
+    model.fill()
+    _advance(model, WARM_UP - WATCHED)
+    there = _advance(model, WATCHED)
+    if _holds(there, np.bincount(kind, minlength=len(CLASSES))):
+        return model
+    walkers = CLASSES.index("pedestrian")
+    may_walk = (kind == walkers).any()
+    spare = np.full(len(kind) if may_walk else 0, walkers, kind.dtype)
+    rng = np.random.default_rng(seed)
+    full = CongestedModel(paths, ROAD_USERS, rng.permutation(kind), spread, rng, spare)
+    full.fill()
+    _advance(full, CONGESTED_WARM_UP)
+    return full
+
+
+def _holds(there: Float[np.ndarray, " K"], wanted: Int[np.ndarray, " K"]) -> bool:
+    """Whether mean numbers by class are near enough to those wanted, in all and each."""
+    missing = wanted - there
+    share, least = CLASS_MISSING
+    each = missing < np.maximum(share * wanted, least)
+    share, least = MISSING
+    return bool(each.all() and missing.sum() < max(share * wanted.sum(), least))
+
+
+def _advance(model: WaypointModel, time: float) -> Float[np.ndarray, " K"]:
+    """Run a model for some time [s]; the mean number of road users there by class."""
     steps = int(np.ceil(time / STEP - 1e-9))
+    there = np.zeros(len(CLASSES))
     for _ in range(steps):
         model.step(time / steps)
+        there += np.bincount(model.kind[model.active], minlength=len(CLASSES))
+    return there / max(steps, 1)
 
 
 def _snapshot(model: WaypointModel) -> Snapshot:

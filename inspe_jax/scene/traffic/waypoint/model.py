@@ -66,12 +66,7 @@ class WaypointModel:
     def fill(self) -> None:
         """Place users at random on the paths where there is room; the others wait outside."""
         for who in range(len(self.kind)):
-            for _ in range(20):
-                self._draw(who)
-                self.arc[who] = self.rng.random() * self.paths.length[self.path[who]]
-                if self._has_room(who) and not self._in_block(np.array([who])).any():
-                    self._admit(who)
-                    break
+            self._place_at_random(who)
 
     def step(self, dt: float) -> None:
         """Let users in, grant right of way, and move all users for ``dt`` seconds."""
@@ -95,6 +90,15 @@ class WaypointModel:
         self._move(on, np.where(speed < 0.05, 0.0, speed), dt)
 
     # ── Entering and leaving ──
+
+    def _place_at_random(self, who: int | np.intp) -> None:
+        """Place a user where there is room and no block, if such a place is found."""
+        for _ in range(20):
+            self._draw(who)
+            self.arc[who] = self.rng.random() * self.paths.length[self.path[who]]
+            if self._has_room(who) and not self._in_block(np.array([who])).any():
+                self._admit(who)
+                break
 
     def _draw(self, who: int | np.intp) -> None:
         """Draw a new user in this entry: size, speed and path. It is at the path's start."""
@@ -140,12 +144,18 @@ class WaypointModel:
         if len(outside) > ARRIVALS:
             outside = np.sort(self.rng.choice(outside, ARRIVALS, replace=False))
         for who in outside:
-            self._draw(who)
-            if self._has_room(who) and (
-                not self._in_block(np.array([who])).any() or self._first_free(who)
-            ):
-                self.speed[who] = self.wish[who]  # it looks ahead before it moves
-                self._admit(who)
+            self._enters(who)
+
+    def _enters(self, who: int | np.intp) -> bool:
+        """Let a user in at an entry drawn at random, if there is room; whether it came in."""
+        self._draw(who)
+        free = self._has_room(who) and (
+            not self._in_block(np.array([who])).any() or self._first_free(who)
+        )
+        if free:
+            self.speed[who] = self.wish[who]  # it looks ahead before it moves
+            self._admit(who)
+        return bool(free)
 
     def _first_free(self, who: int | np.intp) -> bool:
         """Whether a user may enter inside its first block.
@@ -210,7 +220,8 @@ class WaypointModel:
         # Index -1 means nobody ahead and reads the last entry: no stop line.
         line_of = np.append(line, np.inf)
         near = line < self.speed[on] ** 2 / (2 * BRAKING) + 1.5 * self.speed[on] + 2.0
-        asking = np.flatnonzero(near & ((free >= line) | (line_of[leader] > line)))
+        clear = (free >= line) | (line_of[leader] > line)
+        asking = np.flatnonzero(near & clear & (block >= 0))
         self.asked[on[asking]] = np.minimum(self.asked[on[asking]], self.time)
         needed = self.paths.leave[block] - self._ends(on)[1] + 0.5
         reach = free + _reach(free, line, leader, follows)

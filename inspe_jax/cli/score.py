@@ -398,17 +398,9 @@ def profiles() -> None:
 
 
 def _warn_of_full_roads(built: "Scene") -> None:
-    """Print a note if the roads cannot hold as much traffic as was asked for."""
-    from inspe_jax.scene.scene import AS_RECORDED, density_count
-
-    density = dict(built.settings).get("density", "none")
-    asked = 0 if density == AS_RECORDED else density_count(density)
-    held = built.traffic.mean_count
-    if held < 0.9 * asked:
-        err.print(
-            f"[yellow]Note:[/] the roads hold {held:.0f} objects on average, not the {asked} asked "
-            "for; a larger radius holds more",
-        )
+    """Print a note if the traffic has less than was asked for."""
+    if short := built.shortfall:
+        err.print(f"[yellow]Note:[/] road users: {short}; a larger radius holds more")
 
 
 def _list_places(source: str) -> None:

@@ -21,7 +21,7 @@ from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
-from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames
+from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall
 from inspe_jax.scene.traffic.registry import traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
@@ -70,6 +70,19 @@ class Scene:
     def profile(self) -> Profile:
         """The profile that it was built under, which decides how it is scored."""
         return profile_of(dict(self.settings).get("profile", BEFORE_PROFILES))
+
+    @property
+    def shortfall(self) -> str:
+        """What its traffic has less of than was asked for, in words; empty if it has it all.
+
+        See :func:`~inspe_jax.scene.traffic.frames.shortfall`. Of recorded traffic nothing was
+        asked.
+        """
+        asked = dict(self.settings)
+        density, mix = asked.get("density", AS_RECORDED), asked.get("mix", AS_RECORDED)
+        if AS_RECORDED in (density, mix):
+            return ""
+        return shortfall(self.traffic, density_count(density), mix)
 
 
 def build_scene(

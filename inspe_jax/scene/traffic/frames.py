@@ -16,6 +16,13 @@ DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 MOST_FRAMES = 10_000
 """More frames than this are taken for a mistake."""
 
+NOTICEABLE = 0.1
+"""Share of a class's quota that :func:`shortfall` names; half of it of all road users, as
+:data:`~inspe_jax.scene.traffic.sumo.generate.NEAR_ENOUGH`."""
+
+LEAST_NOTICED = 0.5
+"""And less than this many users is never named: a class of two is often one for some seconds."""
+
 CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
 
@@ -91,6 +98,12 @@ class TrafficFrames:
         return self.center.shape[0]
 
     @property
+    def mean_by_class(self) -> Float[np.ndarray, " K"]:
+        """Mean number of each of :data:`CLASSES` a frame."""
+        counts = [(self.valid & (self.kind == k)).sum() for k in range(len(CLASSES))]
+        return np.array(counts) / max(self.frame_count, 1)
+
+    @property
     def mean_count(self) -> float:
         """Mean number of objects a frame."""
         return float(self.valid.sum(1).mean()) if self.frame_count else 0.0
@@ -145,6 +158,34 @@ def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
     most = np.argsort(each - exact, kind="stable")
     each[most[: count - each.sum()]] += 1
     return each
+
+
+def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
+    """What frames have less of than was asked for, in words; empty if they have it all.
+
+    Asked for are ``count`` road users a frame, and of them the quota of each class of the ``mix``,
+    a key of :data:`MIXES`, whether or not the place has paths for it. Means over the frames are
+    compared. A class is named where it is short by at least half a user and a tenth of its quota,
+    and so is one that has as many too many. For example::
+
+        asked 60, got 58.9: cars 35.0 of 41, trucks 3.9 of 6; pedestrians 13.2 instead of 7
+
+    Raises InspeError if the mix is unknown.
+    """
+    if mix not in MIXES:
+        raise InspeError(f"traffic mix '{mix}': one of {', '.join(MIXES)}{nearest(mix, [*MIXES])}")
+    wanted = quota(MIXES[mix], [True] * len(CLASSES), count)
+    off = traffic.mean_by_class - wanted
+    much = np.maximum(NOTICEABLE * wanted, LEAST_NOTICED)
+    each = [(f"{name}s {w + o:.1f}", w) for name, o, w in zip(CLASSES, off, wanted, strict=True)]
+    less = ", ".join(f"{n} of {w}" for (n, w), o, m in zip(each, off, much, strict=True) if o <= -m)
+    more = ", ".join(
+        f"{n} instead of {w}" for (n, w), o, m in zip(each, off, much, strict=True) if o >= m
+    )
+    if not less and off.sum() > -max(NOTICEABLE / 2 * count, LEAST_NOTICED):
+        return ""
+    parts = [part for part in (less, more) if part]
+    return f"asked {count}, got {count + off.sum():.1f}" + ": " * bool(parts) + "; ".join(parts)
 
 
 def check_traffic(

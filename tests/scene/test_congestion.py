@@ -1,5 +1,6 @@
 """Places whose roads fill: shares of classes, dense traffic, footpaths of one's own, and words."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -10,6 +11,7 @@ from streets import FAR, LANE, crossing, intersection, line, overlapping, place_
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.scene import AS_RECORDED, build_scene
 from inspe_jax.scene.traffic.frames import (
     MIXES,
     ROAD_USERS,
@@ -249,3 +251,13 @@ def test_shortfall_is_of_the_mix_and_of_means() -> None:
     assert said == "asked 40, got 20.0: trucks 20.0 of 40"
     with pytest.raises(InspeError, match=r"traffic mix 'largst': one of .* did you mean largest"):
         shortfall(half, 40, "largst")
+
+
+def test_a_scene_says_what_its_traffic_falls_short_of() -> None:
+    size = dict(radius=30.0, voxel=2.0, frames=2, mix="largest")
+    scene = build_scene(built_in("four_way"), density=60, **size)
+    assert scene.shortfall == shortfall(scene.traffic, 60, "largest")
+    assert re.fullmatch(r"asked 60, got (\d+\.\d): trucks \1 of 60", scene.shortfall)
+    assert build_scene(built_in("four_way"), density="none", **size).shortfall == ""
+    recorded = tuple((k, AS_RECORDED if k == "density" else v) for k, v in scene.settings)
+    assert replace(scene, settings=recorded).shortfall == ""

@@ -37,7 +37,7 @@ ROOMS = {
     "sumo": ("scene/maps/sumo/", "scene/traffic/sumo/"),
     "jaxopt": ("placement/methods/solver_rounds.py",),
     "optax": ("placement/methods/adam.py",),
-    "PIL": ("dataset/formats/", "simulation/"),
+    "PIL": ("dataset/formats/", "dataset/loading/decode.py", "simulation/"),
     "matplotlib": ("report/",),
     "viser": ("report/", "viewer/"),
     "websockets": ("report/server.py",),

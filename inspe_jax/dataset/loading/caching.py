@@ -1,0 +1,244 @@
+"""The decoded cache of a data set: made once, then read as fast as memory is copied.
+
+A cache is a folder with ``cache.json`` and, for each scenario, a folder ``SPLIT/SCENARIO`` as
+:mod:`inspe_jax.dataset.loading.stored` has it. Its arrays are in NumPy's own format and are mapped
+into memory: nothing is decoded when they are read, and the system keeps what was read lately.
+
+Why not a library: zarr compresses chunks, which have to be unpacked for each read, and has no rows
+of unequal length, as clouds are. Arrow has them, in the same memory-mapped form, but is 100 MB to
+install. LMDB maps values as well, but they are bytes whose shapes would be written by hand.
+"""
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+from pydantic import BaseModel
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import STRICT, check_model, prepare_folder, write_text
+from inspe_jax.core.parallel import cores
+from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
+from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
+from inspe_jax.dataset.loading.stored import RECORD, StoredScenario, read_json
+
+CACHE = "cache.json"
+FORMAT = "inspe_jax cache 1"
+LOCK = f".{CACHE}.lock"
+
+PICTURES = (300, 400)
+"""Height and width of pictures, if none are given. A cyclist in a camera of 800 × 600 has about 200
+pixels in the median, and about 50 at this size; at half of it, a dozen, which is too few."""
+
+
+class _Record(BaseModel):
+    model_config = STRICT
+
+    format: str
+    pictures: list[int] | None
+
+
+@dataclass(frozen=True)
+class Cache:
+    """A decoded data set. ``pictures`` is their size (height, width), None without pictures."""
+
+    path: Path
+    pictures: tuple[int, int] | None
+    scenarios: tuple[StoredScenario, ...]
+
+    @property
+    def splits(self) -> dict[str, tuple[StoredScenario, ...]]:
+        """The scenarios of each split."""
+        names = dict.fromkeys(scenario.split for scenario in self.scenarios)
+        return {
+            name: tuple(scenario for scenario in self.scenarios if scenario.split == name)
+            for name in names
+        }
+
+    def split(self, name: str) -> tuple[StoredScenario, ...]:
+        """The scenarios of a split. Raises InspeError, which lists the splits, for another name."""
+        splits = self.splits
+        if name not in splits:
+            known = ", ".join(splits) or "none"
+            hint = nearest(name, tuple(splits))
+            raise InspeError(f"{self.path}: no split '{name}': there is {known}{hint}")
+        return splits[name]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all arrays."""
+        return sum(scenario.size for scenario in self.scenarios)
+
+    def check(self, dataset: Dataset | str | os.PathLike[str]) -> None:
+        """Raise InspeError if a scenario of the set is missing, or is not the one decoded here."""
+        data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+        here = {(each.split, each.name): each for each in self.scenarios}
+        for split, scenario in _with_frames(data):
+            stored = here.get((split, scenario.name))
+            if stored is None:
+                raise InspeError(
+                    f"{self.path}: has no {split}/{scenario.name} of {data.path}: cache it again"
+                )
+            _check_source(stored, scenario, digest_of_scenario(scenario))
+
+
+def cache(
+    dataset: Dataset | str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    pictures: tuple[int, int] | None = PICTURES,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Cache:
+    """Decode a data set into ``folder``, as far as it is not there yet.
+
+    ``pictures`` are resized to (height, width); None leaves them out. The scenarios are divided
+    among ``workers`` processes, one per core if not given; with 1, this process does it.
+    ``progress`` is called with (frames done, all frames).
+
+    A scenario appears when it is complete. After a run was killed, call this again: it continues.
+    Scenarios that were added to the set since are decoded as well.
+
+    Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
+    processes. Raises InspeError if the folder holds anything else, such as the cache of another
+    set, another state of the same set, or pictures of another size; if another run uses it; or if
+    a file of the set is broken. What was decoded until then stays.
+    """
+    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    if pictures is not None and not all(isinstance(n, int) and n >= 1 for n in pictures):
+        raise InspeError(f"pictures {pictures}: (height, width), whole numbers of 1 or more")
+    if workers is not None and workers < 1:
+        raise InspeError(f"workers {workers}: 1 or more")
+    listed = list(_with_frames(data))
+    total = sum(len(scenario.frames) for _, scenario in listed)
+    if not total:
+        raise InspeError(f"{data.path}: no scenario has a frame")
+    path = prepare_folder(folder).resolve()
+    with _locked(path):
+        _claim(path, pictures)
+        there = {(each.split, each.name): each for each in _stored(path)}
+        todo, done = [], 0
+        for split, scenario in listed:
+            source = digest_of_scenario(scenario)
+            stored = there.get((split, scenario.name))
+            if stored is None:
+                todo.append((scenario, path / split / scenario.name, source, pictures))
+            else:
+                _check_source(stored, scenario, source)
+                done += stored.record.frames
+        if progress:
+            progress(done, total)
+        for _, frames in _decode_all(todo, cores() if workers is None else workers):
+            done += frames
+            if progress:
+                progress(done, total)
+    return open_cache(path)
+
+
+def open_cache(folder: str | os.PathLike[str]) -> Cache:
+    """Open a cache that :func:`cache` made. Raises InspeError if it is none, or is damaged."""
+    path = Path(folder).resolve()
+    if not (path / CACHE).is_file():
+        raise InspeError(f"{folder}: not a cache: make one with inspe_jax.dataset.cache")
+    record = _read_record(path)
+    scenarios = tuple(_stored(path))
+    if not scenarios:
+        raise InspeError(f"{folder}: the cache has no scenario yet: cache the set again")
+    size = record.pictures
+    return Cache(path, None if size is None else (size[0], size[1]), scenarios)
+
+
+def _decode_all(
+    todo: list[tuple[Scenario, Path, str, tuple[int, int] | None]], workers: int
+) -> Iterator[tuple[str, int]]:
+    workers = min(workers, len(todo))
+    if workers <= 1:
+        for job in todo:
+            yield decode(*job)
+        return
+    # Not forked: a process with threads, such as JAX's, may lock up after a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context) as pool:
+        waiting: list[Future[tuple[str, int]]] = [pool.submit(decode, *job) for job in todo]
+        try:
+            for each in as_completed(waiting):
+                yield each.result()
+        finally:
+            for each in waiting:
+                each.cancel()
+
+
+def _with_frames(data: Dataset) -> Iterator[tuple[str, Scenario]]:
+    for split, scenarios in data.splits.items():
+        for scenario in scenarios:
+            if scenario.frames:
+                yield split, scenario
+
+
+def _check_source(stored: StoredScenario, scenario: Scenario, source: str) -> None:
+    if stored.record.source != source:
+        raise InspeError(
+            f"{stored.path}: was not decoded from {scenario.path} as it is now: name another "
+            f"folder, or delete this scenario to decode it again"
+        )
+
+
+def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
+    """Make the folder a cache, unless it is one already."""
+    if not (path / CACHE).exists():
+        others = sorted(child.name for child in path.iterdir() if child.name != LOCK)
+        if others:
+            raise InspeError(
+                f"{path}: has other files, such as {others[0]}, and is no cache: name an empty or "
+                f"a new folder"
+            )
+        size = None if pictures is None else list(pictures)
+        write_text(path / CACHE, json.dumps({"format": FORMAT, "pictures": size}) + "\n")
+        return
+    size = _read_record(path).pictures
+    if size != (None if pictures is None else list(pictures)):
+        has = "no pictures" if size is None else f"pictures of {size}"
+        raise InspeError(
+            f"{path}: this cache has {has}, not {pictures}: name another folder for another size"
+        )
+
+
+def _read_record(path: Path) -> _Record:
+    record = check_model(_Record, read_json(path / CACHE), str(path / CACHE))
+    if record.format != FORMAT:
+        raise InspeError(
+            f"{path / CACHE}: format '{record.format}', not '{FORMAT}': it was made by another "
+            f"version: name another folder"
+        )
+    return record
+
+
+def _stored(path: Path) -> Iterator[StoredScenario]:
+    """The complete scenarios of a cache, split by split."""
+    usual = {name: k for k, name in enumerate(SPLITS)}
+    splits = sorted(child for child in path.iterdir() if child.is_dir())
+    for split in sorted(splits, key=lambda child: usual.get(child.name, len(usual))):
+        for place in sorted(child for child in split.iterdir() if child.is_dir()):
+            if not (place.name.startswith(".") and place.name.endswith(PART)):
+                if not (place / RECORD).is_file():
+                    raise InspeError(f"{place}: is no part of a cache: move it away")
+                yield StoredScenario(place, split.name)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    lock = FileLock(path / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise InspeError(f"{path}: is in use by another run; wait until it is done") from None
+    try:
+        yield
+    finally:
+        lock.release()

@@ -1,0 +1,103 @@
+"""Poses as matrices, points on pictures, and similarities of the whole intersection."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.geometry import rotation
+
+_MIRROR = np.array([1.0, -1.0, 1.0])
+
+
+def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:
+    """The matrix of a pose (6,) [m, rad]: from the body's frame to the world."""
+    pose = np.asarray(pose, float)
+    found = np.eye(4)
+    found[:3, :3] = rotation(pose[3:], np)
+    found[:3, 3] = pose[:3]
+    return found
+
+
+def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
+    """Points on a picture: column and row [pixels], and depth [m], negative behind the camera.
+
+    ``points`` (N, 3) are in the frame that ``pose`` (4, 4) leads to from the camera's body (x
+    forward, y left, z up); ``intrinsic`` is (3, 3). (0, 0) is the outer corner of the first pixel.
+    ``xp`` is numpy or jax.numpy.
+    """
+    body = (points - pose[:3, 3]) @ pose[:3, :3]
+    seen = xp.stack([-body[:, 1], -body[:, 2], body[:, 0]], -1) @ intrinsic.T
+    return xp.concatenate([seen[:, :2] / seen[:, 2:], seen[:, 2:]], -1)
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """Mirrors the plane y = 0 if ``mirrored``, then turns about the z axis by ``turn`` [rad], then
+    scales by ``scale``, all about the middle of the intersection.
+
+    The same similarity moves points, poses, boxes and pictures, so that what was consistent before
+    is consistent afterwards.
+    """
+
+    mirrored: bool = False
+    turn: float = 0.0
+    scale: float = 1.0
+
+    @property
+    def linear(self) -> Float[np.ndarray, "3 3"]:
+        """The matrix that moves points."""
+        turned: np.ndarray = rotation(np.array([0.0, 0.0, self.turn]), np)
+        return self.scale * (turned * _MIRROR if self.mirrored else turned)
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """The same as a homogeneous matrix."""
+        found = np.eye(4)
+        found[:3, :3] = self.linear
+        return found
+
+    def of_poses(self, poses: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
+        """Poses of the sensors in the moved world: rotations, not scaled and not mirrored.
+
+        A mirrored sensor has its left and right exchanged: its new body frame is the mirrored one
+        with y reversed.
+        """
+        moved = np.array(poses)
+        moved[..., :3, 3] = poses[..., :3, 3] @ self.linear.T
+        moved[..., :3, :3] = (self.linear / self.scale) @ poses[..., :3, :3]
+        if self.mirrored:
+            moved[..., :3, 1] *= -1
+        return moved
+
+    def of_intrinsics(
+        self, intrinsics: Float[np.ndarray, "*n 3 3"], width: float
+    ) -> Float[np.ndarray, "*n 3 3"]:
+        """Calibrations of pictures, which :meth:`of_pictures` mirrors if the world is mirrored.
+
+        Column u becomes ``width`` − u. Turns and scales leave a picture as it is, because the
+        camera moves with the world.
+        """
+        moved = np.array(intrinsics)
+        if self.mirrored:
+            moved[..., 0, 1] *= -1
+            moved[..., 0, 2] = width - moved[..., 0, 2]
+        return moved
+
+    def of_pictures(self, pictures: np.ndarray) -> np.ndarray:
+        """A view of pictures (…, H, W, 3), mirrored if the world is."""
+        return pictures[..., ::-1, :] if self.mirrored else pictures
+
+    def of_boxes(self, boxes: Float[np.ndarray, "N 9"]) -> Float[np.ndarray, "N 9"]:
+        """Boxes: x, y, z, length, width, height, yaw within ±π, and velocity in x and y.
+
+        Velocities scale as lengths do: the time between frames stays.
+        """
+        moved = np.array(boxes)
+        moved[:, :3] = boxes[:, :3] @ self.linear.T
+        moved[:, 3:6] *= self.scale
+        yaw = (-boxes[:, 6] if self.mirrored else boxes[:, 6]) + self.turn
+        moved[:, 6] = np.pi - (np.pi - yaw) % (2 * np.pi)
+        moved[:, 7:9] = boxes[:, 7:9] @ self.linear[:2, :2].T
+        return moved

@@ -1,0 +1,70 @@
+"""LiDAR points in the cache: 16-bit steps in random order, and back to metres."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int16
+
+from inspe_jax.core.geometry import rotation
+
+STEPS = 32_640
+"""Steps from 0 to the farthest coordinate of a cloud, or to intensity 1. 16 bits hold 32,767 with a
+sign; 32,640 is 128 × 255, so that intensities of 8 bits are exact. Over a reach of 120 m a step is
+3.7 mm, and the error of at most 1.8 mm is below a tenth of the 20 mm that LiDARs scatter."""
+
+AT_ONCE = 8192
+"""Points that are converted at once: their 128 kB stay in a core's cache from step to step."""
+
+
+def to_steps(
+    points: Any, pose: Any, rng: np.random.Generator
+) -> tuple[Int16[np.ndarray, "N 4"], Float[np.ndarray, "4"]]:
+    """A cloud as stored: steps of x, y, z and intensity, and the size of one step of each.
+
+    ``points`` (N, 4) are in the frame of a LiDAR with this ``pose`` (6,). Stored positions are
+    relative to the LiDAR, along the axes of the world. The order is random, so that any stretch of
+    points is a fair sample of the cloud.
+    """
+    values = np.array(points, np.float64).reshape(-1, 4)
+    values[:, :3] = values[:, :3] @ rotation(np.asarray(pose, float)[3:], np).T
+    reach = np.abs(values).max(0, initial=1.0)
+    step = reach / STEPS
+    order = rng.permutation(len(values))
+    return np.rint(values[order] / step).astype(np.int16), step
+
+
+def to_metres(
+    steps: Int16[np.ndarray, "N 4"],
+    step: Float[np.ndarray, "4"],
+    linear: Float[np.ndarray, "3 3"],
+    origin: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "N 4"],
+) -> None:
+    """Write ``linear`` · position + ``origin``, and the intensity, of stored points to ``out``."""
+    matrix, shift = np.zeros((4, 4), np.float32), np.zeros(4, np.float32)
+    matrix[:3, :3] = (linear * step[:3]).T
+    matrix[3, 3] = step[3]
+    shift[:3] = origin
+    for first in range(0, len(steps), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        np.matmul(steps[part].astype(np.float32), matrix, out=out[part])
+        out[part] += shift
+
+
+def sample(
+    steps: Int16[np.ndarray, "N 4"], most: int, rng: np.random.Generator | None
+) -> Int16[np.ndarray, "K 4"]:
+    """At most so many points of a cloud as stored: a stretch that begins at random, or first."""
+    if len(steps) <= most:
+        return steps
+    first = int(rng.integers(len(steps))) if rng is not None else 0
+    end = first + most
+    if end <= len(steps):
+        return steps[first:end]
+    return np.concatenate([steps[first:], steps[: end - len(steps)]])
+
+
+def pad_points(out: Float[np.ndarray, "N 4"], mask: Bool[np.ndarray, " N"], count: int) -> None:
+    """Mark the first ``count`` of N points, and set the others to 0."""
+    mask[:count], mask[count:] = True, False
+    out[count:] = 0

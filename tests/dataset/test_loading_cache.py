@@ -1,0 +1,277 @@
+"""The decoded cache: what it holds, that it resumes, and what it refuses."""
+
+import json
+import pickle
+import shutil
+
+import numpy as np
+import pytest
+from filelock import FileLock
+from loading_sets import HEIGHT, MIDDLE, WIDTH, frame_of, write_scenario, write_set
+
+from inspe_jax import dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset.loading import caching, open_cache
+from inspe_jax.dataset.loading.decode import resized
+from inspe_jax.dataset.loading.points import AT_ONCE, STEPS, to_metres, to_steps
+from inspe_jax.dataset.points_in_boxes import count_inside
+
+SIZE = (HEIGHT, WIDTH)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    root = tmp_path_factory.mktemp("loading")
+    return dataset.open(write_set(root / "set")), root / "cache"
+
+
+@pytest.fixture(scope="module")
+def cached(made):
+    told = []
+    found = dataset.cache(*made, pictures=SIZE, workers=1, progress=lambda *now: told.append(now))
+    assert told == [(0, 10), (3, 10), (7, 10), (10, 10)]
+    return found
+
+
+def test_a_cache_has_the_splits_and_frames_of_its_set(made, cached):
+    data, folder = made
+    assert (cached.path, cached.pictures) == (folder.resolve(), SIZE)
+    assert {name: [each.name for each in found] for name, found in cached.splits.items()} == {
+        "train": ["a", "b"], "test": ["c"],
+    }  # fmt: skip
+    for split, scenarios in data.splits.items():
+        for scenario, stored in zip(scenarios, cached.split(split), strict=True):
+            assert stored.index["number"].tolist() == list(scenario.frames)
+            assert stored.record.frames == len(scenario.frames)
+            np.testing.assert_allclose(stored.middle, MIDDLE, atol=1e-6)
+    cached.check(data)
+
+
+def test_clouds_differ_by_half_a_step_at_most(made, cached):
+    """They are in random order, so both are sorted by intensity and place."""
+    data, _ = made
+    scenario, stored = data.splits["train"][1], cached.split("train")[1]
+    for t, number in enumerate(scenario.frames):
+        for s, station in enumerate(scenario.frame(number).stations):
+            scan, step = station.scans[0], stored.index["steps"][t, s]
+            turned = scan.points[:, :3].astype(float) @ rotation(scan.pose[3:], np).T
+            given = np.column_stack([turned, scan.points[:, 3]])
+            read = np.zeros((len(given), 4), np.float32)
+            to_metres(stored.cloud(t, s), step, np.eye(3), np.zeros(3), read)
+            distance = np.abs(given[:, None] - read[None]).max(-1)
+            match = distance.argmin(1)
+            assert sorted(match) == list(range(len(given)))
+            assert (np.abs(given - read[match]) <= step / 2 + 1e-5).all()
+            np.testing.assert_allclose(read[match, 3], given[:, 3], atol=1e-7)
+            assert (step[:3] <= np.maximum(np.abs(given[:, :3]).max(0), 1) / STEPS + 1e-12).all()
+
+
+def test_intensities_above_one_and_clouds_without_a_point():
+    rng = np.random.default_rng(0)
+    steps, step = to_steps([[1, 2, 3, 200.0]], np.zeros(6), rng)
+    np.testing.assert_allclose(steps[0] * step, [1, 2, 3, 200], atol=200 / STEPS)
+    steps, step = to_steps(np.zeros((0, 4)), np.zeros(6), rng)
+    assert steps.shape == (0, 4)
+    assert np.isfinite(step).all()
+
+
+def test_points_are_converted_in_parts_as_at_once():
+    rng = np.random.default_rng(1)
+    steps = rng.integers(-STEPS, STEPS, (2 * AT_ONCE + 5, 4)).astype(np.int16)
+    step, linear, origin = rng.uniform(1e-3, 4e-3, 4), rng.normal(size=(3, 3)), np.arange(3.0)
+    out = np.zeros((len(steps), 4), np.float32)
+    to_metres(steps, step, linear, origin, out)
+    np.testing.assert_allclose(out[:, :3], (steps[:, :3] * step[:3]) @ linear.T + origin, atol=1e-3)
+    np.testing.assert_allclose(out[:, 3], steps[:, 3] * step[3], atol=1e-4)
+
+
+def test_pictures_of_their_own_size_are_exact(made, cached):
+    frame = made[0].splits["test"][0].frame(8)
+    stored = cached.split("test")[0]
+    for c, station in enumerate(frame.stations):
+        np.testing.assert_array_equal(stored.pictures[1, c], station.images[0].rgb)
+        given = station.images[0].intrinsic
+        np.testing.assert_allclose(stored.index["intrinsic"][1, c], given, atol=1e-9)
+
+
+def test_pictures_of_half_the_size_are_means_of_four_pixels(made, tmp_path):
+    """To one level of 255: Pillow rounds once along rows and once along columns."""
+    half = dataset.cache(made[0].path / "test", tmp_path / "half", pictures=(24, 32), workers=1)
+    stored = half.split("test")[0]
+    image = made[0].splits["test"][0].frame(7).stations[0].images[0]
+    means = image.rgb.reshape(24, 2, 32, 2, 3).mean((1, 3))
+    assert np.abs(stored.pictures[0, 0] - means).max() <= 1.0
+    expected = np.diag([0.5, 0.5, 1]) @ image.intrinsic
+    np.testing.assert_allclose(stored.index["intrinsic"][0, 0], expected, atol=1e-9)
+    assert resized(image.rgb, (10, 20)).shape == (10, 20, 3)
+
+
+def test_boxes_and_their_returns(made, cached):
+    frame, stored = made[0].splits["train"][0].frame(1), cached.split("train")[0]
+    own = stored.boxes(1)
+    scans = [station.scans[0] for station in frame.stations]
+    expected = [[*b.center, *b.size, b.yaw, *b.velocity[:2]] for b in frame.boxes]
+    np.testing.assert_allclose(stored.index["boxes"][own], expected, atol=1e-12)
+    np.testing.assert_array_equal(stored.index["returns"][own], count_inside(scans, frame.boxes).T)
+    assert (stored.index["returns"][own] >= 7).all()
+    assert stored.index["track"][own].tolist() == [box.track for box in frame.boxes]
+
+
+def test_the_middle_without_a_protocol_that_says_it(tmp_path):
+    """It is that of the road users in plan and on the ground; for a built-in, the origin."""
+    frames = [frame_of(0), frame_of(1)]
+    for name, scene in (("plain", {"name": "x", "map": "x.xodr"}), ("built", {"built_in": "x"})):
+        write_scenario(tmp_path / "set" / "train" / name, frames, scene=scene)
+    found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=None, workers=1)
+    built, plain = found.split("train")
+    places = np.array([box.center for frame in frames for box in frame.boxes])
+    between = (places.min(0) + places.max(0)) / 2
+    np.testing.assert_allclose(plain.middle, [*between[:2], MIDDLE[2]], atol=1e-5)
+    np.testing.assert_allclose(built.middle, [0, 0, MIDDLE[2]], atol=1e-5)
+
+
+def test_what_was_decoded_is_not_decoded_again(made, cached, monkeypatch):
+    monkeypatch.setattr(caching, "decode", None)
+    again = dataset.cache(*made, pictures=SIZE, workers=1)
+    assert [each.path for each in again.scenarios] == [each.path for each in cached.scenarios]
+
+
+def test_a_run_that_was_killed_is_resumed(made, tmp_path, monkeypatch):
+    """Killed in the second scenario: the first is there, and half of the second is no scenario."""
+    decode, seen = caching.decode, []
+
+    def killed(scenario, place, *rest):
+        seen.append(place.name)
+        if len(seen) == 2:
+            part = place.with_name(f".{place.name}.part")
+            part.mkdir()
+            (part / "points.npy").write_bytes(b"half")
+            raise KeyboardInterrupt
+        return decode(scenario, place, *rest)
+
+    monkeypatch.setattr(caching, "decode", killed)
+    with pytest.raises(KeyboardInterrupt):
+        dataset.cache(made[0], tmp_path / "cache", pictures=None, workers=1)
+    assert len(open_cache(tmp_path / "cache").scenarios) == 1
+    found = dataset.cache(made[0], tmp_path / "cache", pictures=None, workers=1)
+    assert len(found.scenarios) == 3
+    assert len(seen) == 4  # one, the killed one twice, and the third
+    assert not list((tmp_path / "cache").rglob("*.part"))
+    whole = dataset.cache(made[0], tmp_path / "whole", pictures=None, workers=1)
+    for a, b in zip(found.scenarios, whole.scenarios, strict=True):
+        for name in a.record.files:
+            assert (a.path / name).stat().st_size == (b.path / name).stat().st_size
+        np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_scenarios_that_were_added_are_decoded_as_well(tmp_path):
+    write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
+    dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=None, workers=1)
+    write_scenario(tmp_path / "set" / "train" / "b", [frame_of(1)])
+    with pytest.raises(InspeError, match=r"has no train/b .* cache it again"):
+        open_cache(tmp_path / "cache").check(tmp_path / "set")
+    found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=None, workers=1)
+    assert [each.name for each in found.scenarios] == ["a", "b"]
+    found.check(tmp_path / "set")
+
+
+@pytest.mark.process
+def test_worker_processes_decode_the_same(made, cached, tmp_path):
+    found = dataset.cache(made[0], tmp_path / "cache", pictures=SIZE, workers=2)
+    for a, b in zip(found.scenarios, cached.scenarios, strict=True):
+        np.testing.assert_array_equal(a.points, b.points)
+        np.testing.assert_array_equal(a.pictures, b.pictures)
+        assert a.record == b.record
+
+
+def test_a_copy_of_the_set_fits_and_another_set_does_not(made, cached, tmp_path):
+    shutil.copytree(made[0].path, tmp_path / "copy")
+    cached.check(tmp_path / "copy")
+    write_scenario(tmp_path / "copy" / "test" / "c", [frame_of(7, points=61)])
+    with pytest.raises(InspeError, match=r"test.c: was not decoded from .* delete this scenario"):
+        cached.check(tmp_path / "copy")
+    before = sorted(cached.path.rglob("*"))
+    with pytest.raises(InspeError, match="name another folder"):
+        dataset.cache(tmp_path / "copy", cached.path, pictures=SIZE, workers=1)
+    assert sorted(cached.path.rglob("*")) == before
+
+
+def test_a_folder_with_anything_else_is_left_alone(made, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InspeError, match=r"notes\.txt, and is no cache: name an empty"):
+        dataset.cache(made[0], tmp_path, workers=1)
+    assert [path.name for path in tmp_path.iterdir() if path.name[0] != "."] == ["notes.txt"]
+    with pytest.raises(InspeError, match="no cache: name an empty"):
+        dataset.cache(made[0], made[0].path, workers=1)
+    with pytest.raises(InspeError, match=r"not a cache: make one with"):
+        open_cache(tmp_path)
+
+
+def test_another_size_of_pictures_needs_another_folder(made, cached):
+    for pictures in ((24, 32), None):
+        with pytest.raises(InspeError, match=r"has pictures of \[48, 64\].* another folder"):
+            dataset.cache(*made, pictures=pictures, workers=1)
+
+
+def test_a_cache_in_use_is_not_written(made, cached):
+    with (
+        FileLock(cached.path / caching.LOCK),
+        pytest.raises(InspeError, match="in use by another run"),
+    ):
+        dataset.cache(*made, pictures=SIZE, workers=1)
+
+
+@pytest.mark.parametrize("name", ["points.npy", "pictures.npy", "index.npz"])
+def test_damage_is_noticed(cached, tmp_path, name):
+    """A file cut short when the cache is opened; changed bytes of its header when it is used."""
+    shutil.copytree(cached.path, tmp_path / "cache")
+    file = tmp_path / "cache" / "test" / "c" / name
+    content = file.read_bytes()
+    file.write_bytes(content[:-1])
+    with pytest.raises(InspeError, match=rf"{name}: is missing or damaged: delete .*c and cache"):
+        open_cache(tmp_path / "cache")
+    file.write_bytes(b"\0" * 200 + content[200:])
+    stored = open_cache(tmp_path / "cache").split("test")[0]
+    with pytest.raises(InspeError, match=f"{name}: is missing or damaged"):
+        getattr(stored, name.partition(".")[0])
+
+
+def test_records_that_cannot_be_read(cached, tmp_path):
+    shutil.copytree(cached.path, tmp_path / "cache")
+    record = tmp_path / "cache" / "cache.json"
+    record.write_text(json.dumps({"format": "inspe_jax cache 0", "pictures": None}))
+    with pytest.raises(InspeError, match="made by another version: name another folder"):
+        open_cache(tmp_path / "cache")
+    record.write_text("{")
+    with pytest.raises(InspeError, match=r"cache\.json: not JSON"):
+        open_cache(tmp_path / "cache")
+
+
+def test_frames_of_different_sensors_are_refused(tmp_path):
+    write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0), frame_of(1)])
+    for path in (tmp_path / "set").rglob("000001_camera0.png"):
+        path.unlink()
+    with pytest.raises(InspeError, match="frame 1 has LiDARs and cameras of stations"):
+        dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=SIZE, workers=1)
+    found = dataset.cache(tmp_path / "set", tmp_path / "without", pictures=None, workers=1)
+    assert found.scenarios[0].record.lidars == 2
+
+
+def test_bad_arguments(made, tmp_path):
+    for bad in (dict(pictures=(0, 4)), dict(pictures=(3.5, 4)), dict(workers=0)):
+        with pytest.raises(InspeError, match=r"or more"):
+            dataset.cache(made[0], tmp_path / "cache", **bad)
+    write_scenario(tmp_path / "none" / "train" / "a", [frame_of(0)])
+    for path in (tmp_path / "none").rglob("000000.yaml"):
+        path.unlink()
+    with pytest.raises(InspeError, match="no scenario has a frame"):
+        dataset.cache(tmp_path / "none", tmp_path / "cache", workers=1)
+
+
+def test_a_scenario_travels_to_another_process_without_its_arrays(cached):
+    stored = cached.split("train")[0]
+    assert stored.points.shape[1] == 4  # mapped now
+    text = pickle.dumps(stored)
+    assert len(text) < 2000
+    np.testing.assert_array_equal(pickle.loads(text).points, stored.points)

@@ -1,4 +1,5 @@
-"""Data sets of recorded frames: generate, write and read them, in OPV2V's format or another."""
+"""Data sets of recorded frames: generate, write and read them, in OPV2V's format or another, and
+load them for training."""
 
 import warnings
 
@@ -8,6 +9,15 @@ from inspe_jax.dataset.folders import open_dataset as open
 from inspe_jax.dataset.formats.options import FileOptions
 from inspe_jax.dataset.formats.registry import read_frame, write_frame, write_protocol
 from inspe_jax.dataset.generate import GenerationResult, generate
+from inspe_jax.dataset.loading import (
+    Augment,
+    Cache,
+    Loader,
+    PaddedPoints,
+    PillarGrid,
+    cache,
+    open_cache,
+)
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
 from inspe_jax.dataset.statistics import Statistics, statistics
@@ -15,6 +25,8 @@ from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import Server
 
 __all__ = [
+    "Augment",
+    "Cache",
     "Check",
     "Dataset",
     "FileOptions",
@@ -22,6 +34,9 @@ __all__ = [
     "Generation",
     "GenerationResult",
     "Image",
+    "Loader",
+    "PaddedPoints",
+    "PillarGrid",
     "RoadUserBox",
     "Scan",
     "Scenario",
@@ -29,10 +44,12 @@ __all__ = [
     "Server",
     "Station",
     "Statistics",
+    "cache",
     "check",
     "generate",
     "load_generation",
     "open",
+    "open_cache",
     "read_frame",
     "statistics",
     "write_frame",

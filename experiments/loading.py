@@ -1,0 +1,224 @@
+"""Claim: from its cache, a set gives at least 200 LiDAR frames a second on two cores.
+
+Four LiDARs with about 60 000 points each, and eight cameras: the layout Cam-d1/L-d1 at the built-in
+four-way intersection, recorded anew. Measured: bytes of a frame as recorded and in the cache, how
+long decoding takes, and frames a second as batches of four, by number of workers:
+
+- LiDARs as padded points, as stored and augmented (mirror, turn, scale), and as pillars;
+- eight pictures of 300 × 400, and all sensors together;
+- beside them, the same frames read from the set itself, without a cache.
+
+The set was just written, so all reads come from the system's memory: the figures are those of the
+loader, not of a disk. Each is the median of several rounds. Where `grain` is installed, it reads
+the same loader, with its threads and with its worker processes.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import command_line, machine, write_results
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from inspe_jax.dataset import Dataset, cache, generate, load_generation, open
+from inspe_jax.dataset.loading import Augment, Batch, Cache, Loader, PillarGrid
+from inspe_jax.dataset.statistics import statistics
+
+STUDY = """
+scenes: [{{built_in: four_way}}]
+layouts: [Cam-d1/L-d1]
+settings: {{density: medium, light: midday, seconds: {seconds}}}
+rate_hz: 10
+splits: {{train: 1, validate: 0, test: 0}}
+"""
+BATCH = 4
+WORKERS = (0, 1, 2, 4)
+"""0: batches are made when they are asked for."""
+TARGET = 200
+"""LiDAR frames a second, on two cores."""
+ROUNDS, LASTS = 5, 3.0
+"""Rounds of each measurement, and how long one takes at least [s]."""
+
+LIDAR, CAMERA = ("lidar",), ("camera",)
+KINDS: dict[str, dict[str, Any]] = {
+    "LiDARs, points": dict(sensors=LIDAR),
+    "LiDARs, augmented": dict(sensors=LIDAR, augment=Augment()),
+    "LiDARs, pillars": dict(sensors=LIDAR, points=PillarGrid(), augment=Augment()),
+    "8 pictures": dict(sensors=CAMERA, augment=Augment()),
+    "all sensors": dict(augment=Augment()),
+}
+
+console = Console()
+
+
+@contextmanager
+def folder(keep: Path | None) -> Iterator[Path]:
+    """Where set and cache go: a folder that stays, or one that is gone afterwards."""
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+        yield keep
+        return
+    with tempfile.TemporaryDirectory() as found:
+        yield Path(found)
+
+
+def record(into: Path, quick: bool) -> Dataset:
+    """The set: one scenario, recorded unless it is there."""
+    study = into / "study.yaml"
+    study.write_text(STUDY.format(seconds=0.4 if quick else 4))
+    made = generate(load_generation(study), into / "set")
+    assert not made.failures, made.failures
+    return open(into / "set")
+
+
+def rate(steps: Iterator[Any], size: int, lasts: float) -> float:
+    """Frames a second of batches of ``size``; every array of a batch was written by then."""
+    next(steps)  # what is done once
+    began, count = time.perf_counter(), 0
+    while time.perf_counter() - began < lasts:
+        next(steps)
+        count += size
+    return count / (time.perf_counter() - began)
+
+
+def rounds(begin: Callable[[], Iterator[Any]], size: int, quick: bool) -> list[float]:
+    """The rate of several rounds, from the slowest to the fastest."""
+    found = []
+    for _ in range(1 if quick else ROUNDS):
+        steps = begin()
+        found.append(rate(steps, size, 0.3 if quick else LASTS))
+        del steps
+    return sorted(found)
+
+
+def from_the_set(data: Dataset, name: str) -> Iterator[int]:
+    """Frames as they are without a cache: points or pixels read from their files."""
+    (scenario,) = data.scenarios
+    while True:
+        for number in scenario.frames:
+            stations = scenario.frame(number).stations
+            if name == "8 pictures":
+                yield sum(image.rgb.size for unit in stations for image in unit.images)
+            else:
+                yield sum(scan.points.size for unit in stations for scan in unit.scans)
+
+
+def with_grain(loader: Loader, processes: int) -> Iterator[Batch]:
+    """The same batches from grain: two threads, or so many worker processes."""
+    grain = import_module("grain")
+    source = grain.MapDataset.source(loader).repeat()
+    options = grain.ReadOptions(num_threads=2, prefetch_buffer_size=4)
+    found = source.to_iter_dataset(options)
+    if processes:
+        found = found.mp_prefetch(grain.MultiprocessingOptions(num_workers=processes))
+    return iter(found)
+
+
+def measure(data: Dataset, found: Cache, quick: bool, seed: int) -> list[dict[str, Any]]:
+    """Frames a second of every kind, by workers."""
+    rows = []
+
+    def add(kind: str, reader: str, workers: int, rates: list[float]) -> None:
+        least, most = rates[0], rates[-1]
+        median = float(np.median(rates))
+        row = dict(kind=kind, reader=reader, workers=workers, median=median, least=least, most=most)
+        rows.append(row)
+        console.print(f"{kind}, {reader}, {workers} workers: {median:.0f} ({least:.0f}–{most:.0f})")
+
+    for kind in ("LiDARs, points", "8 pictures"):
+        add(kind, "set", 0, rounds(lambda kind=kind: from_the_set(data, kind), 1, quick))  # type: ignore[misc]
+    for kind, settings in KINDS.items():
+        for workers in (0, 2) if quick else WORKERS:
+            loader = Loader(found, batch=BATCH, seed=seed, workers=workers, **settings)
+            add(kind, "cache", workers, rounds(loader.steps, BATCH, quick))
+    if find_spec("grain") and not quick:
+        for kind in ("LiDARs, augmented", "all sensors"):
+            loader = Loader(found, batch=BATCH, seed=seed, **KINDS[kind])
+            for processes in (0, 2):
+                name = "grain, processes" if processes else "grain, threads"
+                begin = lambda of=loader, n=processes: with_grain(of, n)  # noqa: E731
+                add(kind, name, 2, rounds(begin, BATCH, quick))
+    return rows
+
+
+def figure(rows: list[dict[str, Any]]) -> Figure:
+    """Frames a second by workers, with the least and the most, and the target."""
+    view = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = view.subplots()
+    for kind in KINDS:
+        own = [row for row in rows if row["kind"] == kind and row["reader"] == "cache"]
+        x, y = [row["workers"] for row in own], np.array([row["median"] for row in own])
+        ends = [[row["least"] for row in own], [row["most"] for row in own]]
+        axes.errorbar(x, y, np.abs(np.array(ends) - y), marker="o", capsize=3, label=kind)
+    axes.axhline(TARGET, color="grey", linestyle="--", linewidth=1)
+    axes.annotate(f"{TARGET}", (0, TARGET), color="grey", va="bottom")
+    for row in rows:
+        if row["reader"] == "set":
+            axes.axhline(row["median"], color="grey", linestyle=":", linewidth=1)
+            label = f"{row['kind']}: from the set"
+            axes.annotate(label, (0.5, row["median"]), color="grey", va="bottom", fontsize=8)
+    axes.set(xlabel="workers (threads)", ylabel="frames a second", yscale="log")
+    axes.legend()
+    return view
+
+
+def main() -> None:
+    """Record, decode, measure, draw and write."""
+    parser = command_line(__doc__)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder that set and cache stay in: 1 GB")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "loading.csv"
+    with folder(given.keep) as into:
+        data = record(into, given.quick)
+        began = time.perf_counter()
+        found = cache(data, into / "cache", workers=1)
+        decoding = time.perf_counter() - began
+        counted = statistics(data)
+        frames = counted.total.frames
+        stored = found.scenarios[0].record
+        sizes = {
+            "set, MB a frame": counted.total.size / frames / 1e6,
+            "cache, MB a frame": found.size / frames / 1e6,
+            "cache, points": stored.files["points.npy"] / frames / 1e6,
+            "cache, pictures": stored.files["pictures.npy"] / frames / 1e6,
+            "points of a cloud": counted.mean_points or 0.0,
+            "decoding, s a frame": decoding / frames,
+        }
+        for name, value in sizes.items():
+            console.print(f"{name}: {value:.3g}")
+        batch = Loader(found, batch=1, **KINDS["LiDARs, pillars"])[0]
+        assert batch.lidars is not None
+        assert batch.lidars.pillars is not None
+        used = (batch.lidars.pillars.counts > 0).sum(-1).max()
+        console.print(f"pillars with a point, of a LiDAR: {used} at most")
+        rows = measure(data, found, given.quick, given.seed)
+    table = Table("frames a second", *(f"{n} workers" for n in WORKERS))
+    for kind in KINDS:
+        own = {
+            row["workers"]: f"{row['median']:.0f}"
+            for row in rows
+            if row["kind"] == kind and row["reader"] == "cache"
+        }
+        table.add_row(kind, *(own.get(n, "") for n in WORKERS))
+    console.print(table)
+    reached = max(row["median"] for row in rows if row["kind"] == "LiDARs, points")
+    console.print(f"LiDAR frames a second: {reached:.0f}, {TARGET} were claimed")
+    console.print(" · ".join(f"{key} {value}" for key, value in machine().items()))
+    settings = {"seed": given.seed, "quick": given.quick, "batch": BATCH, "frames": frames}
+    write_results(path, rows, settings | sizes)
+    figure(rows).savefig(path.with_suffix(".png"), dpi=160)
+    console.print(f"wrote {path}, .json and .png")
+
+
+if __name__ == "__main__":
+    main()

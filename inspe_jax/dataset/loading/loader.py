@@ -1,0 +1,237 @@
+"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads.
+
+Why threads, not worker processes as in PyTorch or ``grain``: what takes time is NumPy copying and
+multiplying large arrays, during which Python's lock is free, and threads need not copy a batch from
+one process to another. A :class:`Loader` is a source of random access, so ``grain`` can read it all
+the same: ``grain.MapDataset.source(loader)``. ``experiments/loading.py`` measures both.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Int
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.dataset.loading import order
+from inspe_jax.dataset.loading.assemble import Assembly
+from inspe_jax.dataset.loading.augment import Augment
+from inspe_jax.dataset.loading.batch import Batch
+from inspe_jax.dataset.loading.caching import Cache
+from inspe_jax.dataset.loading.pillars import PillarGrid
+from inspe_jax.dataset.loading.stored import StoredScenario
+from inspe_jax.simulation.frame import KINDS
+
+Sensor = Literal["camera", "lidar"]
+SENSORS: tuple[Sensor, ...] = get_args(Sensor)
+
+AHEAD = 2
+"""Batches that each worker may be ahead of what was asked for: one that is being made, and one that
+is ready when a step of training is quicker than usual."""
+
+
+@dataclass(frozen=True)
+class PaddedPoints:
+    """Clouds as points, of which each has at most ``most``; the largest of the cache if None.
+
+    Of a larger cloud a random stretch is taken, another one in each epoch; since clouds are stored
+    in random order, it is a fair sample.
+    """
+
+    most: int | None = None
+
+    def check(self) -> None:
+        """Raise InspeError where a value is out of range."""
+        if self.most is not None and self.most < 1:
+            raise InspeError(f"points: most {self.most}: must be 1 or more")
+
+
+class Loader:
+    """The batches of a split.
+
+    ``loader[k]`` is the batch of step k ≥ 0, also beyond the first epoch: a training that was
+    killed goes on with ``loader.steps(k)``. It depends on ``k``, the seed and the other arguments
+    alone, not on ``workers`` or on what was read before. ``len(loader)`` is the number of batches
+    of an epoch, and iterating gives the first epoch.
+
+    With ``shuffle``, each epoch has another order, and leaves out what does not fill a batch.
+    Without, frames come as stored, and the last batch is filled up with frames that are not
+    ``valid``: for evaluation. ``by_class`` gives the share of each class of road user in what is
+    drawn, see :func:`~inspe_jax.dataset.loading.order.balanced`; an epoch then still has as many
+    frames as the split.
+
+    ``sensors`` are "camera", "lidar" or both; what the cache does not have is None in the batches.
+    ``points`` says how LiDARs are given. Road users are left out whose middle is farther than
+    ``half`` [m] from the middle of the intersection, along x or y: the half of a pillar grid if
+    not given, otherwise none is. ``most_boxes`` is the number M of boxes; if not given, the largest
+    of a frame in the cache. Where there are more, those farthest from the middle are left out.
+
+    Shapes come from the whole cache, so that they are the same for all of its splits.
+    """
+
+    def __init__(
+        self,
+        cache: Cache,
+        split: str = "train",
+        *,
+        batch: int = 4,
+        seed: int = 0,
+        shuffle: bool = True,
+        sensors: Sequence[Sensor] = SENSORS,
+        points: PaddedPoints | PillarGrid = PaddedPoints(),
+        augment: Augment | None = None,
+        by_class: Mapping[str, float] | None = None,
+        half: float | None = None,
+        most_boxes: int | None = None,
+        workers: int = 2,
+    ) -> None:
+        """Raises InspeError that says which argument is not allowed, and what is."""
+        self.cache, self.split, self.seed, self.batch = cache, split, seed, batch
+        self.shuffle, self.by_class, self.workers = shuffle, by_class, workers
+        self._orders: dict[int, Int[np.ndarray, " D"]] = {}
+        self.scenarios: tuple[StoredScenario, ...] = cache.split(split)
+        for name, value, least in (("batch", batch, 1), ("seed", seed, 0), ("workers", workers, 0)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise InspeError(f"{name} {value!r}: a whole number, at least {least}")
+        if most_boxes is not None and most_boxes < 1:
+            raise InspeError(f"most_boxes {most_boxes}: must be 1 or more")
+        _check_sensors(sensors, cache)
+        points.check()
+        if augment is not None:
+            augment.check()
+        self.half = points.half if half is None and isinstance(points, PillarGrid) else half
+        counts = [scenario.record.frames for scenario in self.scenarios]
+        places = [(s, t) for s, count in enumerate(counts) for t in range(count)]
+        self.frames: Int[np.ndarray, "F 2"] = np.array(places)
+        """Every frame: the index of its scenario, and its place in it."""
+        self._members = self._frames_by_class(by_class) if by_class is not None else None
+        if len(self) == 0:
+            raise InspeError(
+                f"{cache.path}: split '{split}' has {len(places)} frames, less than a batch of "
+                f"{batch}: use a smaller batch, or shuffle=False"
+            )
+        most = points.most if isinstance(points, PaddedPoints) else None
+        self.assembly = Assembly(
+            cache=cache,
+            scenarios=self.scenarios,
+            sensors=tuple(sensors),
+            grid=points if isinstance(points, PillarGrid) else None,
+            most_points=most or max(1, *(each.record.most_points for each in cache.scenarios)),
+            most_boxes=most_boxes or max(1, *(each.record.most_boxes for each in cache.scenarios)),
+            half=self.half,
+            augment=augment,
+            training=self._drawn or augment is not None,
+        )
+
+    def __len__(self) -> int:
+        """Number of batches of an epoch."""
+        frames = len(self.frames)
+        return frames // self.batch if self._drawn else -(-frames // self.batch)
+
+    @property
+    def _drawn(self) -> bool:
+        return self.shuffle or self.by_class is not None
+
+    def __getitem__(self, step: int) -> Batch:
+        """The batch of a step. Raises IndexError for a negative one."""
+        if step < 0:
+            raise IndexError(f"step {step} is below 0")
+        epoch, number = divmod(int(step), len(self))
+        chosen = self.order(epoch)[number * self.batch : (number + 1) * self.batch]
+        draws = [
+            np.random.default_rng([self.seed, epoch, number * self.batch + b, 1])
+            for b in range(len(chosen))
+        ]
+        return self.assembly.batch(self.frames[chosen], draws, self.batch)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """The batches of the first epoch."""
+        return self.steps(0, len(self))
+
+    def steps(self, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+        """The batches of the steps from ``start`` to below ``stop``, or without an end.
+
+        ``workers`` threads make them ahead of time; with 0 they are made when they are asked for.
+        """
+        if not self.workers:
+            step = start
+            while stop is None or step < stop:
+                yield self[step]
+                step += 1
+            return
+        waiting: deque[Future[Batch]] = deque()
+        pool = ThreadPoolExecutor(self.workers, "loader")
+        try:
+            step = start
+            while True:
+                while len(waiting) < AHEAD * self.workers and (stop is None or step < stop):
+                    waiting.append(pool.submit(self.__getitem__, step))
+                    step += 1
+                if not waiting:
+                    return
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def order(self, epoch: int) -> Int[np.ndarray, " D"]:
+        """The frames that an epoch draws, as rows of :attr:`frames`."""
+        known = self._orders
+        drawn = known[epoch] if epoch in known else self._draw(epoch)
+        # Threads share what was drawn last; where two draw at once, they draw the same.
+        self._orders = {key: known[key] for key in known if abs(key - epoch) == 1} | {epoch: drawn}
+        return drawn
+
+    def _draw(self, epoch: int) -> Int[np.ndarray, " D"]:
+        rng = np.random.default_rng([self.seed, epoch, 0, 0])
+        if self._members is not None and self.by_class is not None:
+            return order.balanced(self._members, self.by_class, len(self.frames), rng)
+        if self.shuffle:
+            return order.shuffled(len(self.frames), rng)
+        return order.in_order(len(self.frames))
+
+    def _frames_by_class(self, by_class: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """The frames of each class that is to be drawn."""
+        first = np.cumsum([0, *(scenario.record.frames for scenario in self.scenarios)])
+        found = {}
+        for name, share in by_class.items():
+            if name not in KINDS:
+                hint = nearest(name, KINDS)
+                raise InspeError(f"by_class: '{name}': one of {', '.join(KINDS)}{hint}")
+            if not 0 <= share < np.inf:
+                raise InspeError(f"by_class: {name}: {share}: a share, 0 or more")
+            parts = [
+                first[s] + scenario.frames_with(KINDS.index(name), self.half)
+                for s, scenario in enumerate(self.scenarios)
+            ]
+            found[name] = np.concatenate(parts)
+            if share and not len(found[name]):
+                raise InspeError(
+                    f"by_class: no frame of split '{self.split}' has a {name}"
+                    f"{'' if self.half is None else ' in reach'}: leave it out"
+                )
+        if not sum(by_class.values()):
+            raise InspeError("by_class: a share must be above 0")
+        return found
+
+
+def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:
+    """Raise InspeError if sensors are unknown, or the cache has none of those that are wanted."""
+    if isinstance(sensors, str) or not sensors:
+        raise InspeError(f"sensors {sensors!r}: a list with at least one of {', '.join(SENSORS)}")
+    for name in sensors:
+        if name not in SENSORS:
+            hint = nearest(str(name), SENSORS)
+            raise InspeError(f"sensors: '{name}': one of {', '.join(SENSORS)}{hint}")
+    there = {
+        "camera": max(each.record.cameras for each in cache.scenarios),
+        "lidar": max(each.record.lidars for each in cache.scenarios),
+    }
+    if not any(there[name] for name in sensors):
+        without = " or ".join(sensors)
+        how = (
+            "" if cache.pictures or "camera" not in sensors else ": it was made with pictures=None"
+        )
+        raise InspeError(f"{cache.path}: has no {without}{how}")

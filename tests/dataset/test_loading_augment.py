@@ -1,0 +1,209 @@
+"""Augmented frames stay consistent: points in their boxes, corners on their pixels."""
+
+import numpy as np
+import pytest
+from loading_sets import HEIGHT, MARK, MIDDLE, WIDTH, write_set
+
+from inspe_jax import dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, Similarity, on_picture
+from inspe_jax.dataset.loading.geometry import pose_matrix
+
+CASES = {
+    "none": None,
+    "mirrored": Augment(flip=1, turn=0, scale=(1, 1)),
+    "turned": Augment(flip=0, turn=np.pi, scale=(1, 1)),
+    "scaled": Augment(flip=0, turn=0, scale=(0.8, 1.25)),
+    "all": Augment(flip=1, turn=np.pi, scale=(0.8, 1.25)),
+}
+
+
+@pytest.fixture(scope="module")
+def cached(tmp_path_factory):
+    root = tmp_path_factory.mktemp("loading")
+    write_set(root / "set")
+    return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
+
+
+@pytest.fixture(params=CASES, scope="module")
+def batch(request, cached):
+    loader = Loader(
+        cached, "train", batch=7, augment=CASES[request.param], shuffle=False, workers=0
+    )
+    found = loader[0]
+    assert found.valid.all()
+    return found
+
+
+def inside(points, box, margin=0.0) -> np.ndarray:
+    """Which points lie in a box."""
+    local = (points[:, :3] - box[:3]) @ rotation(np.array([0.0, 0.0, box[6]]), np)
+    return (np.abs(local) <= box[3:6] / 2 + margin).all(1)
+
+
+def test_points_in_boxes_stay_in_them(batch):
+    """Each LiDAR has 7 points in each box, at least 2 cm below its surface."""
+    counted = 0
+    for b in range(7):
+        for m in np.flatnonzero(batch.targets.mask[b]):
+            for s in range(2):
+                cloud = batch.lidars.points[b, s][batch.lidars.mask[b, s]]
+                deep = inside(cloud, batch.targets.boxes[b, m].astype(float), -0.01)
+                assert deep.sum() == 7 <= batch.targets.returns[b, m, s]
+                counted += 7
+    assert counted == 7 * 2 * (3 * 4 + 4 * 2)
+
+
+def test_corners_stay_on_their_pixels(batch, cached):
+    """The first corner of each frame's first box is marked in the pictures that show it."""
+    seen = 0
+    for b in range(7):
+        pixels = batch.cameras.pixels[b]
+        box = batch.targets.boxes[b, 0].astype(float)
+        mirrored = np.linalg.det(batch.transform[b, :3, :3]) < 0
+        half = box[3:6] / 2 * [1, -1 if mirrored else 1, -1]  # front left, at the bottom
+        corner = box[:3] + rotation(np.array([0, 0, box[6]]), np) @ half
+        for c in np.flatnonzero((pixels == MARK).all(-1).any((1, 2))):
+            column, row, depth = on_picture(
+                corner[None], batch.cameras.pose[b, c], batch.cameras.intrinsic[b, c]
+            )[0]
+            assert depth > 0
+            rows, columns = np.nonzero((pixels[c] == MARK).all(-1))
+            # The mark is 3 × 3 pixels around the one that holds the corner.
+            assert abs(columns.mean() + 0.5 - column) <= 0.51
+            assert abs(rows.mean() + 0.5 - row) <= 0.51
+            seen += 1
+    assert seen >= 5
+
+
+def test_velocities_and_yaws_move_with_the_boxes(batch, cached):
+    """A box that drives on for 0.3 s is where the moved box is after 0.3 s, and so is its front."""
+    for b in range(7):
+        stored = cached.split("train")[batch.scenario[b]]
+        t = stored.index["number"].tolist().index(batch.number[b])
+        given = stored.index["boxes"][stored.boxes(t)]
+        found = batch.targets.boxes[b][batch.targets.mask[b]].astype(float)
+        ways = (
+            (given[:, 7:9] * 0.3, found[:, 7:9] * 0.3),
+            (given[:, 3:4] / 2 * heading(given), found[:, 3:4] / 2 * heading(found)),
+        )
+        for before, after in ways:
+            ahead = given[:, :3] - MIDDLE
+            ahead[:, :2] += before
+            expected = ahead @ batch.transform[b, :3, :3].T.astype(float)
+            np.testing.assert_allclose(found[:, :2] + after, expected[:, :2], atol=1e-4)
+        assert (np.abs(found[:, 6]) <= np.pi + 1e-6).all()
+
+
+def heading(boxes) -> np.ndarray:
+    return np.stack([np.cos(boxes[:, 6]), np.sin(boxes[:, 6])], -1)
+
+
+def test_poses_stay_rotations_and_hold_the_same_points(batch, cached):
+    """In its sensor's frame a cloud is scaled, and left and right change if it is mirrored."""
+    for b in range(7):
+        transform = batch.transform[b].astype(float)
+        determinant = np.linalg.det(transform[:3, :3])
+        scale = np.cbrt(abs(determinant))
+        stored = cached.split("train")[batch.scenario[b]]
+        t = stored.index["number"].tolist().index(batch.number[b])
+        for s in range(2):
+            pose = batch.lidars.pose[b, s].astype(float)
+            np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-5)
+            assert np.linalg.det(pose[:3, :3]) == pytest.approx(1, abs=1e-5)
+            cloud = batch.lidars.points[b, s][batch.lidars.mask[b, s]][:, :3].astype(float)
+            own = (cloud - pose[:3, 3]) @ pose[:3, :3]
+            steps = stored.cloud(t, s)[:, :3] * stored.index["steps"][t, s, :3]
+            before = steps @ stored.index["lidar_pose"][t, s, :3, :3]
+            side = np.array([1, np.sign(determinant), 1])
+            np.testing.assert_allclose(own, scale * before * side, atol=1e-3)
+
+
+def test_frames_differ_in_how_they_are_changed(cached):
+    loader = Loader(cached, "train", batch=7, augment=Augment(), workers=0)
+    transforms = np.concatenate([loader[k].transform for k in range(20)])[:, :3, :3]
+    determinants = np.linalg.det(transforms.astype(float))
+    scales = np.cbrt(np.abs(determinants))
+    turns = np.abs(np.arctan2(transforms[:, 1, 0], transforms[:, 0, 0]))
+    assert 45 <= (determinants < 0).sum() <= 95  # of 140, 0.5 each: within four sigmas
+    assert 0.95 <= scales.min() < 0.955
+    assert 1.045 < scales.max() <= 1.05
+    assert np.pi / 4 - 0.05 < turns.max() <= np.pi / 4 + 1e-6
+    assert len(np.unique(transforms, axis=0)) == 140
+
+
+def test_sensors_that_are_dropped(cached):
+    """Their points, pixels and returns are 0, their poses the identity; one always stays."""
+    loader = Loader(cached, "train", batch=7, augment=Augment(drop=0.6), workers=0)
+    counts = {1: 0, 2: 0}
+    for k in range(6):
+        found = loader[k]
+        for sensors in (found.lidars, found.cameras):
+            for number in sensors.present.sum(1):
+                counts[number] += 1
+            gone = ~sensors.present
+            np.testing.assert_array_equal(sensors.pose[gone], np.eye(4)[None].repeat(gone.sum(), 0))
+        gone = ~found.lidars.present
+        assert not found.lidars.mask[gone].any()
+        assert not found.lidars.points[gone].any()
+        assert not found.cameras.pixels[~found.cameras.present].any()
+        returns = np.moveaxis(found.targets.returns, 2, 1)  # (B, S, M)
+        assert not returns[gone].any()
+        assert (returns[~gone] >= 0).all()
+        assert returns[~gone].any(1).all()
+    assert sum(counts.values()) == 84
+    assert 57 <= counts[1] <= 83  # 0.84 each, within four sigmas
+
+
+def test_a_stretch_of_a_cloud_that_is_too_large(cached):
+    """Another one in each epoch when training, the same one in evaluation."""
+    whole = Loader(cached, "test", batch=3, shuffle=False, workers=0)[0].lidars
+    for shuffle in (False, True):
+        loader = Loader(
+            cached, "test", batch=3, shuffle=shuffle, points=PaddedPoints(20), workers=0
+        )
+        firsts = []
+        for epoch in range(4):
+            found = loader[epoch]
+            b = found.number.tolist().index(8)
+            assert found.lidars.points.shape == (3, 2, 20, 4)
+            assert found.lidars.mask.all()
+            rows = {tuple(row) for row in found.lidars.points[b, 0]}
+            assert len(rows) == 20
+            assert rows <= {tuple(row) for row in whole.points[1, 0][whole.mask[1, 0]]}
+            firsts.append(tuple(found.lidars.points[b, 0, 0]))
+        assert (len(set(firsts)) > 1) == shuffle
+
+
+def test_a_pose_is_a_matrix():
+    pose = np.array([1, 2, 3, 0.1, 0.2, 0.3])
+    found = pose_matrix(pose)
+    np.testing.assert_allclose(found[:3, :3], rotation(pose[3:], np))
+    np.testing.assert_allclose(found[:, 3], [1, 2, 3, 1])
+
+
+def test_a_similarity_by_hand():
+    """A quarter turn of the mirror image, at twice the size, of a box that heads north-east."""
+    moved = Similarity(mirrored=True, turn=np.pi / 2, scale=2.0)
+    box = np.array([[3.0, 1, 0.5, 4, 2, 1, np.pi / 4, 1, 1]])
+    # (3, 1) mirrors to (3, −1) and turns to (1, 3); the heading mirrors to −45° and turns to 45°.
+    np.testing.assert_allclose(
+        moved.of_boxes(box)[0], [2, 6, 1, 8, 4, 2, np.pi / 4, 2, 2], atol=1e-12
+    )
+    np.testing.assert_allclose(moved.matrix @ [3, 1, 0.5, 1], [2, 6, 1, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (dict(flip=1.5), "flip 1.5: a chance"),
+        (dict(drop=-0.1), "drop -0.1: a chance"),
+        (dict(turn=4.0), "turn 4.0: 0 to π, in radians"),
+        (dict(scale=(1.1, 0.9)), "the smaller first"),
+        (dict(scale=(0.0, 1.0)), "above 0"),
+    ],
+)
+def test_bad_augmentations(cached, bad, message):
+    with pytest.raises(InspeError, match=message):
+        Loader(cached, augment=Augment(**bad))

@@ -1,0 +1,267 @@
+"""The loader: its order, its seeds, its shapes, sampling by class, and what it refuses."""
+
+import pickle
+from collections import Counter
+
+import jax
+import numpy as np
+import pytest
+from loading_sets import HEIGHT, MIDDLE, WIDTH, frame_of, write_scenario, write_set
+
+from inspe_jax import dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, PillarGrid, order
+from inspe_jax.simulation.frame import KINDS
+
+
+@pytest.fixture(scope="module")
+def cached(tmp_path_factory):
+    root = tmp_path_factory.mktemp("loading")
+    write_set(root / "set")
+    return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
+
+
+def assert_equal(a, b) -> None:
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def numbers(batches) -> list[int]:
+    return [int(n) for batch in batches for n in batch.number[batch.valid]]
+
+
+def test_the_order_repeats_with_its_seed_whatever_the_workers(cached):
+    """Also all random changes; and a training that goes on gets what it would have got."""
+    settings = dict(batch=2, augment=Augment(drop=0.3), points=PaddedPoints(30))
+    given = [list(Loader(cached, seed=3, workers=w, **settings).steps(0, 8)) for w in (0, 1, 3)]
+    for others in given[1:]:
+        for a, b in zip(given[0], others, strict=True):
+            assert_equal(a, b)
+    late = Loader(cached, seed=3, workers=2, **settings).steps(5, 8)
+    for a, b in zip(given[0][5:], late, strict=True):
+        assert_equal(a, b)
+    assert_equal(Loader(cached, seed=3, **settings)[6], given[0][6])
+    other = list(Loader(cached, seed=4, **settings).steps(0, 8))
+    assert numbers(other) != numbers(given[0])
+    assert not np.array_equal(other[0].transform, given[0][0].transform)
+
+
+def test_an_epoch_has_each_frame_once(cached):
+    loader = Loader(cached, batch=1, workers=0)
+    epochs = [numbers(loader.steps(7 * e, 7 * e + 7)) for e in range(3)]
+    assert all(sorted(epoch) == [0, 1, 2, 3, 4, 5, 6] for epoch in epochs)
+    assert epochs[0] != epochs[1] != epochs[2]
+    assert numbers(loader) == epochs[0]
+    assert len(loader) == 7
+
+
+def test_in_training_batches_are_full(cached):
+    loader = Loader(cached, batch=3, workers=0)
+    assert len(loader) == 2
+    found = list(loader)
+    assert all(batch.valid.all() for batch in found)
+    assert len(set(numbers(found))) == 6
+
+
+def test_in_evaluation_the_last_batch_is_filled_up(cached):
+    loader = Loader(cached, batch=4, shuffle=False)
+    first, last = loader
+    assert numbers([first, last]) == [0, 1, 2, 3, 4, 5, 6]
+    assert last.valid.tolist() == [True] * 3 + [False]
+    assert not last.targets.mask[3].any()
+    assert not last.lidars.present[3].any()
+    assert not last.cameras.present[3].any()
+    for part in (last.lidars.points, last.lidars.mask, last.cameras.pixels, last.targets.boxes):
+        assert not part[3].any()
+    assert numbers([loader[2]]) == [0, 1, 2, 3]  # the next epoch
+    np.testing.assert_array_equal(last.transform, np.eye(4)[None].repeat(4, 0))
+
+
+def test_shapes_and_types_are_the_same_in_all_batches_of_all_splits(cached):
+    shapes = {
+        tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(batch))
+        for split in ("train", "test")
+        for batch in Loader(cached, split, batch=2, shuffle=False, workers=0)
+    }
+    assert len(shapes) == 1
+    found = Loader(cached, batch=2, workers=0)[0]
+    most = 60 + 30 + 10 + 7 * 2  # points on the ground of the second LiDAR, and in two boxes
+    assert found.lidars.points.shape == (2, 2, most, 4)
+    assert found.cameras.pixels.shape == (2, 2, HEIGHT, WIDTH, 3)
+    assert found.targets.boxes.shape == (2, 4, 9)
+    assert found.targets.returns.shape == (2, 4, 2)
+    assert {leaf.dtype.name for leaf in jax.tree.leaves(found)} == {
+        "float32", "int32", "uint8", "bool",
+    }  # fmt: skip
+
+
+def test_points_poses_and_boxes_are_in_the_frame_of_the_intersection(cached):
+    found = Loader(cached, "test", batch=1, shuffle=False, workers=0)[0]
+    frame = frame_of(7)
+    for s, station in enumerate(frame.stations):
+        scan = station.scans[0]
+        np.testing.assert_allclose(
+            found.lidars.pose[0, s, :3, 3], scan.pose[:3] - MIDDLE, atol=1e-4
+        )
+        assert found.lidars.unit[0, s] == found.cameras.unit[0, s] == station.number
+        cloud = found.lidars.points[0, s][found.lidars.mask[0, s]]
+        assert len(cloud) == len(scan.points)
+        assert (np.abs(cloud[:, 2]) < 5e-3).sum() >= 60 + 10 * s  # the ground is at 0
+    centers = np.array([box.center for box in frame.boxes]) - MIDDLE
+    np.testing.assert_allclose(found.targets.boxes[0, :, :3], centers, atol=1e-5)
+    assert found.targets.kind[0].tolist() == [0, 1, 2, 3]
+
+
+def test_only_one_modality(cached):
+    lidar = Loader(cached, batch=2, sensors=("lidar",), workers=0)[0]
+    camera = Loader(cached, batch=2, sensors=("camera",), workers=0)[0]
+    assert lidar.cameras is None
+    assert lidar.lidars is not None
+    assert camera.lidars is None
+    assert camera.cameras is not None
+    assert camera.targets.returns.any()  # how visible a road user is matters for cameras as well
+
+
+def test_scenarios_of_fewer_sensors_are_padded(tmp_path):
+    write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
+    write_scenario(tmp_path / "set" / "train" / "b", [frame_of(1, cameras=False)])
+    write_scenario(tmp_path / "set" / "train" / "c", [frame_of(2, lidars=False)])
+    found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=(6, 8), workers=1)
+    batch = Loader(found, batch=3, shuffle=False, workers=0)[0]
+    assert batch.cameras.present.tolist() == [[True, True], [False, False], [True, True]]
+    assert batch.lidars.present.tolist() == [[True, True], [True, True], [False, False]]
+    assert not batch.cameras.pixels[1].any()
+    assert not batch.lidars.points[2].any()
+    assert not batch.targets.returns[2].any()
+    blind = dataset.cache(tmp_path / "set", tmp_path / "blind", pictures=None, workers=1)
+    assert Loader(blind, batch=1)[0].cameras is None
+    with pytest.raises(InspeError, match="has no camera: it was made with pictures=None"):
+        Loader(blind, sensors=("camera",))
+
+
+def test_sampling_by_class(cached):
+    """Frames 0 to 2 have every class, 3 to 6 have no cyclist and no pedestrian."""
+    shares = {"cyclist": 2.0, "car": 1.0}
+    loader = Loader(cached, batch=1, by_class=shares, workers=0)
+    assert len(loader) == 7
+    found = Counter(numbers(loader.steps(0, 70)))
+    rare = sum(found[n] for n in (0, 1, 2))
+    # 2 of 3 draws are for cyclists, 5 of 7 after rounding; cars are in every frame.
+    assert 50 <= rare <= 70
+    assert set(found) == set(range(7))
+    only = Loader(cached, batch=1, by_class={"pedestrian": 1.0}, workers=0)
+    assert set(numbers(only.steps(0, 14))) == {0, 1, 2}
+
+
+def test_a_balanced_order_has_the_shares_exactly():
+    members = {"car": range(100), "cyclist": [100, 101, 102], "truck": [103]}
+    shares = {"car": 1.0, "cyclist": 2.0, "truck": 0.0}
+    drawn = order.balanced(members, shares, 30, np.random.default_rng(0))
+    counts = Counter(drawn.tolist())
+    assert len(drawn) == 30
+    assert sum(counts[n] for n in (100, 101, 102)) == 20
+    assert {counts[n] for n in (100, 101, 102)} == {6, 7}  # as often as each other
+    assert max(counts[n] for n in range(100)) == 1
+    assert counts[103] == 0
+    rounded = order.balanced(
+        members, {"car": 1, "truck": 1, "cyclist": 1}, 8, np.random.default_rng(0)
+    )
+    assert len(rounded) == 8
+
+
+def test_road_users_out_of_reach_are_left_out(cached):
+    every = Loader(cached, "test", batch=3, shuffle=False, workers=0)[0].targets
+    near = Loader(cached, "test", batch=3, shuffle=False, half=8.0, workers=0)[0].targets
+    away = np.abs(every.boxes[..., :2]).max(-1)
+    assert 0 < near.mask.sum() < every.mask.sum()
+    for b in range(3):
+        kept = every.track[b][away[b] <= 8.0]
+        assert near.track[b][near.mask[b]].tolist() == kept.tolist()
+    one = Loader(cached, "test", batch=3, shuffle=False, most_boxes=1, workers=0)[0].targets
+    assert one.boxes.shape == (3, 1, 9)
+    for b in range(3):
+        assert one.track[b, 0] == every.track[b, away[b].argmin()]
+
+
+def test_reach_counts_for_sampling_by_class(cached):
+    with pytest.raises(InspeError, match="no frame of split 'test' has a truck in reach"):
+        Loader(cached, "test", batch=1, by_class={"truck": 1.0}, half=0.5)
+
+
+def test_errors_of_workers_reach_the_caller(cached, monkeypatch):
+    loader = Loader(cached, batch=1, workers=2)
+    given = loader.assembly.batch
+
+    def broken(frames, draws, size):
+        if int(frames[0, 1]) == 2:
+            raise InspeError("a broken frame")
+        return given(frames, draws, size)
+
+    object.__setattr__(loader.assembly, "batch", broken)
+    with pytest.raises(InspeError, match="a broken frame"):
+        list(loader)
+
+
+def test_batches_that_nobody_asks_for_are_not_made(cached):
+    """Leaving a loop early ends its threads; nothing is made far ahead."""
+    loader = Loader(cached, batch=1, workers=2)
+    made = []
+    given = loader.assembly.batch
+
+    def counted(*args):
+        made.append(1)
+        return given(*args)
+
+    object.__setattr__(loader.assembly, "batch", counted)
+    steps = loader.steps()
+    next(steps)
+    steps.close()
+    assert 1 <= len(made) <= 4
+
+
+def test_a_loader_can_be_sent_to_another_process(cached):
+    loader = Loader(cached, batch=2, augment=Augment())
+    text = pickle.dumps(loader)
+    assert len(text) < 10_000
+    assert_equal(pickle.loads(text)[1], loader[1])
+
+
+def test_a_batch_is_a_pytree(cached):
+    batch = Loader(cached, batch=2, points=PillarGrid(most_pillars=50), workers=0)[0]
+    sent = jax.device_put(batch)
+    assert_equal(sent, batch)
+    assert type(sent) is type(batch)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (dict(split="trian"), "no split 'trian': there is train, test; did you mean train"),
+        (dict(batch=0), "batch 0: a whole number, at least 1"),
+        (dict(batch=8), "split 'train' has 7 frames, less than a batch of 8: use a smaller"),
+        (dict(seed=-1), "seed -1"),
+        (dict(workers=1.5), "workers 1.5"),
+        (dict(most_boxes=0), "most_boxes 0"),
+        (dict(points=PaddedPoints(0)), "most 0"),
+        (dict(sensors=("radar",)), "sensors: 'radar': one of camera, lidar"),
+        (dict(sensors="lidar"), "sensors 'lidar': a list"),
+        (dict(sensors=()), "a list with at least one"),
+        (dict(by_class={"bike": 1.0}), "by_class: 'bike': one of car"),
+        (dict(by_class={"car": -1.0}), "a share, 0 or more"),
+        (dict(by_class={"car": 0.0}), "a share must be above 0"),
+    ],
+)
+def test_bad_arguments(cached, bad, message):
+    with pytest.raises(InspeError, match=message):
+        Loader(cached, **bad)
+
+
+def test_a_negative_step(cached):
+    with pytest.raises(IndexError, match="below 0"):
+        Loader(cached, batch=1)[-1]
+
+
+def test_every_kind_has_frames(cached):
+    stored = cached.split("train")[1]
+    found = [stored.frames_with(k, None).tolist() for k in range(len(KINDS))]
+    assert found == [[0, 1, 2, 3], [0, 1, 2, 3], [], []]

@@ -34,7 +34,7 @@ from inspe_jax.dataset.statistics import statistics
 
 STUDY = """
 scenes: [{{built_in: four_way}}]
-layouts: [Cam-d1/L-d1]
+layouts: [{{strategy: Cam-d1/L-d1, lidar: velodyne-hdl-64e, name: dense}}]
 settings: {{density: medium, light: midday, seconds: {seconds}}}
 rate_hz: 10
 splits: {{train: 1, validate: 0, test: 0}}

@@ -200,7 +200,7 @@ def _fill_cameras(
     found.intrinsic[b, :count][kept] = moved.of_intrinsics(index["intrinsic"][t], width)[kept]
     for c in range(found.pixels.shape[1]):
         if c < count and kept[c]:
-            found.pixels[b, c] = moved.of_pictures(stored.pictures[t, c])
+            moved.copy_picture(stored.pictures[t, c], found.pixels[b, c])
         else:
             found.pixels[b, c] = 0
 

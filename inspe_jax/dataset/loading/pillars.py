@@ -79,31 +79,37 @@ class PillarGrid:
         the grid by a fixed draw.
         """
         side = self.side
-        places = ((points[:, :2] + self.half) * (1 / self.cell)).astype(np.int32)  # (N, 2)
-        inside = np.abs(points[:, :2]).max(1, initial=0) < self.half
-        inside &= (points[:, 2] >= self.low) & (points[:, 2] < self.high)
-        np.minimum(places, side - 1, out=places)  # rounding at the upper edge
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        inside = (x >= -self.half) & (x < self.half) & (y >= -self.half) & (y < self.half)
+        inside &= (z >= self.low) & (z < self.high)
         chosen = np.flatnonzero(inside)
-        cell = (places[:, 0] * side + places[:, 1])[chosen]  # (I,)
+        along = [
+            # The least makes up for rounding at the upper edge.
+            np.minimum(((axis[chosen] + self.half) * (1 / self.cell)).astype(np.int32), side - 1)
+            for axis in (x, y)
+        ]
+        cell = along[0] * side + along[1]  # (I,)
         occupancy = np.bincount(cell, minlength=side * side)
         pillars = np.flatnonzero(occupancy)
         if len(pillars) > self.most_pillars:
             draw = np.random.default_rng(0) if rng is None else rng
             pillars = np.sort(draw.permutation(pillars)[: self.most_pillars])
-        slot = np.full(side * side, len(pillars))
+        # The pillar of each point; points of none come last. Sorting 16 bits takes one pass.
+        kind = np.uint16 if len(pillars) < _SMALL else np.int64
+        slot = np.full(side * side, len(pillars), kind)
         slot[pillars] = np.arange(len(pillars))
-        own = slot[cell]  # the pillar of each point; the last is for points of no pillar
-        # Sorting 16 bits takes one pass over their bytes.
-        order = np.argsort(own.astype(np.uint16) if len(pillars) < _SMALL else own, kind="stable")
-        own = own[order]
+        own = slot[cell]
+        order = np.argsort(own, kind="stable")
         counts = occupancy[pillars]
         starts = np.cumsum(counts) - counts
-        kept = counts.sum()
-        own, order = own[:kept], order[:kept]
-        rank = np.arange(kept) - starts[own]
+        order = order[: counts.sum()]
+        own = own[order].astype(np.int64)
+        rank = np.arange(len(own)) - starts[own]
         few = rank < self.most_points
-        own, rank = own[few], rank[few]
-        out.points[own, rank] = points[chosen[order[few]]]
+        # A point is moved as one value of 16 bytes: several times as fast as a row of four.
+        given = np.ascontiguousarray(points).view(np.complex128)[:, 0]
+        slots = out.points.reshape(-1, 4).view(np.complex128)[:, 0]
+        slots[(own * self.most_points + rank)[few]] = given[chosen[order[few]]]
         out.counts[: len(pillars)] = np.minimum(counts, self.most_points)
         out.cells[: len(pillars)] = np.stack(np.divmod(pillars, side), -1)
 

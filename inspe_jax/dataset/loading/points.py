@@ -41,14 +41,16 @@ def to_metres(
     out: Float[np.ndarray, "N 4"],
 ) -> None:
     """Write ``linear`` · position + ``origin``, and the intensity, of stored points to ``out``."""
-    matrix, shift = np.zeros((4, 4), np.float32), np.zeros(4, np.float32)
+    matrix = np.zeros((4, 4), np.float32)
     matrix[:3, :3] = (linear * step[:3]).T
     matrix[3, 3] = step[3]
-    shift[:3] = origin
+    # In full, because NumPy broadcasts along rows of four a row at a time.
+    shift = np.zeros((min(AT_ONCE, len(steps)), 4), np.float32)
+    shift[:, :3] = origin
     for first in range(0, len(steps), AT_ONCE):
         part = slice(first, first + AT_ONCE)
         np.matmul(steps[part].astype(np.float32), matrix, out=out[part])
-        out[part] += shift
+        out[part] += shift[: len(out[part])]
 
 
 def sample(

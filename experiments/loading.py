@@ -15,8 +15,10 @@ the same loader, with its threads and with its worker processes.
 
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -44,7 +46,7 @@ WORKERS = (0, 1, 2, 4)
 """0: batches are made when they are asked for."""
 TARGET = 200
 """LiDAR frames a second, on two cores."""
-ROUNDS, LASTS = 5, 3.0
+ROUNDS, LASTS = 5, 1.0
 """Rounds of each measurement, and how long one takes at least [s]."""
 
 LIDAR, CAMERA = ("lidar",), ("camera",)
@@ -79,24 +81,15 @@ def record(into: Path, quick: bool) -> Dataset:
     return open(into / "set")
 
 
-def rate(steps: Iterator[Any], size: int, lasts: float) -> float:
-    """Frames a second of batches of ``size``; every array of a batch was written by then."""
+def rate(steps: Iterator[Any], size: int, lasts: float) -> tuple[float, float]:
+    """Frames a second of batches of ``size``, and what one takes of all cores together [ms]."""
     next(steps)  # what is done once
-    began, count = time.perf_counter(), 0
+    began, busy, count = time.perf_counter(), time.process_time(), 0
     while time.perf_counter() - began < lasts:
         next(steps)
         count += size
-    return count / (time.perf_counter() - began)
-
-
-def rounds(begin: Callable[[], Iterator[Any]], size: int, quick: bool) -> list[float]:
-    """The rate of several rounds, from the slowest to the fastest."""
-    found = []
-    for _ in range(1 if quick else ROUNDS):
-        steps = begin()
-        found.append(rate(steps, size, 0.3 if quick else LASTS))
-        del steps
-    return sorted(found)
+    seconds = time.perf_counter() - began
+    return count / seconds, 1e3 * (time.process_time() - busy) / count
 
 
 def from_the_set(data: Dataset, name: str) -> Iterator[int]:
@@ -114,6 +107,7 @@ def from_the_set(data: Dataset, name: str) -> Iterator[int]:
 def with_grain(loader: Loader, processes: int) -> Iterator[Batch]:
     """The same batches from grain: two threads, or so many worker processes."""
     grain = import_module("grain")
+    import_module("absl.flags").FLAGS.mark_as_parsed()  # its workers ask for flags of absl
     source = grain.MapDataset.source(loader).repeat()
     options = grain.ReadOptions(num_threads=2, prefetch_buffer_size=4)
     found = source.to_iter_dataset(options)
@@ -122,30 +116,47 @@ def with_grain(loader: Loader, processes: int) -> Iterator[Batch]:
     return iter(found)
 
 
-def measure(data: Dataset, found: Cache, quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Frames a second of every kind, by workers."""
-    rows = []
+Case = tuple[str, str, int]
+"""A kind of batch, what reads it, and the number of workers."""
 
-    def add(kind: str, reader: str, workers: int, rates: list[float]) -> None:
-        least, most = rates[0], rates[-1]
-        median = float(np.median(rates))
-        row = dict(kind=kind, reader=reader, workers=workers, median=median, least=least, most=most)
-        rows.append(row)
-        console.print(f"{kind}, {reader}, {workers} workers: {median:.0f} ({least:.0f}–{most:.0f})")
 
+def cases(
+    data: Dataset, found: Cache, quick: bool, seed: int
+) -> dict[Case, tuple[Callable[[], Iterator[Any]], int]]:
+    """What is measured: a function that begins to read, and the frames of each step."""
+    listed: dict[Case, tuple[Callable[[], Iterator[Any]], int]] = {}
     for kind in ("LiDARs, points", "8 pictures"):
-        add(kind, "set", 0, rounds(lambda kind=kind: from_the_set(data, kind), 1, quick))  # type: ignore[misc]
+        listed[kind, "set", 0] = partial(from_the_set, data, kind), 1
     for kind, settings in KINDS.items():
         for workers in (0, 2) if quick else WORKERS:
             loader = Loader(found, batch=BATCH, seed=seed, workers=workers, **settings)
-            add(kind, "cache", workers, rounds(loader.steps, BATCH, quick))
+            listed[kind, "cache", workers] = loader.steps, BATCH
     if find_spec("grain") and not quick:
         for kind in ("LiDARs, augmented", "all sensors"):
             loader = Loader(found, batch=BATCH, seed=seed, **KINDS[kind])
-            for processes in (0, 2):
-                name = "grain, processes" if processes else "grain, threads"
-                begin = lambda of=loader, n=processes: with_grain(of, n)  # noqa: E731
-                add(kind, name, 2, rounds(begin, BATCH, quick))
+            listed[kind, "grain, threads", 2] = partial(with_grain, loader, 0), BATCH
+            listed[kind, "grain, processes", 2] = partial(with_grain, loader, 2), BATCH
+    return listed
+
+
+def measure(data: Dataset, found: Cache, quick: bool, seed: int) -> list[dict[str, Any]]:
+    """Frames a second of every case. Each round has all of them, so that what else the machine
+    does meanwhile disturbs all alike."""
+    rates: dict[Case, list[float]] = defaultdict(list)
+    busy: dict[Case, list[float]] = defaultdict(list)
+    listed = cases(data, found, quick, seed)
+    for _ in range(1 if quick else ROUNDS):
+        for case, (begin, size) in listed.items():
+            per_second, each = rate(begin(), size, 0.3 if quick else LASTS)
+            rates[case].append(per_second)
+            busy[case].append(each)
+    rows = []
+    for (kind, reader, workers), of in rates.items():
+        row = dict(kind=kind, reader=reader, workers=workers, median=float(np.median(of)))
+        # Worker processes are not counted in this one's time.
+        each = float(np.median(busy[kind, reader, workers]))
+        cpu = "" if reader == "grain, processes" else each
+        rows.append(row | dict(least=min(of), most=max(of), cpu_ms=cpu))
     return rows
 
 
@@ -202,16 +213,17 @@ def main() -> None:
         used = (batch.lidars.pillars.counts > 0).sum(-1).max()
         console.print(f"pillars with a point, of a LiDAR: {used} at most")
         rows = measure(data, found, given.quick, given.seed)
-    table = Table("frames a second", *(f"{n} workers" for n in WORKERS))
-    for kind in KINDS:
-        own = {
-            row["workers"]: f"{row['median']:.0f}"
-            for row in rows
-            if row["kind"] == kind and row["reader"] == "cache"
-        }
-        table.add_row(kind, *(own.get(n, "") for n in WORKERS))
+    table = Table("", "read by", "workers", "frames a second", "least", "most", "CPU ms a frame")
+    for row in rows:
+        numbers = [f"{row[key]:.0f}" for key in ("median", "least", "most")]
+        cpu = f"{row['cpu_ms']:.1f}" if row["cpu_ms"] else ""
+        table.add_row(row["kind"], row["reader"], str(row["workers"]), *numbers, cpu)
     console.print(table)
-    reached = max(row["median"] for row in rows if row["kind"] == "LiDARs, points")
+    reached = max(
+        row["median"]
+        for row in rows
+        if row["kind"] == "LiDARs, points" and row["reader"] == "cache"
+    )
     console.print(f"LiDAR frames a second: {reached:.0f}, {TARGET} were claimed")
     console.print(" · ".join(f"{key} {value}" for key, value in machine().items()))
     settings = {"seed": given.seed, "quick": given.quick, "batch": BATCH, "frames": frames}

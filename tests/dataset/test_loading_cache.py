@@ -14,6 +14,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.loading import caching, open_cache
 from inspe_jax.dataset.loading.decode import resized
+from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.dataset.loading.points import AT_ONCE, STEPS, to_metres, to_steps
 from inspe_jax.dataset.points_in_boxes import count_inside
 
@@ -116,6 +117,29 @@ def test_boxes_and_their_returns(made, cached):
     np.testing.assert_array_equal(stored.index["returns"][own], count_inside(scans, frame.boxes).T)
     assert (stored.index["returns"][own] >= 7).all()
     assert stored.index["track"][own].tolist() == [box.track for box in frame.boxes]
+
+
+def test_poses_that_change_and_poses_that_do_not(tmp_path):
+    """The latter are stored once, and read as those of every frame."""
+    first, second = frame_of(0), frame_of(1)
+    station = second.stations[0]
+    scan = dataset.Scan(station.scans[0].pose + 0.1, station.scans[0].points)
+    moved = dataset.Station(1, "a", station.pose, station.images, (scan,))
+    turned = dataset.Frame(1, 0.05, second.boxes, (moved, second.stations[1]))
+    for name, frames in (("moves", (first, turned)), ("stands", (first, second))):
+        write_scenario(tmp_path / "set" / "train" / name, frames)
+    moves, stands = dataset.cache(
+        tmp_path / "set", tmp_path / "cache", pictures=SIZE, workers=1
+    ).scenarios
+    for stored, frames in ((moves, (first, turned)), (stands, (first, second))):
+        for t, frame in enumerate(frames):
+            for s, unit in enumerate(frame.stations):
+                for key, pose in (("lidar_pose", unit.scans[0]), ("camera_pose", unit.images[0])):
+                    expected = pose_matrix(pose.pose)
+                    np.testing.assert_allclose(stored.index[key][t, s], expected, atol=1e-6)
+    with np.load(moves.path / "index.npz") as a, np.load(stands.path / "index.npz") as b:
+        assert [len(each["lidar_pose"]) for each in (a, b)] == [2, 1]
+        assert [len(each["camera_pose"]) for each in (a, b)] == [1, 1]
 
 
 def test_the_middle_without_a_protocol_that_says_it(tmp_path):

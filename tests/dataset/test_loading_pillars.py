@@ -10,6 +10,7 @@ from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Loader, PillarGrid, pillar_features
 from inspe_jax.dataset.loading.pillars import grouping
+from inspe_jax.dataset.loading.points import woven
 
 GRID = PillarGrid(half=8.0, cell=2.0, low=-1, high=3, most_points=40, most_pillars=64)
 
@@ -124,6 +125,21 @@ def test_pillars_of_sensors_units_or_all_together(tmp_path, per, groups):
         counts = lidars.pillars.counts[0, g]
         cells = map(tuple, lidars.pillars.cells[0, g][counts > 0].tolist())
         assert dict(zip(cells, counts[counts > 0].tolist(), strict=True)) == expected
+
+
+def test_clouds_are_woven_evenly():
+    """Of the first tenth of a joint cloud, each cloud has a tenth of its own, in its order."""
+    clouds = [np.full((n, 4), k, np.float32) for k, n in enumerate((1000, 3000, 10))]
+    for part in clouds:
+        part[:, 1] = np.arange(len(part))
+    found = woven(clouds)
+    assert len(found) == 4010
+    for k, part in enumerate(clouds):
+        own = found[found[:, 0] == k]
+        np.testing.assert_array_equal(own, part)
+        assert abs((found[:401, 0] == k).sum() - len(part) / 10) <= 1
+    assert woven(clouds[:1]) is clouds[0]
+    assert len(woven([clouds[0][:0], clouds[2]])) == 10
 
 
 def test_groups_without_the_lidars_that_are_gone():

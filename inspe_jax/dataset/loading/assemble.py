@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.dataset.loading.augment import Augment
-from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Targets
+from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.caching import Cache
 from inspe_jax.dataset.loading.geometry import Similarity
 from inspe_jax.dataset.loading.pillars import PillarGrid, grouping
-from inspe_jax.dataset.loading.points import pad_points, sample, to_metres
+from inspe_jax.dataset.loading.points import pad_points, sample, to_metres, woven
 from inspe_jax.dataset.loading.stored import StoredScenario
 
 
@@ -33,10 +34,22 @@ class Assembly:
     augment: Augment | None
     training: bool
 
-    @property
+    @cached_property
     def lidars(self) -> int:
         """Number of LiDARs of a frame: the largest in the cache."""
         return max(each.record.lidars for each in self.cache.scenarios)
+
+    @cached_property
+    def cameras(self) -> int:
+        """Number of cameras of a frame: the largest in the cache."""
+        return max(each.record.cameras for each in self.cache.scenarios)
+
+    @cached_property
+    def groups(self) -> int:
+        """Number of groups of LiDARs that share pillars: the largest in the cache."""
+        units = max(each.record.lidar_units for each in self.cache.scenarios)
+        per = "sensor" if self.grid is None else self.grid.per
+        return {"sensor": self.lidars, "unit": units, "all": 1}[per]
 
     def batch(
         self,
@@ -48,12 +61,11 @@ class Assembly:
 
         ``draws`` has a source of random numbers for each. The batch is filled up to ``size``.
         """
-        cameras = max(each.record.cameras for each in self.cache.scenarios)
         pixels = self.cache.pictures
         found = Batch(
             lidars=self._no_lidars(size) if "lidar" in self.sensors and self.lidars else None,
-            cameras=_no_cameras(size, cameras, *pixels)
-            if "camera" in self.sensors and cameras and pixels
+            cameras=_no_cameras(size, self.cameras, *pixels)
+            if "camera" in self.sensors and self.cameras and pixels
             else None,
             targets=_no_targets(size, self.most_boxes, self.lidars),
             scenario=np.zeros(size, np.int32),
@@ -93,7 +105,7 @@ class Assembly:
         if self.grid is None:
             points = np.empty((size, lidars, self.most_points, 4), np.float32)
         else:
-            pillars = self.grid.empty(size, self._groups())
+            pillars = self.grid.empty(size, self.groups)
         return Lidars(
             points=points,
             mask=None if points is None else np.zeros(points.shape[:3], bool),
@@ -101,14 +113,6 @@ class Assembly:
             pose=_identities(size, lidars),
             present=np.zeros((size, lidars), bool),
             unit=np.zeros((size, lidars), np.int32),
-        )
-
-    def _groups(self) -> int:
-        """Number of groups of LiDARs: the largest in the cache."""
-        per = "sensor" if self.grid is None else self.grid.per
-        return max(
-            len(grouping(unit, np.ones(len(unit), bool), per))
-            for unit in (each.index["lidar_unit"] for each in self.cache.scenarios)
         )
 
     def _fill_lidars(
@@ -128,13 +132,12 @@ class Assembly:
         found.unit[b, :count] = index["lidar_unit"]
         found.present[b, :count] = present
         found.pose[b, :count][present] = poses[present]
+        order = self._drawn(draw)
         clouds = {}
         for s in range(self.lidars):
             steps = stored.cloud(t, s) if s < count and present[s] else None
             if found.points is not None and found.mask is not None:
-                steps = (
-                    None if steps is None else sample(steps, self.most_points, self._drawn(draw))
-                )
+                steps = None if steps is None else sample(steps, self.most_points, order)
                 length = 0 if steps is None else len(steps)
                 pad_points(found.points[b, s], found.mask[b, s], length)
                 out = found.points[b, s, :length]
@@ -145,13 +148,8 @@ class Assembly:
         if found.pillars is not None and self.grid is not None:
             for g, members in enumerate(grouping(index["lidar_unit"], present, self.grid.per)):
                 if members:
-                    points = [clouds[s] for s in members]
-                    together = points[0] if len(points) == 1 else np.concatenate(points)
-                    self.grid.fill(
-                        together,
-                        type(found.pillars)(*(x[b, g] for x in found.pillars)),
-                        self._drawn(draw),
-                    )
+                    own = Pillars(*(part[b, g] for part in found.pillars))
+                    self.grid.fill(woven([clouds[s] for s in members]), own, order)
 
     def _drawn(self, draw: np.random.Generator) -> np.random.Generator | None:
         return draw if self.training else None

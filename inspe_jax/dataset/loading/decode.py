@@ -17,7 +17,7 @@ from inspe_jax.core.files import json_value
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.dataset.loading.points import to_steps
-from inspe_jax.dataset.loading.stored import INDEX, PICTURES, POINTS, RECORD
+from inspe_jax.dataset.loading.stored import INDEX, PICTURES, POINTS, RECORD, STATIC
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Scan
 
@@ -242,10 +242,10 @@ class _Index:
         return np.array(self.boxes).reshape(-1, 9)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What ``index.npz`` holds."""
+        """What ``index.npz`` holds; see :data:`~inspe_jax.dataset.loading.stored.STATIC`."""
         units = self.units or ([], [])
         frames, lidars, cameras = len(self.scenario.frames), self.lidars, self.cameras
-        return {
+        found = {
             "number": np.array(self.scenario.frames, np.int32),
             "starts": _stacked(self.starts, (frames, lidars + 1), np.int64),
             "steps": _stacked(self.steps, (frames, lidars, 4), np.float64),
@@ -260,6 +260,10 @@ class _Index:
             "track": np.array(self.tracks, np.int32),
             "returns": np.concatenate(self.returns).astype(np.int32),
         }
+        for key in STATIC:
+            if (found[key] == found[key][:1]).all():
+                found[key] = found[key][:1]
+        return found
 
     @property
     def counts(self) -> dict[str, int]:
@@ -267,6 +271,7 @@ class _Index:
         return {
             "frames": len(self.scenario.frames),
             "lidars": self.lidars,
+            "lidar_units": len(set(self.units[0] if self.units else ())),
             "cameras": self.cameras,
             "most_points": self.most_points,
             "most_boxes": int(np.diff(self.box_starts).max(initial=0)),

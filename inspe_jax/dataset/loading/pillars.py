@@ -143,6 +143,4 @@ def grouping(
         return [np.flatnonzero(present).tolist()]
     if per == "sensor":
         return [[s] if present[s] else [] for s in range(len(unit))]
-    return [
-        np.flatnonzero((unit == number) & present).tolist() for number in np.unique(unit[unit > 0])
-    ]
+    return [np.flatnonzero((unit == number) & present).tolist() for number in np.unique(unit)]

@@ -27,13 +27,16 @@ INDEX_KEYS = (
     *("box_starts", "boxes", "kind", "track", "returns"),
 )
 
+STATIC = ("lidar_pose", "camera_pose", "intrinsic")
+"""Arrays that are stored once if they are the same in all frames, as for sensors that stand."""
+
 
 class ScenarioRecord(BaseModel):
     """What ``scenario.json`` says.
 
     ``source`` is the digest of the scenario that was decoded, ``middle`` that of the intersection
     on the ground [m] in its world, and ``files`` the size of each file [bytes]. The counts are the
-    largest of a frame: LiDARs, cameras, points of a cloud, boxes.
+    largest of a frame: LiDARs, units that have any, cameras, points of a cloud, boxes.
     """
 
     model_config = STRICT
@@ -42,6 +45,7 @@ class ScenarioRecord(BaseModel):
     middle: list[float]
     frames: int
     lidars: int
+    lidar_units: int
     cameras: int
     most_points: int
     most_boxes: int
@@ -99,9 +103,12 @@ class StoredScenario:
         path = self.path / INDEX
         try:
             with np.load(io.BytesIO(path.read_bytes())) as file:
-                return {key: file[key] for key in INDEX_KEYS}
+                found = {key: file[key] for key in INDEX_KEYS}
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as e:
             raise self._damaged(path) from e
+        for key in STATIC:
+            found[key] = np.broadcast_to(found[key], (self.record.frames, *found[key].shape[1:]))
+        return found
 
     def cloud(self, t: int, s: int) -> Int16[np.ndarray, "N 4"]:
         """The stored points of a LiDAR in frame t."""

@@ -272,14 +272,32 @@ def test_records_that_cannot_be_read(cached, tmp_path):
         open_cache(tmp_path / "cache")
 
 
-def test_frames_of_different_sensors_are_refused(tmp_path):
+@pytest.mark.parametrize("frame", [0, 1])
+def test_frames_of_different_sensors_are_refused(tmp_path, frame):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0), frame_of(1)])
-    for path in (tmp_path / "set").rglob("000001_camera0.png"):
+    for path in (tmp_path / "set").rglob(f"00000{frame}_camera0.png"):
         path.unlink()
     with pytest.raises(InspeError, match="frame 1 has LiDARs and cameras of stations"):
         dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=SIZE, workers=1)
     found = dataset.cache(tmp_path / "set", tmp_path / "without", pictures=None, workers=1)
     assert found.scenarios[0].record.lidars == 2
+
+
+def test_clouds_without_any_point(tmp_path):
+    empty = np.zeros((0, 4), np.float32)
+    stations = [
+        dataset.Station(unit.number, "", unit.pose, (), (dataset.Scan(unit.pose, empty),))
+        for unit in frame_of(0).stations
+    ]
+    frame, scene = dataset.Frame(0, 0.0, (), tuple(stations)), {"name": "x", "map": "x.xodr"}
+    write_scenario(tmp_path / "set" / "train" / "a", [frame], scene=scene)
+    found = dataset.cache(tmp_path / "set", tmp_path / "cache", workers=1)
+    middle = (stations[0].pose + stations[1].pose)[:2] / 2  # there is no road user either
+    np.testing.assert_allclose(found.scenarios[0].middle, [*middle, 0], atol=1e-6)
+    batch = dataset.Loader(found, batch=1, augment=dataset.Augment(), workers=0)[0]
+    assert batch.lidars.present.all()
+    assert not batch.lidars.mask.any()
+    assert not batch.targets.mask.any()
 
 
 def test_bad_arguments(made, tmp_path):

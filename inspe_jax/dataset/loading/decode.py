@@ -69,7 +69,7 @@ def decode(
 
 def _write(scenario: Scenario, part: Path, source: str, pictures: tuple[int, int] | None) -> None:
     lidars, cameras = _sensors(scenario.frame(scenario.frames[0]))
-    index = _Index(scenario, len(lidars), len(cameras) if pictures else 0)
+    index = _Index(scenario, len(lidars), len(cameras) if pictures else None)
     stored = []
     if lidars:
         stored.append(_Rows(part / POINTS, (4,), np.int16))
@@ -171,8 +171,10 @@ class _Rows:
 class _Index:
     """All that is kept of a scenario but points and pictures, frame by frame."""
 
-    def __init__(self, scenario: Scenario, lidars: int, cameras: int) -> None:
-        self.scenario, self.lidars, self.cameras = scenario, lidars, cameras
+    def __init__(self, scenario: Scenario, lidars: int, cameras: int | None) -> None:
+        """``cameras`` is None if pictures are left out."""
+        self.scenario, self.lidars, self.cameras = scenario, lidars, cameras or 0
+        self.pictures = cameras is not None
         self.units: tuple[list[int], list[int]] | None = None
         self.starts: list[list[int]] = []
         self.steps: list[np.ndarray] = []
@@ -189,7 +191,7 @@ class _Index:
     def sensors(self, frame: Frame) -> tuple[list[Scan], list[Image]]:
         """The scans and images of a frame, which must be those of the sensors of the others."""
         scans, images = _sensors(frame)
-        images = images if self.cameras else []
+        images = images if self.pictures else []
         units = [number for number, _ in scans], [number for number, _ in images]
         if self.units is None:
             self.units = units

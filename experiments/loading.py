@@ -4,7 +4,8 @@ Four LiDARs with about 60 000 points each, and eight cameras: the layout Cam-d1/
 four-way intersection, recorded anew. Measured: bytes of a frame as recorded and in the cache, how
 long decoding takes, and frames a second as batches of four, by number of workers:
 
-- LiDARs as padded points, as stored and augmented (mirror, turn, scale), and as pillars;
+- LiDARs as padded points, as stored and augmented (mirror, turn, scale), and as pillars of two
+  widths, which have room for all pillars with a point;
 - eight pictures of 300 × 400, and all sensors together;
 - beside them, the same frames read from the set itself, without a cache.
 
@@ -32,6 +33,7 @@ from rich.table import Table
 
 from inspe_jax.dataset import Dataset, cache, generate, load_generation, open
 from inspe_jax.dataset.loading import Augment, Batch, Cache, Loader, PillarGrid
+from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.dataset.statistics import statistics
 
 STUDY = """
@@ -49,11 +51,15 @@ TARGET = 200
 ROUNDS, LASTS = 5, 1.0
 """Rounds of each measurement, and how long one takes at least [s]."""
 
-LIDAR, CAMERA = ("lidar",), ("camera",)
+LIDAR: tuple[Sensor, ...] = ("lidar",)
+CAMERA: tuple[Sensor, ...] = ("camera",)
+FINE = PillarGrid(most_pillars=16_000)
+COARSE = PillarGrid(cell=0.8, most_pillars=8000, most_points=32)
 KINDS: dict[str, dict[str, Any]] = {
     "LiDARs, points": dict(sensors=LIDAR),
     "LiDARs, augmented": dict(sensors=LIDAR, augment=Augment()),
-    "LiDARs, pillars": dict(sensors=LIDAR, points=PillarGrid(), augment=Augment()),
+    "LiDARs, 0.4 m pillars": dict(sensors=LIDAR, points=FINE, augment=Augment()),
+    "LiDARs, 0.8 m pillars": dict(sensors=LIDAR, points=COARSE, augment=Augment()),
     "8 pictures": dict(sensors=CAMERA, augment=Augment()),
     "all sensors": dict(augment=Augment()),
 }
@@ -114,6 +120,26 @@ def with_grain(loader: Loader, processes: int) -> Iterator[Batch]:
     if processes:
         found = found.mp_prefetch(grain.MultiprocessingOptions(num_workers=processes))
     return iter(found)
+
+
+def filled(found: Cache, grid: PillarGrid) -> dict[str, float]:
+    """The most pillars of a LiDAR that have a point, and the share of its points that are kept."""
+    most, points, kept = 0, 0, 0
+    for batch in Loader(found, batch=1, shuffle=False, sensors=LIDAR):
+        assert batch.lidars is not None
+        for cloud in batch.lidars.points[0]:  # type: ignore[index]
+            near = (np.abs(cloud[:, :2]) < grid.half).all(1) & (cloud[:, 2] >= grid.low)
+            near &= (cloud[:, 2] < grid.high) & cloud.any(1)
+            cells = np.floor(cloud[near, :2] / grid.cell).astype(int)
+            _, counts = np.unique(cells, axis=0, return_counts=True)
+            most = max(most, len(counts))
+            points += counts.sum()
+            kept += np.minimum(counts, grid.most_points).sum()
+    name = f"pillars of {grid.cell} m"
+    return {
+        f"{name} with a point": float(most),
+        f"{name}: share of points kept": float(kept / points),
+    }
 
 
 Case = tuple[str, str, int]
@@ -205,13 +231,9 @@ def main() -> None:
             "points of a cloud": counted.mean_points or 0.0,
             "decoding, s a frame": decoding / frames,
         }
+        sizes |= filled(found, FINE) | filled(found, COARSE)
         for name, value in sizes.items():
             console.print(f"{name}: {value:.3g}")
-        batch = Loader(found, batch=1, **KINDS["LiDARs, pillars"])[0]
-        assert batch.lidars is not None
-        assert batch.lidars.pillars is not None
-        used = (batch.lidars.pillars.counts > 0).sum(-1).max()
-        console.print(f"pillars with a point, of a LiDAR: {used} at most")
         rows = measure(data, found, given.quick, given.seed)
     table = Table("", "read by", "workers", "frames a second", "least", "most", "CPU ms a frame")
     for row in rows:

@@ -24,8 +24,9 @@ class PillarGrid:
 
     The defaults: 256 × 256 pillars of 0.4 m reach 51.2 m, beyond the region of 50 m, and can be
     halved eight times; 0.4 m is the usual width for cooperative perception on OPV2V. From 1 m
-    below to 5 m above the ground there is all of a lorry, also on a slope. 16 points a pillar, and
-    8000 pillars, hold what :file:`experiments/loading.py` counts.
+    below to 5 m above the ground there is all of a lorry, also on a slope. A cloud of the paper's
+    LiDARs has points in 6,400 of these pillars, one of a Velodyne HDL-64E in 14,000; 16 points a
+    pillar are 94 % of the latter's. ``experiments/loading.py`` counts both for any grid.
     """
 
     half: float = 51.2
@@ -75,28 +76,27 @@ class PillarGrid:
     ) -> None:
         """Put points, in random order, into the pillars ``out`` of one group, which are empty.
 
-        Where there are too many pillars, ``rng`` says which are kept; without it, those first in
-        the grid by a fixed draw.
+        Where there are too many pillars, ``rng`` draws which are kept; without it, they are always
+        the same.
         """
-        side = self.side
-        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        side, nowhere = self.side, self.side**2
+        x, y, z = np.ascontiguousarray(points[:, :3].T)
         inside = (x >= -self.half) & (x < self.half) & (y >= -self.half) & (y < self.half)
         inside &= (z >= self.low) & (z < self.high)
-        chosen = np.flatnonzero(inside)
-        along = [
-            # The least makes up for rounding at the upper edge.
-            np.minimum(((axis[chosen] + self.half) * (1 / self.cell)).astype(np.int32), side - 1)
+        # The least makes up for rounding at the upper edge.
+        column, row = (
+            np.minimum(((axis + self.half) * (1 / self.cell)).astype(np.int32), side - 1)
             for axis in (x, y)
-        ]
-        cell = along[0] * side + along[1]  # (I,)
-        occupancy = np.bincount(cell, minlength=side * side)
+        )
+        cell = np.where(inside, column * side + row, nowhere)  # (N,)
+        occupancy = np.bincount(cell, minlength=nowhere + 1)[:nowhere]
         pillars = np.flatnonzero(occupancy)
         if len(pillars) > self.most_pillars:
             draw = np.random.default_rng(0) if rng is None else rng
             pillars = np.sort(draw.permutation(pillars)[: self.most_pillars])
         # The pillar of each point; points of none come last. Sorting 16 bits takes one pass.
         kind = np.uint16 if len(pillars) < _SMALL else np.int64
-        slot = np.full(side * side, len(pillars), kind)
+        slot = np.full(nowhere + 1, len(pillars), kind)
         slot[pillars] = np.arange(len(pillars))
         own = slot[cell]
         order = np.argsort(own, kind="stable")
@@ -109,7 +109,7 @@ class PillarGrid:
         # A point is moved as one value of 16 bytes: several times as fast as a row of four.
         given = np.ascontiguousarray(points).view(np.complex128)[:, 0]
         slots = out.points.reshape(-1, 4).view(np.complex128)[:, 0]
-        slots[(own * self.most_points + rank)[few]] = given[chosen[order[few]]]
+        slots[(own * self.most_points + rank)[few]] = given[order[few]]
         out.counts[: len(pillars)] = np.minimum(counts, self.most_points)
         out.cells[: len(pillars)] = np.stack(np.divmod(pillars, side), -1)
 

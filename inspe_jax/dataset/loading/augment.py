@@ -15,7 +15,8 @@ class Augment:
 
     ``flip`` is the chance that the intersection is mirrored. ``turn`` [rad] limits its turn about
     the vertical to ± ``turn``, and ``scale`` its scale; both are uniform. ``drop`` is the chance
-    that a sensor is missing; one of each modality always stays.
+    that a sensor is missing; one of each modality always stays. A mirrored intersection has its
+    traffic on the other side of the road: use ``flip=0`` where a model is to learn the side.
 
     The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang et al. 2019): a
     mirror every other time, ±π/4, and 0.95 to 1.05. Neither drops sensors.

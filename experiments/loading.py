@@ -188,7 +188,7 @@ def measure(data: Dataset, found: Cache, quick: bool, seed: int) -> list[dict[st
 
 def figure(rows: list[dict[str, Any]]) -> Figure:
     """Frames a second by workers, with the least and the most, and the target."""
-    view = Figure(figsize=(7, 4.5), layout="constrained")
+    view = Figure(figsize=(8, 4.5), layout="constrained")
     axes = view.subplots()
     for kind in KINDS:
         own = [row for row in rows if row["kind"] == kind and row["reader"] == "cache"]
@@ -196,14 +196,15 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
         ends = [[row["least"] for row in own], [row["most"] for row in own]]
         axes.errorbar(x, y, np.abs(np.array(ends) - y), marker="o", capsize=3, label=kind)
     axes.axhline(TARGET, color="grey", linestyle="--", linewidth=1)
-    axes.annotate(f"{TARGET}", (0, TARGET), color="grey", va="bottom")
+    axes.annotate(f"{TARGET}", (3, TARGET), color="grey", va="bottom", fontsize=8)
     for row in rows:
         if row["reader"] == "set":
             axes.axhline(row["median"], color="grey", linestyle=":", linewidth=1)
             label = f"{row['kind']}: from the set"
             axes.annotate(label, (0.5, row["median"]), color="grey", va="bottom", fontsize=8)
     axes.set(xlabel="workers (threads)", ylabel="frames a second", yscale="log")
-    axes.legend()
+    axes.set_xticks(sorted({row["workers"] for row in rows}))
+    view.legend(loc="outside right center")
     return view
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 SHOWN = 3
 """Number of failed scenarios whose error is printed."""
+MOST_NOTES = 12
+"""Number of different notes that are printed."""
 
 
 @app.command()
@@ -149,8 +151,7 @@ def generate(
     note(f"{fault}: recorded again" for fault in damaged[:SHOWN])
     if len(damaged) > SHOWN:
         note([f"and {counted(len(damaged) - SHOWN, 'file')} more"])
-    counts = Counter(words for notes in result.notes.values() for words in notes)
-    note(f"{words} ({counted(count, 'scenario')})" for words, count in counts.items())
+    _note_often(Counter(words for notes in result.notes.values() for words in notes))
     failures = list(result.failures.items())
     note(f"{name}: {error}" for name, error in failures[:SHOWN])
     if failures:
@@ -160,6 +161,14 @@ def generate(
             soft_wrap=True,
         )
         raise typer.Exit(1)
+
+
+def _note_often(counts: "Counter[str]") -> None:
+    """Print notes on scenarios, each with their number; of many only the first."""
+    listed = list(counts.items())
+    note(f"{words} ({counted(count, 'scenario')})" for words, count in listed[:MOST_NOTES])
+    if len(listed) > MOST_NOTES:
+        note([f"and {len(listed) - MOST_NOTES} more: see notes in each data_protocol.yaml"])
 
 
 def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: int | None) -> None:
@@ -179,6 +188,7 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
         soft_wrap=True,
     )
     out.print(content_table(generation, found))
+    _note_often(found.shortfalls)
     if found.size is None or found.seconds is None:
         note([f"backend {backend}: size and time are not known without its server"])
         return

@@ -91,7 +91,10 @@ def scene(
     ] = None,
     mix: Annotated[
         str | None,
-        typer.Option(help="Road users: mixed, or largest (only the paper's largest vehicle)."),
+        typer.Option(
+            help="Road users: mixed, fleet (sizes as varied as real ones), or largest (only the "
+            "paper's largest vehicle)."
+        ),
     ] = None,
     traffic: Annotated[
         str | None,

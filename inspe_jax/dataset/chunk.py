@@ -112,7 +112,8 @@ class WorkerState:
             self.recorder = self.stack.enter_context(
                 recorder_of(chunk.backend, *given, plan.appearance_seed)
             )
-            self.notes = self.recorder.notes
+            short = scene.shortfall
+            self.notes = (*self.recorder.notes, *([f"road users: {short}"] if short else []))
             self.protocol = protocol_of(plan, content, chunk.backend, self.notes, chunk.format)
         except Exception as e:
             self.error = message_of(e)

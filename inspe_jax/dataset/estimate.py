@@ -62,12 +62,14 @@ class Estimate:
     """What a data set would hold and take.
 
     ``size`` [bytes] and ``seconds`` of one process are None where the backend cannot be tried
-    without its server.
+    without its server. ``shortfalls`` say what scenes have less of than was asked for, each with
+    the number of scenarios.
     """
 
     splits: Mapping[str, SplitContent]
     size: float | None
     seconds: float | None
+    shortfalls: Counter[str]
 
 
 def estimate(
@@ -86,6 +88,7 @@ def estimate(
     by_scene: dict[str, list[ScenarioPlan]] = {}
     for plan in generation.scenarios:
         by_scene.setdefault(plan.scene, []).append(plan)
+    shortfalls: Counter[str] = Counter()
     size = seconds = 0.0
     done = 0
     for plans in by_scene.values():
@@ -93,6 +96,9 @@ def estimate(
         scene = scene_of(plans[0].source, plans[0].build)
         seconds += time.perf_counter() - began
         boxes = _boxes(scene)
+        if scene.shortfall:
+            where = f"{plans[0].source.name}, {plans[0].settings['density']}"
+            shortfalls[f"{where}: road users: {scene.shortfall}"] += len(plans)
         for plan in plans:
             _count(splits[plan.split], plan, boxes)
             if tried is not None:
@@ -103,8 +109,8 @@ def estimate(
             if progress:
                 progress(done, len(generation.scenarios))
     if tried is None:
-        return Estimate(splits, None, None)
-    return Estimate(splits, size, seconds)
+        return Estimate(splits, None, None, shortfalls)
+    return Estimate(splits, size, seconds, shortfalls)
 
 
 def _boxes(scene: Scene) -> Counter[str]:

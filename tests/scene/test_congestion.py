@@ -48,8 +48,9 @@ def models(count: int = COUNT) -> tuple[WaypointModel, CongestedModel]:
     paths = lay_paths(crossing(), RADIUS)
     kind = generate._kinds(paths, MIXES["mixed"], count)
     spare = np.full(count, PEDESTRIAN, np.int8)
-    free = WaypointModel(paths, ROAD_USERS, kind, 0.06, np.random.default_rng(0))
-    return free, CongestedModel(paths, ROAD_USERS, kind, 0.06, np.random.default_rng(0), spare)
+    mix, seed = MIXES["mixed"], np.random.default_rng
+    free = WaypointModel(paths, ROAD_USERS, kind, mix, seed(0))
+    return free, CongestedModel(paths, ROAD_USERS, kind, mix, seed(0), spare)
 
 
 def of(counts: list[int], frames: int = 2) -> TrafficFrames:
@@ -105,7 +106,9 @@ def test_vehicles_leave_one_by_one_and_wait_at_the_end_of_their_lane() -> None:
     """More cars than a road of one lane holds: a queue stands at its end, and moves on."""
     paths = lay_paths(intersection([Route(line((-FAR, 0), (FAR, 0)), LANE)]), 50)
     kind, nobody = np.zeros(30, np.int8), np.zeros(0, np.int8)
-    model = CongestedModel(paths, ROAD_USERS, kind, 0.0, np.random.default_rng(0), nobody)
+    model = CongestedModel(
+        paths, ROAD_USERS, kind, MIXES["largest"], np.random.default_rng(0), nobody
+    )
     model.fill()
     left, ended = [], []
     for _ in range(750):
@@ -141,7 +144,7 @@ def test_where_all_fit_traffic_is_that_of_free_roads() -> None:
     rng = np.random.default_rng(5)
     paths = lay_paths(crossing(), 50)
     kind = rng.permutation(generate._kinds(paths, MIXES["mixed"], 20))
-    model = WaypointModel(paths, ROAD_USERS, kind, MIXES["mixed"].spread, rng)
+    model = WaypointModel(paths, ROAD_USERS, kind, MIXES["mixed"], rng)
     model.fill()
     for _ in range(200):
         model.step(40 / 200)

@@ -54,7 +54,7 @@ def model_of(
 ) -> WaypointModel:
     paths = lay_paths(place, radius)
     kind = _kinds(paths, MIXES["mixed"], count)
-    return WaypointModel(paths, ROAD_USERS, kind, 0.06, np.random.default_rng(seed))
+    return WaypointModel(paths, ROAD_USERS, kind, MIXES["mixed"], np.random.default_rng(seed))
 
 
 # --- what the frames hold --------------------------------------------------------------------
@@ -130,6 +130,36 @@ def test_tables_agree() -> None:
     assert tuple(u.name for u in ROAD_USERS) == CLASSES
     assert all(len(mix.shares) == len(CLASSES) for mix in MIXES.values())
     assert all(sum(mix.shares) == pytest.approx(1) for mix in MIXES.values())
+
+
+def test_a_fleet_has_bodies_by_their_shares():
+    """Every body occurs, and sizes are within two standard deviations of a body's."""
+    mix, rng = MIXES["fleet"], np.random.default_rng(0)
+    for kind, name in enumerate(CLASSES):
+        bodies = mix.bodies[name]
+        drawn = np.array([mix.mean_size(kind, rng) for _ in range(4000)])
+        share = np.array([body.share for body in bodies])
+        for body, expected in zip(bodies, share / share.sum(), strict=True):
+            found = (drawn == body.size).all(1).mean()
+            assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / 4000))
+    state = rng.bit_generator.state
+    assert MIXES["mixed"].mean_size(CAR, rng).tolist() == list(ROAD_USERS[CAR].size)
+    assert rng.bit_generator.state == state  # no other random numbers where there are no bodies
+
+
+def test_a_fleet_drives_without_overlaps():
+    """Semi-trailers and buses turn with the others; the longest is as long as allowed."""
+    traffic = waypoint_traffic(
+        crossing(), radius=50, count=40, frames=40, mix="fleet", step=2.0, seed=3
+    )
+    assert not overlapping(traffic)
+    length = traffic.size[..., 0][traffic.valid]
+    assert length.max() > 11
+    assert length.max() <= 16.5 * 1.06
+    cars = traffic.size[..., 0][traffic.valid & (traffic.kind == CAR)]
+    assert cars.min() < 4.0
+    assert cars.max() > 4.8
+    assert traffic.mean_count > 36
 
 
 def test_stands_on_the_ground_of_its_route() -> None:
@@ -337,7 +367,7 @@ def test_progress_is_told() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, largest; did you mean mixed?"),
+        ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, fleet, largest; did you mean mixed?"),
         ({"count": -1}, "traffic count -1 is out of range: at least 0"),
         ({"frames": 0}, "traffic frames 0 is out of range: at least 1"),
         ({"seed": -1}, "traffic seed -1 is out of range: at least 0"),

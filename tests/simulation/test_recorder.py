@@ -221,7 +221,7 @@ PARTIAL = {
 
 @pytest.fixture(scope="module")
 def crowded():
-    return four_way(density="high")
+    return four_way(density=45)
 
 
 @pytest.mark.parametrize("name", PARTIAL)
@@ -528,8 +528,8 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
     assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
 
 
-def test_boxes_are_where_the_traffic_has_them(scene):
-    t = scene.traffic
+def test_boxes_are_where_the_traffic_has_them():
+    t = four_way(density="low").traffic  # so few that they drive
     on = np.flatnonzero(t.valid[1])
     for b, box in zip(on, boxes_at(t, 1, 0), strict=True):
         assert (box.track, box.yaw) == (t.track[1, b], t.yaw[1, b])

@@ -1,7 +1,7 @@
 """Traffic as frames of oriented prisms, with road-user classes, mixes and densities."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -52,23 +52,82 @@ ROAD_USERS: tuple[RoadUser, ...] = (
 """How each class looks and moves in the waypoint model, in the order of :data:`CLASSES`."""
 
 
+class Body(NamedTuple):
+    """One sort of vehicle or person of a class: its share of the class, and its mean length, width
+    and height [m]."""
+
+    share: float
+    size: tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Mix:
     """Who is on the road: the share of each of :data:`CLASSES`, and how much sizes vary.
 
-    Length, width and height are each normal about the class mean, with standard
-    deviation ``spread``·mean, within two standard deviations.
+    Length, width and height are each normal about a mean, with standard deviation ``spread``·mean,
+    within two standard deviations. The mean is that of the class, or that of one of its ``bodies``,
+    drawn by their shares, where the class has any.
     """
 
     shares: tuple[float, ...]
     spread: float
+    bodies: Mapping[str, tuple[Body, ...]] = field(default_factory=dict)
 
+    def mean_size(self, kind: int, rng: np.random.Generator) -> Float[np.ndarray, "3"]:
+        """The mean size [m] of a road user of the class CLASSES[kind]."""
+        bodies = self.bodies.get(CLASSES[kind])
+        if not bodies:
+            return np.array(ROAD_USERS[kind].size)
+        share = np.array([body.share for body in bodies])
+        return np.array(bodies[rng.choice(len(bodies), p=share / share.sum())].size)
+
+
+FLEET: Mapping[str, tuple[Body, ...]] = {
+    "car": (
+        Body(7, (3.60, 1.65, 1.50)),  # mini: VW up
+        Body(18, (4.07, 1.75, 1.45)),  # small: VW Polo
+        Body(24, (4.28, 1.79, 1.49)),  # compact: VW Golf
+        Body(12, (4.77, 1.83, 1.48)),  # medium: VW Passat
+        Body(5, (4.94, 1.87, 1.47)),  # large: Mercedes E class
+        Body(10, (4.51, 1.84, 1.68)),  # SUV: VW Tiguan
+        Body(6, (4.92, 2.00, 1.75)),  # off-road: BMW X5
+        Body(9, (4.53, 1.83, 1.66)),  # mini van: VW Touran
+        Body(4, (4.90, 1.90, 1.99)),  # large van: VW T6
+        Body(5, (5.93, 2.02, 2.62)),  # van of trade: Mercedes Sprinter, medium
+    ),
+    "truck": (
+        Body(35, (7.10, 2.30, 3.20)),  # 7.5 t: Mercedes Atego
+        Body(25, (9.80, 2.55, 3.80)),  # 18 t with a box
+        Body(10, (9.50, 2.55, 3.50)),  # refuse collector, three axles
+        Body(15, (12.14, 2.55, 3.12)),  # city bus: Mercedes Citaro
+        Body(15, (16.50, 2.55, 4.00)),  # semi-trailer: the longest and highest of 96/53/EC
+    ),
+    "cyclist": (
+        Body(80, (1.80, 0.65, 1.75)),
+        Body(8, (2.50, 0.75, 1.75)),  # cargo bicycle: Urban Arrow
+        Body(12, (2.10, 0.80, 1.65)),  # motorcycle or scooter with its rider
+    ),
+    "pedestrian": (
+        Body(82, (0.50, 0.50, 1.72)),
+        Body(10, (0.45, 0.45, 1.45)),  # 11 years old
+        Body(8, (0.40, 0.40, 1.15)),  # 6 years old
+    ),
+}
+"""Vehicles as they are registered, and people of all ages.
+
+Sizes are those of makers' data sheets, of one model for each segment. Shares of cars are those of
+Germany's stock on 1 January 2022 (Kraftfahrt-Bundesamt), rounded, without sports cars and camping
+vans, and with vans of trade. Heights of children are the medians of WHO's growth reference 2007.
+Shares of trucks, bicycles and children are assumptions: they differ from street to street.
+"""
 
 MIXES: dict[str, Mix] = {
     "mixed": Mix(shares=(0.68, 0.10, 0.10, 0.12), spread=0.06),
+    "fleet": Mix(shares=(0.68, 0.10, 0.10, 0.12), spread=0.03, bodies=FLEET),
     "largest": Mix(shares=(0.0, 1.0, 0.0, 0.0), spread=0.0),
 }
-"""Traffic mixes by name. ``largest`` is the paper's: every box is the largest vehicle."""
+"""Traffic mixes by name. ``fleet`` has vehicles and people as varied as real ones, for data sets;
+``largest`` is the paper's: every box is the largest vehicle."""
 
 
 @jax.tree_util.register_dataclass

@@ -57,7 +57,7 @@ class ArrivalStream:
 
     kind: int
     paths: list[TravelPath]
-    spread: float
+    mix: Mix
     rng: np.random.Generator
     when: list[float] = field(default_factory=list)
     path_index: list[int] = field(default_factory=list)
@@ -70,8 +70,9 @@ class ArrivalStream:
             last = self.when[-1] if self.when else 0.0
             self.when.append(last + self.rng.exponential())
             self.path_index.append(int(self.rng.choice(len(self.paths), p=weight / weight.sum())))
-            varied = np.clip(self.rng.standard_normal(3), -2, 2) * self.spread
-            self.size.append(np.array(ROAD_USERS[self.kind].size) * (1 + varied))
+            mean = self.mix.mean_size(self.kind, self.rng)
+            varied = np.clip(self.rng.standard_normal(3), -2, 2) * self.mix.spread
+            self.size.append(mean * (1 + varied))
         return int(np.searchsorted(self.when, time))
 
 
@@ -145,7 +146,7 @@ def _streams(
     """A stream of arrivals for each class that is wanted, each with random numbers of its own."""
     streams = np.random.default_rng(seed).spawn(len(CLASSES))
     return [
-        ArrivalStream(kind, paths[name], mix.spread, rng)
+        ArrivalStream(kind, paths[name], mix, rng)
         for kind, (name, rng) in enumerate(zip(CLASSES, streams, strict=True))
         if wanted[kind]
     ]

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.scene.traffic.frames import RoadUser
+from inspe_jax.scene.traffic.frames import Mix, RoadUser
 from inspe_jax.scene.traffic.waypoint.model import ARRIVALS, BRAKING, REACTION, WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths
 
@@ -44,11 +44,11 @@ class CongestedModel(WaypointModel):
         paths: Paths,
         users: tuple[RoadUser, ...],
         kind: Int[np.ndarray, " M"],
-        spread: float,
+        mix: Mix,
         rng: np.random.Generator,
         spare: Int[np.ndarray, " S"],
     ) -> None:
-        super().__init__(paths, users, np.concatenate([kind, spare]), spread, rng)
+        super().__init__(paths, users, np.concatenate([kind, spare]), mix, rng)
         self.asked_for = len(kind)
         self.is_spare = np.arange(len(self.kind)) >= len(kind)
         self.quota = np.bincount(kind, minlength=len(users))

@@ -107,8 +107,7 @@ def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
 def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointModel:
     """A model after its warm-up: of free roads, or of congested ones if those do not hold all."""
     rng = np.random.default_rng(seed)
-    spread = MIXES[mix].spread
-    model = WaypointModel(paths, ROAD_USERS, rng.permutation(kind), spread, rng)
+    model = WaypointModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix], rng)
     model.fill()
     _advance(model, WARM_UP - WATCHED)
     there = _advance(model, WATCHED)
@@ -118,7 +117,7 @@ def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointM
     may_walk = (kind == walkers).any()
     spare = np.full(len(kind) if may_walk else 0, walkers, kind.dtype)
     rng = np.random.default_rng(seed)
-    full = CongestedModel(paths, ROAD_USERS, rng.permutation(kind), spread, rng, spare)
+    full = CongestedModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix], rng, spare)
     full.fill()
     _advance(full, CONGESTED_WARM_UP)
     return full

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.scene.traffic.frames import RoadUser
+from inspe_jax.scene.traffic.frames import Mix, RoadUser
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths
 
 BRAKING = 3.0  # that drivers expect of themselves and of the road user ahead [m/s²]
@@ -35,11 +35,11 @@ class WaypointModel:
         paths: Paths,
         users: tuple[RoadUser, ...],
         kind: Int[np.ndarray, " M"],
-        spread: float,
+        mix: Mix,
         rng: np.random.Generator,
     ) -> None:
         many = len(kind)
-        self.paths, self.rng, self.spread, self.kind = paths, rng, spread, kind
+        self.paths, self.rng, self.mix, self.kind = paths, rng, mix, kind
         self.mean_size = np.array([u.size for u in users])[kind]  # (M, 3)
         self.top_speed = np.array([u.top_speed for u in users])[kind]
         self.acceleration = np.array([u.acceleration for u in users])[kind]
@@ -105,7 +105,8 @@ class WaypointModel:
         among = self.choices[self.route[who]]
         weight = self.paths.weight[among]
         self.path[who] = self.rng.choice(among, p=weight / weight.sum())
-        size = self.mean_size[who] * (1 + self.spread * _truncated_normal(self.rng, 3))
+        mean = self.mix.mean_size(int(self.kind[who]), self.rng)
+        size = mean * (1 + self.mix.spread * _truncated_normal(self.rng, 3))
         # A body leaves part of its lane free; otherwise neighbours could never pass.
         size[1] = min(size[1], max(self.paths.width[self.path[who]] - 0.3, 0.5))
         self.size[who] = size

@@ -61,9 +61,9 @@ class Targets(NamedTuple):
 
     ``boxes`` are x, y, z of the middle, length, width, height [m], yaw [rad], and velocity in x and
     y [m/s]. ``kind`` is the index in :data:`~inspe_jax.simulation.frame.KINDS`, ``track`` the
-    number of the road user in its scenario, and ``returns`` how many points of each LiDAR are in
-    the box: 0 for a LiDAR that is not present, and all of its points, also those that padding or
-    pillars have no place for.
+    number of the road user in its scenario, and ``returns`` how many returns each LiDAR has of it
+    (if the set does not say: how many points in its box): 0 for a LiDAR that is not present, and
+    all of them, also those that padding or pillars have no place for.
     """
 
     boxes: Float32[np.ndarray, "B M 9"]

@@ -18,7 +18,7 @@ from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.dataset.loading.points import to_steps
 from inspe_jax.dataset.loading.stored import INDEX, PICTURES, POINTS, RECORD, STATIC
-from inspe_jax.dataset.points_in_boxes import count_inside
+from inspe_jax.dataset.points_in_boxes import returns_of
 from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Scan
 
 PART = ".part"
@@ -236,7 +236,7 @@ class _Index:
             self.boxes.append(np.concatenate(given).astype(float))
             self.kinds.append(KINDS.index(box.kind))
             self.tracks.append(box.track)
-        self.returns.append(count_inside(scans, boxes).T)  # (B, S)
+        self.returns.append(returns_of(scans, boxes).T)  # (B, S)
         self.box_starts.append(len(self.boxes))
 
     def all_boxes(self) -> Float[np.ndarray, "N 9"]:

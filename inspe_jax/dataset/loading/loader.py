@@ -4,7 +4,7 @@ Why threads, not worker processes as in PyTorch or ``grain``: what takes time is
 multiplying large arrays, during which Python's lock is free, and threads need not copy a batch from
 one process to another. A :class:`Loader` is a source of random access, so ``grain`` can read it all
 the same: ``grain.MapDataset.source(loader).repeat()``. By ``experiments/loading.py`` its threads
-are as fast as these, and its worker processes take five times as long.
+are about as fast as these, and its worker processes take two to six times as long.
 """
 
 from collections import deque

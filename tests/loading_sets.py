@@ -97,8 +97,8 @@ def write_scenario(folder: Path, frames, **protocol) -> None:
     """Write frames and a protocol that says where the middle is."""
     for frame in frames:
         write_frame(folder, frame)
-    scene = {"name": "made", "map": "made.xodr", "center": MIDDLE[:2].tolist()}
-    write_protocol(folder, {"world": WORLD, "scene": scene, **protocol}, frames[0].stations)
+    told = {"world": WORLD, "middle": MIDDLE.tolist(), **protocol}
+    write_protocol(folder, told, frames[0].stations)
 
 
 def write_set(root: Path) -> Path:

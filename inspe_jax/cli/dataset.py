@@ -171,6 +171,49 @@ def check_files(
         raise typer.Exit(1)
 
 
+@dataset_app.command("cache")
+def decode(
+    folder: SetArgument,
+    into: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the cache.")],
+    size: Annotated[
+        str,
+        typer.Option(
+            "--pictures", metavar="WxH", help="Width and height of pictures, or none for none."
+        ),
+    ] = "400x300",
+    workers: Annotated[
+        int | None, typer.Option(help="Number of processes; one per core if not given.")
+    ] = None,
+) -> None:
+    """Decode a data set into arrays that training reads at once, many times as fast as the files.
+
+    `inspe_jax.dataset.Loader` gives batches of the cache. After a stop, the same command goes on.
+
+    Examples:
+
+    - `inspe dataset cache infra --out infra_cache`
+    - `inspe dataset cache infra --out infra_cache --pictures 352x128`
+    - `inspe dataset cache infra --out infra_cache --pictures none`
+    """
+    import re
+
+    from inspe_jax.core.errors import InspeError
+    from inspe_jax.dataset import cache
+
+    found = re.fullmatch(r"(\d+)x(\d+)", size)
+    if not found and size != "none":
+        raise InspeError(f"--pictures {size}: width and height such as 400x300, or none")
+    pictures = (int(found[2]), int(found[1])) if found else None
+    with progress("frames") as tell:
+        made = cache(folder, into, pictures=pictures, workers=workers, progress=tell)
+    frames = sum(scenario.record.frames for scenario in made.scenarios)
+    out.print(
+        f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
 @dataset_app.command("show")
 def show_frame(
     folder: SetArgument,

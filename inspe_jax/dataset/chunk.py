@@ -114,7 +114,9 @@ class WorkerState:
             )
             short = scene.shortfall
             self.notes = (*self.recorder.notes, *([f"road users: {short}"] if short else []))
-            self.protocol = protocol_of(plan, content, chunk.backend, self.notes, chunk.format)
+            self.protocol = protocol_of(
+                plan, content, chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist()
+            )
         except Exception as e:
             self.error = message_of(e)
 

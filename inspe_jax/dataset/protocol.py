@@ -88,6 +88,7 @@ class _Protocol(Strict):
     layout: dict[str, Any]
     versions: dict[str, str]
     notes: list[str] = Field(default=[])
+    middle: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
     lidar_range: dict[int, list[float]] = Field(default={})
     stations: dict[int, str] = Field(default={})
 
@@ -104,11 +105,13 @@ def protocol_of(
     backend: str,
     notes: Sequence[str] = (),
     format: str = DEFAULT_FORMAT,
+    middle: Sequence[float] | None = None,
 ) -> dict[str, Any]:
     """The content of a scenario's protocol.
 
     ``layout`` is the content of a layout file; ``notes`` say what could not be recorded as the
-    layout has it; ``format`` is that of the data set.
+    layout has it; ``format`` is that of the data set; ``middle`` is that of the region of interest
+    [m].
     """
     source = plan.source.anywhere
     scene = {
@@ -151,6 +154,7 @@ def protocol_of(
         **({"tags": dict(plan.tags)} if plan.tags else {}),
         "layout": dict(layout),
         "versions": versions(backend),
+        **({"middle": [float(x) for x in middle]} if middle is not None else {}),
         **({"notes": list(notes)} if notes else {}),
     }
 

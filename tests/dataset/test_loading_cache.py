@@ -143,16 +143,14 @@ def test_poses_that_change_and_poses_that_do_not(tmp_path):
 
 
 def test_the_middle_without_a_protocol_that_says_it(tmp_path):
-    """It is that of the road users in plan and on the ground; for a built-in, the origin."""
+    """It is that of the road users in plan and on the ground."""
     frames = [frame_of(0), frame_of(1)]
-    for name, scene in (("plain", {"name": "x", "map": "x.xodr"}), ("built", {"built_in": "x"})):
-        write_scenario(tmp_path / "set" / "train" / name, frames, scene=scene)
+    write_scenario(tmp_path / "set" / "train" / "plain", frames, middle=None)
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=None, workers=1)
-    built, plain = found.split("train")
+    (plain,) = found.split("train")
     places = np.array([box.center for frame in frames for box in frame.boxes])
     between = (places.min(0) + places.max(0)) / 2
     np.testing.assert_allclose(plain.middle, [*between[:2], MIDDLE[2]], atol=1e-5)
-    np.testing.assert_allclose(built.middle, [0, 0, MIDDLE[2]], atol=1e-5)
 
 
 def test_what_was_decoded_is_not_decoded_again(made, cached, monkeypatch):

@@ -109,11 +109,14 @@ def resized(rgb: Any, size: tuple[int, int]) -> np.ndarray:
 def middle_of(scenario: Scenario, index: "_Index") -> list[float]:
     """The middle of the intersection on the ground [m].
 
-    In plan it is what the protocol says: the ``center`` of its scene, or the origin for a built-in.
-    Otherwise it is the middle of where road users are in all frames, which is the same for every
-    placement of sensors in the same traffic. The ground is the median of the bottoms of all boxes.
-    Without road users, both are below the middle of the sensors.
+    It is what the protocol says. Of a set whose protocols do not say it, it is the middle of where
+    road users are in all frames, which is the same for every placement of sensors in the same
+    traffic, or of the sensors where there are no road users. The ground is then the median of the
+    bottoms of all boxes.
     """
+    told = scenario.protocol.get("middle")
+    if isinstance(told, list) and len(told) == 3:
+        return [float(x) for x in told]
     boxes = index.all_boxes()
     poses = np.concatenate([*index.lidar_poses, *index.camera_poses, np.zeros((0, 4, 4))])
     middle = np.zeros(3)
@@ -122,11 +125,6 @@ def middle_of(scenario: Scenario, index: "_Index") -> list[float]:
         middle[2] = np.median(boxes[:, 2] - boxes[:, 5] / 2)
     elif len(poses):
         middle[:2] = (poses[:, :2, 3].min(0) + poses[:, :2, 3].max(0)) / 2
-    scene = scenario.protocol.get("scene")
-    if isinstance(scene, dict) and scene.get("built_in"):
-        middle[:2] = 0.0
-    elif isinstance(scene, dict) and scene.get("center") is not None:
-        middle[:2] = scene["center"]
     return middle.tolist()
 
 

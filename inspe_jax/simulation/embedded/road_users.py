@@ -1,7 +1,9 @@
 """The road users of a frame: as boxes with names, and as triangles that rays can hit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -9,7 +11,7 @@ from jaxtyping import Float, Int
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.frames import CLASSES, TrafficFrames
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, paint, shape_of
+from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, fitting, paint, shape_of
 from inspe_jax.simulation.frame import RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
@@ -29,14 +31,14 @@ class RoadUserTriangles:
 def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
     """The road users of frame t.
 
-    A road user's name, which is its shape, depends only on its track and the seed, so it is the
-    same in every frame.
+    A road user's name, which is its shape, depends only on its track, its size and the seed, so it
+    is the same in every frame.
     """
     return tuple(
         RoadUserBox(
             track=int(traffic.track[t, b]),
             kind=(kind := CLASSES[traffic.kind[t, b]]),
-            name=VARIANTS[kind][_variant(kind, int(traffic.track[t, b]), seed)],
+            name=VARIANTS[kind][_variant(kind, int(traffic.track[t, b]), seed, traffic.size[t, b])],
             center=np.asarray(traffic.center[t, b], float),
             yaw=float(traffic.yaw[t, b]),
             size=np.asarray(traffic.size[t, b], float),
@@ -46,8 +48,9 @@ def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ..
     )
 
 
-def _variant(kind: str, track: int, seed: int) -> int:
-    return int(np.random.default_rng([seed, track, 1]).integers(len(VARIANTS[kind])))
+def _variant(kind: str, track: int, seed: int, size: Float[np.ndarray, "3"]) -> int:
+    """One of the shapes that fit a box of this size [m]."""
+    return int(np.random.default_rng([seed, track, 1]).choice(fitting(kind, size)))
 
 
 def pose_road_users(
@@ -91,7 +94,8 @@ class FrameActors:
     """The road users of one frame, ready for rays at any moment close to the frame's time."""
 
     def __init__(self, boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
-        self.boxes = boxes
+        self.boxes, self.center = boxes, center
+        self._made: dict[Any, Any] = {}
         self.velocity = np.array([box.velocity for box in boxes], float).reshape(-1, 3)
         self._now = pose_road_users(boxes, center)
         self._at: dict[float, tuple[RoadUserTriangles, Caster]] = {}
@@ -110,3 +114,9 @@ class FrameActors:
         if k not in self._alone:
             self._alone[k] = Caster(self._now.triangles[self._now.box == k])
         return self._alone[k]
+
+    def once(self, make: Callable[["FrameActors"], Any]) -> Any:
+        """What ``make`` returns for these road users: made once a frame for all sensors."""
+        if make not in self._made:
+            self._made[make] = make(self)
+        return self._made[make]

@@ -202,8 +202,8 @@ def axle(x: float, radius: float, half: float, *, edges: int = 8, hub: int = 4) 
 
 def tube(
     path: Points,
-    wide: Sequence[float],
-    deep: Sequence[float],
+    wide: Sequence[float] | Float[np.ndarray, " n"],
+    deep: Sequence[float] | Float[np.ndarray, " n"],
     parts: Sequence[str | Sequence[str]],
     *,
     edges: int,

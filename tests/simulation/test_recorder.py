@@ -23,12 +23,14 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.embedded.camera import SHADOWED, SunlitPoints
+from inspe_jax.simulation.embedded.camera import SHADOWED
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
+from inspe_jax.simulation.embedded.shapes import VARIANTS
 from inspe_jax.simulation.embedded.static_world import BUILDING, CROWN, POLE, ROOF, TRUNK
+from inspe_jax.simulation.embedded.sunlit import SunlitPoints
 from inspe_jax.simulation.recorder import LAYERS, Recording
 from inspe_jax.visibility import raycast
 
@@ -563,7 +565,7 @@ def test_road_users_keep_their_looks(scene):
     for t in range(scene.traffic.frame_count):
         for box in boxes_at(scene.traffic, t, 0):
             assert names.setdefault(box.track, box.name) == box.name
-            assert box.name.split(".")[0] in {"car", "truck", "bicycle", "walker"}
+            assert box.name in VARIANTS[box.kind]
     assert len(set(names.values())) > 4
     assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
 

@@ -10,50 +10,30 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
-from scipy.ndimage import minimum_filter
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.scene.regions import Region
 from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.light import parts, tone_map
+from inspe_jax.simulation.embedded.headlights import COLOUR, beams_of, on_road_users
+from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
+from inspe_jax.simulation.embedded.lit_ground import LitGround
 from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
 from inspe_jax.simulation.embedded.shading import FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
-from inspe_jax.simulation.embedded.static_world import (
-    BUILDING,
-    CROWN,
-    GROUND,
-    KERB,
-    POLE,
-    ROOF,
-    TRUNK,
-    StaticWorld,
-)
-from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
+from inspe_jax.simulation.embedded.static_look import static_look
+from inspe_jax.simulation.embedded.sunlit import LONGEST, SunlitPoints
 from inspe_jax.simulation.embedded.surroundings import Surroundings
+from inspe_jax.simulation.embedded.wet_road import reflected, wetness_at
 from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
-LONGEST = 200.0
-"""Longest shadow of anything [m]."""
-ASIDE = 8.0
-"""No road user reaches further from its centre in plan [m]."""
 SKY = 11
 SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
 """CARLA's semantic labels (0.9.14 and later) of the classes, as all other labels here."""
-_OF_MATERIAL = {KERB: 2, BUILDING: 3, ROOF: 3, TRUNK: 9, CROWN: 9, POLE: 6}
-_OF_LABEL = {
-    Region.DRIVEWAY: 1,
-    Region.JUNCTION: 1,
-    Region.CROSSWALK: 1,
-    Region.SIDEWALK: 2,
-    Region.SHOULDER: 25,
-    GRASS: 10,
-    PAINT: 24,
-}
+OF_SHAPE = {"bus": 16, "motorcycle": 18}
+"""The labels of shapes that CARLA tells apart, by the first word of the name."""
 _GLOSS = np.zeros(len(PARTS), np.float32)
 for _part, _reflectance in (("body", 0.04), ("window", 0.09), ("cargo", 0.02), ("lamp", 0.06)):
     _GLOSS[PARTS.index(_part)] = _reflectance
@@ -76,54 +56,6 @@ class Background(NamedTuple):
     ambient: Float[np.ndarray, "R 3"]
     colour: Float[np.ndarray, "R 3"]
     semantic: UInt8[np.ndarray, " R"]
-
-
-class SunlitPoints:
-    """Those of R points that are in the sun, sorted by the square metre of the plan they lie in.
-
-    ``reach`` is the distance from the centre, along x and y, up to which points count [m].
-    """
-
-    def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
-        self.reach, self.size = reach, int(2 * reach)
-        x, y = np.abs(point[:, :2].T)
-        pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
-        cell = np.floor(point[pixels, :2] + reach).astype(int)
-        cell = np.minimum(cell, self.size - 1)  # float32 sums may round up to the rim
-        number = cell[:, 1] * self.size + cell[:, 0]
-        order = np.argsort(number, kind="stable")
-        self.pixels = pixels[order]
-        self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
-        lowest = np.full(self.size**2, np.inf, np.float32)
-        np.minimum.at(lowest, number, point[pixels, 2])
-        square = lowest.reshape(self.size, self.size)
-        around = 2 * (int(ASIDE) + 1) + 1  # one metre more, which is the step in ``ends``
-        self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
-
-    def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
-        """Pixels of the points in the squares that the rectangle ``low`` to ``high`` touches."""
-        x0, y0 = np.clip(np.floor(low + self.reach), 0, self.size - 1).astype(int)
-        x1, y1 = np.clip(np.floor(high + self.reach), 0, self.size - 1).astype(int)
-        rows = np.arange(y0, y1 + 1) * self.size
-        runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
-        return np.concatenate([self.pixels[a:b] for a, b in runs])
-
-    def ends(
-        self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, " B"]:
-        """How far in plan shadows of points ``top`` reach along a direction that points down [m].
-
-        A shadow ends where no sunlit point is below its upper edge any more. On ground that falls
-        in this direction it is longer than on level ground.
-        """
-        far = np.arange(0, LONGEST)
-        unit = along / np.hypot(*along[:2])
-        at = top[:, None] + far[:, None] * unit
-        x, y = np.moveaxis(np.floor(at[..., :2] + self.reach).astype(int), -1, 0)
-        here = (np.minimum(x, y) >= -ASIDE) & (np.maximum(x, y) < self.size + ASIDE)
-        x, y = np.clip((x, y), 0, self.size - 1)
-        beneath = here & (self._lowest[y, x] < at[..., 2])
-        return np.where(beneath, far + 1, 0).max(-1)
 
 
 class ChangedPixels(NamedTuple):
@@ -164,6 +96,11 @@ class Camera:
         self.directions = np.ascontiguousarray(turned, np.float32)
         self.origin = (self.pose[:3] - self.static_world.center).astype(np.float32)
         self.background = self._background()
+        self.gain = metered_gain(self.background.colour, self.light)
+        self.lit_ground = None
+        if surroundings.ground is not None:
+            shown = self.background.point, self.background.distance, self.background.semantic
+            self.lit_ground = LitGround(surroundings.ground, self.static_world, shading, *shown)
         self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
     # ── The static world ────────────────────────────────────────────────────
@@ -187,7 +124,13 @@ class Camera:
         shading, hit = self.shading, face >= 0
         point = self._points(pixels, np.where(hit, distance, 0))
         albedo, semantic = static_look(self.static_world, face, point, normal)
+        wet = wetness_at(self.static_world, face, point, shading.wet)
+        albedo *= (1 - wet.darker)[:, None]
         ambient = shading.ambient_light(point, normal, albedo)
+        if shading.wet > 0:
+            at = np.flatnonzero(wet.film)
+            given = wet.at(at), point[at], normal[at], self.directions[pixels][at]
+            ambient[at] += reflected(self.static_world, self.static_caster, shading, *given)
         ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0
@@ -228,13 +171,21 @@ class Camera:
         painted = paints(actors.boxes, seed)
         middle = None
         total = self.background.colour.copy()
+        if self.lit_ground is not None:
+            at, added = self.lit_ground.added(actors, self.origin)
+            total[at] += added
+        still = total.copy() if self.lit_ground is not None else self.background.colour
         for k in range(moments):
             after = ((k + 0.5) / moments - 0.5) * self.light.exposure
             seen = self._changes_at(actors, painted, after)
-            total[seen.pixels] += (seen.colour - self.background.colour[seen.pixels]) / moments
+            colour, own = seen.colour, still[seen.pixels]
+            if self.lit_ground is not None and self.light.has_sun:
+                shadow = np.flatnonzero(seen.box < 0)  # headlights reach into it
+                colour[shadow] += own[shadow] - self.background.colour[seen.pixels[shadow]]
+            total[seen.pixels] += (colour - own) / moments
             middle = seen if after == 0 else middle
         shape = (self.height, self.width)
-        rgb = tone_map(total.reshape(*shape, 3), self.light, rng)
+        rgb = tone_map(total.reshape(*shape, 3), self.gain, rng)
         middle = middle or self._changes_at(actors, painted, 0.0)
         extra = {}
         if layers:
@@ -263,7 +214,8 @@ class Camera:
         at, box = seen.pixels[hit], seen.box[hit]
         distance[at] = seen.distance[hit]
         instance[at] = np.array([t.track + 1 for t in boxes], int)[box]
-        semantic[at] = np.array([SEMANTIC[t.kind] for t in boxes], int)[box]
+        labels = [OF_SHAPE.get(t.name.split(".")[0], SEMANTIC[t.kind]) for t in boxes]
+        semantic[at] = np.array(labels, int)[box]
         return {
             "depth": (distance * self.ahead).astype(np.float32),
             "instance": instance,
@@ -280,7 +232,7 @@ class Camera:
         hit = hits.face >= 0
         at, distance, face = pixels[hit], hits.distance[hit], hits.face[hit]
         look = self._road_user_colours(
-            caster, road_users, painted, at, distance, face, hits.normal[hit]
+            caster, actors, road_users, painted, at, distance, face, hits.normal[hit]
         )
         covered = np.zeros(len(self.directions), bool)
         covered[at] = True
@@ -298,6 +250,7 @@ class Camera:
     def _road_user_colours(
         self,
         caster: Caster,
+        actors: FrameActors,
         road_users: RoadUserTriangles,
         painted: np.ndarray,
         at: np.ndarray,
@@ -318,6 +271,10 @@ class Camera:
             colour[lit] += direct[lit]
         colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)
         if self.light.lamps > 0:
+            beams, box = actors.once(beams_of), road_users.box[face]
+            lit = on_road_users(actors, beams, point, normal, box, self.light)
+            own = np.flatnonzero(lit)
+            colour[own] += albedo[own] * (lit[own, None] * (np.float32(self.light.lamps) * COLOUR))
             colour += _GLOW[part] * np.float32(self.light.lamps)
         return colour
 
@@ -348,55 +305,3 @@ class Camera:
         for outline in outlines(self, box_corners, self.width, self.height, margin=2.0):
             pen.polygon(outline.ravel().tolist(), fill=1)
         return np.flatnonzero(np.asarray(wanted))
-
-
-def static_look(
-    static_world: StaticWorld, face: np.ndarray, point: np.ndarray, normal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(linear albedo, CARLA's label) of the static world at points where rays hit its faces."""
-    material = np.where(face >= 0, static_world.material[face], -1)
-    body = np.where(face >= 0, static_world.body[face], 0)
-    albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
-    for kind, label in _OF_MATERIAL.items():
-        semantic[material == kind] = label
-    ground = material == GROUND
-    world = point[:, :2] + static_world.center[:2]
-    albedo[ground] = static_world.surface.albedo(world[ground])
-    labels = np.array([_OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
-    semantic[ground] = labels[static_world.surface.label(world[ground])]
-    albedo[material == KERB] = 0.34
-    albedo[material == ROOF] = [0.16, 0.12, 0.11]
-    albedo[material == TRUNK] = [0.11, 0.075, 0.05]
-    albedo[material == POLE] = [0.28, 0.29, 0.30]
-    crown = material == CROWN
-    leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
-    tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
-    albedo[crown] = np.array([0.065, 0.11, 0.035]) * (leaf * tint)[:, None]
-    wall = material == BUILDING
-    albedo[wall] = _facade_colours(point[wall], normal[wall], body[wall])
-    return albedo, semantic
-
-
-_WALLS = np.array(
-    [
-        [0.42, 0.36, 0.30],
-        [0.34, 0.17, 0.12],
-        [0.50, 0.48, 0.44],
-        [0.30, 0.31, 0.33],
-        [0.46, 0.38, 0.24],
-    ]
-)
-
-
-def _facade_colours(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """Linear albedo of walls: plaster or brick with rows of windows, one every 2.8 m and 3 m."""
-    along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
-    across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
-    pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)
-    frame = (across > 0.7) & (across < 2.2) & (up > 0.9) & (up < 2.5)
-    colour = (
-        _WALLS[body % len(_WALLS)]
-        * (0.9 + 0.2 * noise(np.column_stack([along, point[:, 2]]) * 1.3))[:, None]
-    )
-    colour = np.where(frame[:, None], 0.55, colour)
-    return np.where(pane[:, None], [0.05, 0.06, 0.075], colour)

@@ -17,9 +17,8 @@ class Light:
     ``elevation`` and ``azimuth`` are those of the sun [rad], the azimuth counter-clockwise from
     east. ``sun``, ``ambient`` and ``sky`` are the colours of direct light, of diffuse light and of
     the sky; ``lamps`` is how bright street lamps and headlights are, of 1. ``exposure`` is in
-    seconds; ``gain`` is the camera's. ``read`` and ``shot`` are the standard deviation of its noise
-    in the dark and at full scale, before the gain. A picture is the mean of so many ``moments``
-    of the exposure.
+    seconds. A camera's automatic gain aims at ``target`` for the mean brightness and goes up to
+    ``most``. A picture is the mean of so many ``moments`` of the exposure.
     """
 
     elevation: float
@@ -29,9 +28,8 @@ class Light:
     sky: tuple[float, float, float]
     lamps: float
     exposure: float
-    gain: float
-    read: float
-    shot: float
+    target: float
+    most: float
     moments: int
 
     @property
@@ -40,6 +38,11 @@ class Light:
         plan = np.cos(self.elevation)
         x, y = plan * np.cos(self.azimuth), plan * np.sin(self.azimuth)
         return np.array([x, y, np.sin(self.elevation)])
+
+    @property
+    def sky_over_lamps(self) -> float:
+        """How bright the diffuse light is where lamps are 1; infinite if they are off."""
+        return float(np.mean(self.ambient)) / self.lamps if self.lamps > 0 else np.inf
 
     @property
     def has_sun(self) -> bool:
@@ -51,27 +54,48 @@ LIGHTS: dict[str, Light] = {
     "midday": Light(
         elevation=np.radians(52), azimuth=np.radians(-65),
         sun=(0.95, 0.92, 0.86), ambient=(0.27, 0.30, 0.36), sky=(0.42, 0.60, 0.86),
-        lamps=0.0, exposure=0.001, gain=1.35, read=0.002, shot=0.008, moments=1,
+        lamps=0.0, exposure=0.001, target=0.16, most=2.0, moments=1,
     ),
     "dusk": Light(
         elevation=np.radians(7), azimuth=np.radians(165),
         sun=(0.42, 0.24, 0.11), ambient=(0.10, 0.105, 0.15), sky=(0.46, 0.33, 0.34),
-        lamps=0.25, exposure=0.008, gain=3.0, read=0.002, shot=0.012, moments=2,
+        lamps=0.25, exposure=0.008, target=0.09, most=8.0, moments=2,
     ),
     "night": Light(
         elevation=np.radians(-20), azimuth=0.0,
         sun=(0.0, 0.0, 0.0), ambient=(0.006, 0.007, 0.011), sky=(0.008, 0.010, 0.018),
-        lamps=1.0, exposure=0.033, gain=7.0, read=0.004, shot=0.02, moments=3,
+        lamps=1.0, exposure=0.033, target=0.05, most=32.0, moments=3,
     ),
 }  # fmt: skip
-"""Plausible values; the brightness has the order of magnitude that streets have."""
+"""Plausible values; the brightness has the order of magnitude that streets have.
+
+The unit is fixed by exposure, not by the scene: where a street lamp lights the road with 10 lx, the
+brightness of white is 0.11 at night. Gain of 32 is 30 dB, a usual limit of traffic cameras.
+"""
 
 LAMP = (6.0, 5.0, 3.6)
-"""Light of a street lamp at 1 m: a warm white."""
+"""Light of a street lamp at 1 m: a warm white. At 7.5 m this is 10 lx, as EN 13201 asks of streets
+with mixed traffic."""
+CANDELA = 6.0 / 560
+"""Light of 1 cd at 1 m: 10 lx at 7.5 m are 560 cd."""
+ELECTRONS = 6000.0
+"""Photo-electrons of a pixel at brightness 1.
+
+White is at a brightness of about 1.8 at midday: 11,000 electrons, the full well of pixels of 3 µm.
+At night it agrees with such a pixel's yield: 10 lx on asphalt (albedo 0.1) are 0.3 cd/m², through a
+lens of f/1.4 and in 33 ms some 60 electrons.
+"""
+READ = 2.5
+"""Standard deviation of a pixel's noise in the dark, in electrons: that of CMOS sensors now."""
+REDUCED = 0.5
+"""What a camera's own noise reduction leaves of the noise: as the mean over 4 pixels does."""
 KOSCHMIEDER = 3.0
 """Contrast falls to 5 % = exp(−3) at the meteorological optical range."""
 RAIN = 0.00025
 """Extinction per 1 mm/h of rain [1/m]."""
+
+SOAKED = 1.0
+"""Rain that leaves 1/e of a road dry [mm/h]: in drizzle it dries in places, in more it is wet."""
 
 
 def light_of(conditions: Conditions) -> Light:
@@ -88,16 +112,41 @@ def haze(conditions: Conditions) -> float:
     return RAIN * conditions.intensity
 
 
+def wetness(conditions: Conditions) -> float:
+    """How wet the roads are, of 1; 0 if it does not rain."""
+    if conditions.weather != "rain" or conditions.intensity is None:
+        return 0.0
+    return float(1 - np.exp(-conditions.intensity / SOAKED))
+
+
+def metered_gain(linear: Float[np.ndarray, "R 3"], light: Light) -> float:
+    """The automatic gain for a picture of linear light: it brings the geometric mean to the target.
+
+    It is between 1, which is none, and the light's largest. Every seventh pixel is measured, since
+    the light is metered and not each pixel.
+    """
+    brightness = np.asarray(linear, np.float64)[::7].mean(1)
+    mean = float(np.exp(np.log(np.maximum(brightness, 1e-5)).mean())) if len(brightness) else 1.0
+    return float(np.clip(light.target / mean, 1.0, light.most))
+
+
+def grain(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Standard deviation of the noise at a brightness, before the gain: shot and read noise."""
+    variance = np.maximum(linear, 0) * np.float32(1 / ELECTRONS) + np.float32(
+        (READ / ELECTRONS) ** 2
+    )
+    return np.float32(REDUCED) * np.sqrt(variance)
+
+
 def tone_map(
-    linear: Float[np.ndarray, "H W 3"], light: Light, rng: np.random.Generator
+    linear: Float[np.ndarray, "H W 3"], gain: float, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "H W 3"]:
     """The 8-bit picture of linear light: noise, gain, roll-off of highlights, sRGB's curve."""
     given = np.asarray(linear, np.float32).ravel()
     picture = np.empty(given.shape, np.uint8)
     for part in parts(len(given)):
         value = np.maximum(given[part], 0)
-        deviation = np.sqrt(light.read**2 + light.shot**2 / light.gain * value)
-        value = (value + deviation * _normal(len(value), rng)) * (light.gain * _FINE / WHITE)
+        value = (value + grain(value) * _normal(len(value), rng)) * (gain * _FINE / WHITE)
         step = np.clip(value, 0, _FINE).astype(np.int16)
         picture[part] = np.take(_CURVE, step, mode="clip")  # clipped already: the faster way
     return picture.reshape(np.shape(linear))

@@ -6,6 +6,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.headlights import GroundMap
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
 from inspe_jax.simulation.embedded.sensors import simulated_sensor
 from inspe_jax.simulation.embedded.shading import Shading
@@ -50,8 +51,10 @@ class EmbeddedRecorder:
         )
         self.static_caster = Caster(self.static_world.triangles)
         shading = Shading(conditions, self.static_world.poles - self.static_world.center)
+        place = scene.intersection, scene.voxels.radius
+        ground = GroundMap(*place, shading.light) if shading.light.lamps > 0 else None
         surroundings = Surroundings(
-            self.static_world, self.static_caster, shading, self.recording, appearance_seed
+            self.static_world, self.static_caster, shading, self.recording, appearance_seed, ground
         )
         self.sensors = [
             simulated_sensor(sensor.spec, pose, surroundings)

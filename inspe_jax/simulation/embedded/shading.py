@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.simulation.embedded.light import LAMP, haze, light_of, parts
+from inspe_jax.simulation.embedded.light import LAMP, haze, light_of, parts, wetness
 
 LAMP_ABOVE = 1.5
 """Height of street lamps above the tops of the poles [m]."""
@@ -20,6 +20,7 @@ class Shading:
 
     def __init__(self, conditions: Conditions, poles: Float[np.ndarray, "P 3"]) -> None:
         self.light, self.haze = light_of(conditions), haze(conditions)
+        self.wet = wetness(conditions)
         self.to_sun = self.light.to_sun.astype(np.float32)
         self.sun, self.ambient, self.sky_colour = (
             np.array(colour, np.float32)
@@ -59,10 +60,16 @@ class Shading:
         own = (self.lamps**2).sum(1) + 1
         for at in parts(len(point)):
             p, n = point[at], normal[at]
-            squared = own + np.einsum("rk,rk->r", p, p)[:, None] - 2 * (p @ self.lamps.T)
-            along = n @ self.lamps.T - np.einsum("rk,rk->r", p, n)[:, None]
-            near = 1 / np.sqrt(np.maximum(squared, 1))
-            found[at] = (np.maximum(along, 0) * near * near * near).sum(1)
+            squared = p @ (-2 * self.lamps.T)  # changed in place: most of the time is memory's
+            squared += np.einsum("rk,rk->r", p, p)[:, None]
+            squared += own
+            np.maximum(squared, 1, out=squared)
+            light = n @ self.lamps.T
+            light -= np.einsum("rk,rk->r", p, n)[:, None]
+            np.maximum(light, 0, out=light)
+            light /= squared
+            light /= np.sqrt(squared, out=squared)
+            found[at] = light.sum(1)
         return found
 
     def sky(self, directions: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.headlights import GroundMap
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.recorder import Recording
@@ -12,8 +13,9 @@ from inspe_jax.simulation.recorder import Recording
 class Surroundings:
     """The world around the sensors, its light, and what is to be recorded.
 
-    ``static_caster`` casts rays into the triangles of ``static_world``.
-    ``appearance_seed`` is that of the road users' shapes and colours.
+    ``static_caster`` casts rays into the triangles of ``static_world``. ``appearance_seed`` is that
+    of the road users' shapes and colours. ``ground`` is where their headlights are followed, None
+    by day.
     """
 
     static_world: StaticWorld
@@ -21,3 +23,4 @@ class Surroundings:
     shading: Shading
     recording: Recording
     appearance_seed: int
+    ground: GroundMap | None = None

@@ -1,0 +1,80 @@
+"""What the static world looks like: albedo and label at the points where rays hit it."""
+
+import numpy as np
+
+from inspe_jax.scene.regions import Region
+from inspe_jax.simulation.embedded.static_world import (
+    BUILDING,
+    CROWN,
+    GROUND,
+    KERB,
+    POLE,
+    ROOF,
+    TRUNK,
+    StaticWorld,
+)
+from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
+
+_OF_MATERIAL = {KERB: 2, BUILDING: 3, ROOF: 3, TRUNK: 9, CROWN: 9, POLE: 6}
+OF_LABEL = {
+    Region.DRIVEWAY: 1,
+    Region.JUNCTION: 1,
+    Region.CROSSWALK: 1,
+    Region.SIDEWALK: 2,
+    Region.SHOULDER: 25,
+    GRASS: 10,
+    PAINT: 24,
+}
+"""CARLA's semantic labels of materials, and of the labels of the ground."""
+
+
+def static_look(
+    static_world: StaticWorld, face: np.ndarray, point: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(linear albedo, CARLA's label) of the static world at points where rays hit its faces."""
+    material = np.where(face >= 0, static_world.material[face], -1)
+    body = np.where(face >= 0, static_world.body[face], 0)
+    albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
+    for kind, label in _OF_MATERIAL.items():
+        semantic[material == kind] = label
+    ground = material == GROUND
+    world = point[:, :2] + static_world.center[:2]
+    albedo[ground] = static_world.surface.albedo(world[ground])
+    labels = np.array([OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
+    semantic[ground] = labels[static_world.surface.label(world[ground])]
+    albedo[material == KERB] = 0.34
+    albedo[material == ROOF] = [0.16, 0.12, 0.11]
+    albedo[material == TRUNK] = [0.11, 0.075, 0.05]
+    albedo[material == POLE] = [0.28, 0.29, 0.30]
+    crown = material == CROWN
+    leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
+    tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
+    albedo[crown] = np.array([0.065, 0.11, 0.035]) * (leaf * tint)[:, None]
+    wall = material == BUILDING
+    albedo[wall] = _facade_colours(point[wall], normal[wall], body[wall])
+    return albedo, semantic
+
+
+_WALLS = np.array(
+    [
+        [0.42, 0.36, 0.30],
+        [0.34, 0.17, 0.12],
+        [0.50, 0.48, 0.44],
+        [0.30, 0.31, 0.33],
+        [0.46, 0.38, 0.24],
+    ]
+)
+
+
+def _facade_colours(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Linear albedo of walls: plaster or brick with rows of windows, one every 2.8 m and 3 m."""
+    along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
+    across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
+    pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)
+    frame = (across > 0.7) & (across < 2.2) & (up > 0.9) & (up < 2.5)
+    colour = (
+        _WALLS[body % len(_WALLS)]
+        * (0.9 + 0.2 * noise(np.column_stack([along, point[:, 2]]) * 1.3))[:, None]
+    )
+    colour = np.where(frame[:, None], 0.55, colour)
+    return np.where(pane[:, None], [0.05, 0.06, 0.075], colour)

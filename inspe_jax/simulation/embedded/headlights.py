@@ -103,6 +103,8 @@ class GroundMap:
 
     def __init__(self, intersection: Intersection, radius: float, light: Light) -> None:
         self.faint = FAINT * light.sky_over_lamps
+        # On level ground a lamp at height h gives at most PEAK · h / r³.
+        self.follow = min(REACH, (PEAK * HEIGHT[2] / self.faint) ** (1 / 3))
         self.reach = float(np.ceil(radius + BEYOND))
         line = np.arange(-self.reach, self.reach + STEP / 2, STEP)
         self.size = len(line)
@@ -141,7 +143,7 @@ class GroundMap:
             # The wedge of ±45° ahead: more to the side the beam is fainter than 1/1000.
             turn = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
             tips = [beams.ahead[k], turn @ beams.ahead[k], turn.T @ beams.ahead[k], np.zeros(2)]
-            ends = front[:2] + REACH * np.array(tips)
+            ends = front[:2] + self.follow * np.array(tips)
             low, high = (ends.min(0), ends.max(0))
             x0, y0 = np.clip(((low + self.reach) / STEP).astype(int), 0, self.size)
             x1, y1 = np.clip(((high + self.reach) / STEP).astype(int) + 1, 0, self.size)

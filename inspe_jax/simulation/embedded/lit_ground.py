@@ -20,7 +20,7 @@ from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.sunlit import PlanPoints
 from inspe_jax.simulation.embedded.wet_road import Wetness, glints, wetness_on
 
-STREAK = 0.35, 4.0, 1.5
+STREAK = 0.25, 3.0, 1.2
 """The reflection of a lamp in a wet road is looked for on this share of the way from below the lamp
 to below the camera, at least so far [m], and so far to either side [m]. It fades over its far half.
 """

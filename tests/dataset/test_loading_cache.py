@@ -287,8 +287,8 @@ def test_clouds_without_any_point(tmp_path):
         dataset.Station(unit.number, "", unit.pose, (), (dataset.Scan(unit.pose, empty),))
         for unit in frame_of(0).stations
     ]
-    frame, scene = dataset.Frame(0, 0.0, (), tuple(stations)), {"name": "x", "map": "x.xodr"}
-    write_scenario(tmp_path / "set" / "train" / "a", [frame], scene=scene)
+    frame = dataset.Frame(0, 0.0, (), tuple(stations))
+    write_scenario(tmp_path / "set" / "train" / "a", [frame], middle=None)
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", workers=1)
     middle = (stations[0].pose + stations[1].pose)[:2] / 2  # there is no road user either
     np.testing.assert_allclose(found.scenarios[0].middle, [*middle, 0], atol=1e-6)

@@ -236,7 +236,7 @@ def test_splits_of_any_number(kinds, proportions, random):
         (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
         (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
         (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
-        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
+        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, fleet, largest"),
         (dict(settings=dict(traffic="walk")), r"settings.traffic: 'walk': one of waypoints, sumo"),
         (dict(settings=dict(frames=5)), r"settings.frames: unknown key.*allowed: density, light"),
         (dict(settings=dict(method="none")), r"settings.method: unknown key"),

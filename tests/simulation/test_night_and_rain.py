@@ -30,8 +30,8 @@ def empty():
 
 def recorded(scene, pose, conditions, **options):
     layers = ("instance", "semantic", "depth")
-    given = Recording(layers=layers), *options.values()
-    recorder = EmbeddedRecorder(scene, place_sensors((SMALL, pose)), conditions, *given)
+    given = scene, place_sensors((SMALL, pose)), conditions, Recording(layers=layers)
+    recorder = EmbeddedRecorder(*given, **options)
     return recorder, recorder.frame(0).stations[0].images[0]
 
 
@@ -73,7 +73,7 @@ def test_an_unlit_car_stands_out_from_the_road_at_night():
     pose = [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]
     clear = []
     for seed in range(12):
-        recorder, image = recorded(scene, pose, NIGHT, seed=seed)
+        recorder, image = recorded(scene, pose, NIGHT, appearance_seed=seed)
         assert recorder.sensors[0].gain == light.LIGHTS["night"].most
         brightness = image.rgb.astype(float).mean(2)
         car = image.instance > 0

@@ -56,7 +56,7 @@ def options() -> argparse.Namespace:
     parser = command_line(__doc__)
     parser.add_argument("--keep", type=Path, help="folder that the set stays in: about 3 GB")
     parser.add_argument("--workers", type=int, help="processes; one a core if not given")
-    parser.add_argument("--mix", default="mixed", choices=list(MIXES), help="of the road users")
+    parser.add_argument("--mix", default="fleet", choices=list(MIXES), help="of the road users")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     if not given.quick and not MAPS.is_dir():

@@ -173,13 +173,13 @@ def _note_often(counts: "Counter[str]") -> None:
 
 def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: int | None) -> None:
     """Print a table of the splits, and the size and the time that the set would take."""
-    import os
-
+    from inspe_jax.core.parallel import cores
     from inspe_jax.dataset.estimate import estimate
     from inspe_jax.report.dataset_tables import content_table
 
+    workers = workers or cores()
     with progress("scenarios") as report:
-        found = estimate(generation, backend, report)
+        found = estimate(generation, backend, workers, report)
     each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
     out.print(
         f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
@@ -192,8 +192,7 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
     if found.size is None or found.seconds is None:
         note([f"backend {backend}: size and time are not known without its server"])
         return
-    workers = workers or os.cpu_count() or 1
-    hours = found.seconds / workers / 3600
+    hours = found.seconds / 3600
     took = f"{hours:.1f} h" if hours >= 1 else f"{max(60 * hours, 0.1):.1f} min"
     out.print(
         f"about {found.size / 1e9:.3g} GB, and {took} with {counted(workers, 'worker')} like this",

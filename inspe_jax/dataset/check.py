@@ -9,7 +9,7 @@ from typing import Any
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_yaml
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
-from inspe_jax.dataset.manifest import MANIFEST, Fault, faults, read_manifest
+from inspe_jax.dataset.manifest import MANIFEST, STRANGE, Fault, Manifest, faults, manifest_of
 
 GENERATION = "generation.yaml"
 """The record of a generated data set: among other things, which scenarios it has."""
@@ -57,27 +57,40 @@ def check(
     files = size = known = 0
     unknown = []
     for number, scenario in enumerate(data.scenarios, 1):
-        try:
-            manifest = read_manifest(scenario.path)
-        except InspeError as e:
-            path = scenario.path / MANIFEST
-            found.append(Fault(path, str(e).removeprefix(f"{path}: ")))
-            continue
-        if manifest is None:
-            unknown.append(scenario.path)
-        else:
+        manifest, broken = manifest_of(scenario.path)
+        found += broken
+        if manifest is not None:
             known, size = known + 1, size + manifest.size
             files += sum(1 for _ in manifest.all)
             found += faults(scenario.path, manifest, deep)
+            found += _missing_frames(scenario, manifest)
+        elif not broken:
+            unknown.append(scenario.path)
         if progress:
             progress(number, len(data.scenarios))
     return Check(known, files, size, tuple(found), tuple(unknown))
 
 
 def differing(scenario: Scenario) -> list[Fault]:
-    """The files of a scenario that have not the size that its manifest says, if it has one."""
-    manifest = read_manifest(scenario.path)
-    return [] if manifest is None else faults(scenario.path, manifest)
+    """The files of a scenario that have not the size that its manifest says, if it has one.
+
+    Files that the manifest does not know are left out.
+    """
+    manifest, broken = manifest_of(scenario.path)
+    found = [] if manifest is None else faults(scenario.path, manifest)
+    return broken + [fault for fault in found if fault.what != STRANGE]
+
+
+def _missing_frames(scenario: Scenario, manifest: Manifest) -> list[Fault]:
+    """A fault where the manifest lists fewer frames than the protocol says there are."""
+    try:
+        told = scenario.protocol
+        count = round(told["settings"]["seconds"] * told["recording"]["rate_hz"])
+    except (InspeError, KeyError, TypeError):
+        return []  # a damaged protocol is a fault of its own
+    if manifest.is_complete(count, scenario.format.protocol_file):
+        return []
+    return [Fault(scenario.path / MANIFEST, f"does not list all files of {count} frames")]
 
 
 def _missing_scenarios(data: Dataset) -> list[Fault]:

@@ -207,9 +207,8 @@ def os_error(e: BaseException) -> OSError | None:
 def _missing(chunk: Chunk) -> Iterator[int]:
     """Frames of a chunk that are not written yet; stops when the sending process is gone."""
     sender = multiprocessing.parent_process()
-    stored, folder = FORMATS[chunk.format], chunk.folder
     # No other process writes frames of this chunk now: this one holds the lock.
-    there = recorded_frames(folder) if stored.is_begun(folder) else ()
+    there = recorded_frames(chunk.folder)
     for t in sorted(set(range(chunk.first, chunk.last + 1)) - set(there)):
         if sender is not None and not sender.is_alive():
             return

@@ -1,7 +1,8 @@
 """What a data set would hold, how large it would be and how long it would take: before it is made.
 
-Every scene is built, so that road users are counted. Of every device one frame is recorded in each
-light and weather that it meets, on this machine; sizes and times of the set are sums of these.
+Every scene is built, so that road users are counted. Of every layout two frames are recorded in
+each light and weather, on the first scene that has it and on this machine; sizes and times of the
+set are sums of these.
 """
 
 import time
@@ -14,19 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from inspe_jax.dataset.chunk import layout_of
+from inspe_jax.dataset.chunk import SIZE, layout_of
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.manifest import record_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.points_in_boxes import counted
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.sensing.layout import Layout, Sensor, make_layout
 from inspe_jax.simulation.backends import BACKENDS, recorder_of
 from inspe_jax.study.work import scene_of
-
-HEAD = ".yaml"
-"""Suffix of the files that a station has once, however many sensors it has."""
 
 
 @dataclass
@@ -48,22 +45,20 @@ class SplitContent:
 
 @dataclass(frozen=True)
 class Sample:
-    """What one sensor takes: seconds until its first frame, and seconds and bytes a frame; ``head``
-    are the bytes a frame that its station takes, however many sensors it has."""
+    """What a layout takes: seconds until its first frame, and seconds and bytes a frame."""
 
     setup: float
     frame: float
     size: int
-    head: int
 
 
 @dataclass(frozen=True)
 class Estimate:
     """What a data set would hold and take.
 
-    ``size`` [bytes] and ``seconds`` of one process are None where the backend cannot be tried
-    without its server. ``shortfalls`` say what scenes have less of than was asked for, each with
-    the number of scenarios.
+    ``size`` [bytes] and ``seconds`` are None where the backend cannot be tried without its server.
+    ``shortfalls`` say what scenes have less of than was asked for, each with the number of
+    scenarios.
     """
 
     splits: Mapping[str, SplitContent]
@@ -75,15 +70,17 @@ class Estimate:
 def estimate(
     generation: Generation,
     backend: str | None = None,
+    workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Estimate:
-    """Build the scenes of a data set and try its sensors; nothing is left on disk.
+    """Build the scenes of a data set and try its layouts; nothing is left on disk.
 
-    ``progress`` is called with the number of scenarios done and of all. Raises InspeError as
-    generating does.
+    The seconds are those of ``workers`` processes, which share the frames of a scenario: each of
+    them builds its scene and opens its recorder. ``progress`` is called with the number of
+    scenarios done and of all. Raises InspeError as generating does.
     """
     backend = backend or generation.backend
-    tried = None if BACKENDS[backend].remote else dict[Any, Sample]()
+    tried = None if BACKENDS[backend].remote else dict[tuple[Any, ...], Sample]()
     splits = {split: SplitContent() for split in generation.splits}
     by_scene: dict[str, list[ScenarioPlan]] = {}
     for plan in generation.scenarios:
@@ -94,7 +91,8 @@ def estimate(
     for plans in by_scene.values():
         began = time.perf_counter()
         scene = scene_of(plans[0].source, plans[0].build)
-        seconds += time.perf_counter() - began
+        built = time.perf_counter() - began
+        seconds += built * min(workers, sum(map(_chunks, plans)))
         boxes = _boxes(scene)
         if scene.shortfall:
             where = f"{plans[0].source.name}, {plans[0].settings['density']}"
@@ -102,15 +100,15 @@ def estimate(
         for plan in plans:
             _count(splits[plan.split], plan, boxes)
             if tried is not None:
-                layout, _ = layout_of(plan, scene)
-                one, other = _cost(generation, plan, scene, layout, tried)
-                size, seconds = size + one, seconds + other
+                sample = _sample(generation.format, backend, plan, scene, tried)
+                size += plan.frames * sample.size
+                seconds += plan.frames * sample.frame + sample.setup * min(workers, _chunks(plan))
             done += 1
             if progress:
                 progress(done, len(generation.scenarios))
     if tried is None:
         return Estimate(splits, None, None, shortfalls)
-    return Estimate(splits, size, seconds, shortfalls)
+    return Estimate(splits, size, seconds / workers, shortfalls)
 
 
 def _boxes(scene: Scene) -> Counter[str]:
@@ -120,7 +118,7 @@ def _boxes(scene: Scene) -> Counter[str]:
 
 
 def _count(content: SplitContent, plan: ScenarioPlan, boxes: Counter[str]) -> None:
-    content.scenes.add(plan.traffic)
+    content.scenes.add(plan.traffic_key)
     content.scenarios += 1
     content.frames += plan.frames
     content.densities[str(plan.settings["density"])] += 1
@@ -128,48 +126,34 @@ def _count(content: SplitContent, plan: ScenarioPlan, boxes: Counter[str]) -> No
     content.boxes.update(boxes)
 
 
-def _cost(
-    generation: Generation,
-    plan: ScenarioPlan,
-    scene: Scene,
-    layout: Layout,
-    tried: dict[Any, Sample],
-) -> tuple[float, float]:
-    """Bytes and seconds that a scenario takes."""
-    samples = []
-    for sensor, pose in zip(layout.sensors, np.asarray(layout.poses), strict=True):
-        weather = plan.conditions.weather, plan.conditions.intensity
-        light = plan.conditions.light if sensor.spec.kind == "camera" else ""
-        key = sensor.spec, light, weather, plan.settings["density"]
-        if key not in tried:
-            tried[key] = _try(generation, plan, scene, layout, sensor, pose)
-        samples.append(tried[key])
-    world = min(sample.setup for sample in tried.values())  # what every recorder builds
-    setup = world + sum(sample.setup - world for sample in samples)
-    seconds = setup + plan.frames * sum(sample.frame for sample in samples)
-    head = float(np.mean([sample.head for sample in samples])) * len(layout.units)
-    return plan.frames * (sum(sample.size for sample in samples) + head), seconds
+def _chunks(plan: ScenarioPlan) -> int:
+    """The number of pieces in which the frames of a scenario are divided among workers."""
+    return -(-plan.frames // SIZE)
 
 
-def _try(
-    generation: Generation,
+def _sample(
+    format: str,
+    backend: str,
     plan: ScenarioPlan,
     scene: Scene,
-    layout: Layout,
-    sensor: Sensor,
-    pose: np.ndarray,
+    tried: dict[tuple[Any, ...], Sample],
 ) -> Sample:
-    """Record a frame with one sensor of a layout alone, in the middle of the scene's time."""
-    own = Sensor(sensor.name, sensor.spec, 0)
-    alone = make_layout([own], [layout.units[sensor.unit]], pose[None], layout.name)
+    """What a scenario's layout takes, tried where its like was not before."""
+    layout, _ = layout_of(plan, scene)
+    sees_light = any(sensor.spec.kind == "camera" for sensor in layout.sensors)
+    light = plan.conditions.light if sees_light else ""
+    key = plan.layout, light, plan.conditions.weather, plan.conditions.intensity
+    if key in tried:
+        return tried[key]
     began = time.perf_counter()
-    given = scene, alone, plan.conditions, plan.recording, plan.seed, None, plan.appearance_seed
-    with recorder_of(generation.backend, *given) as recorder, TemporaryDirectory() as folder:
+    given = scene, layout, plan.conditions, plan.recording, plan.seed, None, plan.appearance_seed
+    with recorder_of(backend, *given) as recorder, TemporaryDirectory() as folder:
         opened = time.perf_counter()
-        frame = counted(recorder.frame(plan.frames // 2))
-        files = FORMATS[generation.format].write(Path(folder), frame, plan.files)
-        record_frame(Path(folder), frame.number, files)
+        for t in (0, plan.frames // 2):  # what is done once, is done with the first
+            first = time.perf_counter()
+            files = FORMATS[format].write(Path(folder), counted(recorder.frame(t)), plan.files)
+            record_frame(Path(folder), t, files)
         ended = time.perf_counter()
-        sizes = [(path.suffix == HEAD, path.stat().st_size) for path in files]
-    head = sum(size for is_head, size in sizes if is_head)
-    return Sample(opened - began, ended - opened, sum(size for _, size in sizes) - head, head)
+        size = sum(path.stat().st_size for path in files)
+    tried[key] = Sample(opened - began, ended - first, size)
+    return tried[key]

@@ -14,7 +14,8 @@ read and compared by its digest as well, which takes as long as reading the disk
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Container, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from inspe_jax.core.files import write_text
 
 MANIFEST, RECORDS = "manifest.json", ".frames"
 FORMAT = "inspe_jax manifest 1"
+STRANGE = "not in the manifest"
 Files = Mapping[str, tuple[int, str]]
 """Size [bytes] and SHA-256 of files, by their path relative to the scenario's folder."""
 
@@ -44,6 +46,11 @@ class Manifest:
         for number, files in self.frames.items():
             for path, (size, digest) in files.items():
                 yield number, path, size, digest
+
+    def is_complete(self, frames: int, protocol: str) -> bool:
+        """Whether it lists files of every frame, 0 to ``frames`` − 1, and the file ``protocol``."""
+        listed = {number for number, files in self.frames.items() if files}
+        return listed == set(range(frames)) and protocol in self.files
 
     @property
     def size(self) -> int:
@@ -74,14 +81,31 @@ def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
     write_text(record, _text(_measured(folder, files)))
 
 
-def recorded_frames(folder: Path) -> dict[int, Files]:
-    """The records of the frames of an unfinished scenario, of which all files have their size."""
+def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
+    """The records of the frames of an unfinished scenario, of which all files have their size.
+
+    ``deep`` compares digests, too. A record that cannot be read counts as none.
+    """
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
-        files = _files(_read_json(path), path)
-        if not any(_fault_of(folder / file, size) for file, (size, _) in files.items()):
+        try:
+            files = _files(_read_json(path), path)
+        except InspeError:
+            continue
+        faulty = (
+            _fault_of(folder / file, size, digest if deep else None)
+            for file, (size, digest) in files.items()
+        )
+        if files and not any(faulty):
             found[int(path.stem)] = files
     return found
+
+
+def forget_others(folder: Path, frames: Container[int]) -> None:
+    """Delete the records of frames that are not among ``frames``, so that they count as missing."""
+    for path in (folder / RECORDS).glob("[0-9]*.json"):
+        if int(path.stem) not in frames:
+            path.unlink(missing_ok=True)
 
 
 def write_manifest(folder: Path, files: Iterable[Path]) -> None:
@@ -95,10 +119,10 @@ def write_manifest(folder: Path, files: Iterable[Path]) -> None:
 
 
 def reopen(folder: Path, found: Iterable[Fault]) -> None:
-    """Make a complete scenario an unfinished one, which lacks the frames with a fault.
+    """Make a complete scenario an unfinished one, in which frames with a fault are missing.
 
-    A file that belongs to no frame is written with the next frame: where one is at fault, it is
-    deleted, and the first frame is lacking as well. Without a readable manifest all frames lack.
+    A file that belongs to no frame is written with the next frame: where it has a fault, it is
+    deleted, and the first frame counts as missing. Without a valid manifest all frames do.
     """
     found = list(found)
     if any(fault.path == folder / MANIFEST for fault in found):
@@ -140,12 +164,21 @@ def read_manifest(folder: Path) -> Manifest | None:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InspeError(f"{path}: not a manifest of this version of the package")
     frames = content.get("frames")
-    if not isinstance(frames, dict) or not all(map(str.isdigit, frames)):
+    if not isinstance(frames, dict) or not all(re.fullmatch("[0-9]+", key) for key in frames):
         raise InspeError(f"{path}: frames: must hold files by the number of their frame")
     return Manifest(
         files=_files(content.get("files"), path),
         frames={int(number): _files(files, path) for number, files in frames.items()},
     )
+
+
+def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
+    """The manifest of a scenario, None where there is none; or the fault of a broken one."""
+    try:
+        return read_manifest(folder), []
+    except InspeError as e:
+        path = folder / MANIFEST
+        return None, [Fault(path, str(e).removeprefix(f"{path}: "))]
 
 
 def faults(folder: Path, manifest: Manifest, deep: bool = False) -> list[Fault]:
@@ -162,11 +195,11 @@ def faults(folder: Path, manifest: Manifest, deep: bool = False) -> list[Fault]:
 
     # A digest is computed without Python's lock, so that threads use every core.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = [fault for fault in pool.map(check, rows, chunksize=16) if fault]
+        found = [fault for fault in pool.map(check, rows) if fault]
     known = {path for _, path, _, _ in rows} | {MANIFEST}
     for path in sorted(_visible_files(folder)):
         if path.relative_to(folder).as_posix() not in known:
-            found.append(Fault(path, "not in the manifest"))
+            found.append(Fault(path, STRANGE))
     return found
 
 
@@ -217,4 +250,4 @@ def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:
 
 
 def _is_inside(path: str) -> bool:
-    return not Path(path).is_absolute() and ".." not in Path(path).parts
+    return "\0" not in path and not Path(path).is_absolute() and ".." not in Path(path).parts

@@ -42,10 +42,11 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
@@ -54,7 +55,7 @@ from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
-from inspe_jax.scene.traffic.frames import MOST_FRAMES
+from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
 from inspe_jax.simulation.backends import DEFAULT_BACKEND
 from inspe_jax.simulation.recorder import TURN, Recording
@@ -134,11 +135,13 @@ class ScenarioPlan:
         return digest([self.source.anywhere, self.layout, self.settings, self.recording])[:16]
 
     @cached_property
-    def traffic(self) -> str:
+    def traffic_key(self) -> str:
         """A short text that identifies the road users, whatever sees them, and in whichever
         light."""
-        of = {key: self.settings[key] for key in ("density", "mix", "traffic", "seed")}
-        return digest([self.source.anywhere, of])[:16]
+        of = {key: self.settings[key] for key in ("mix", "traffic", "seed")}
+        density = self.settings["density"]
+        count = DENSITIES.get(density, density)  # a name, or the number itself
+        return digest([place_of(self.source), self.source.content, of, count])[:16]
 
     @property
     def kind(self) -> str:
@@ -148,7 +151,7 @@ class ScenarioPlan:
     @property
     def appearance_seed(self) -> int:
         """The seed of the road users' shapes and colours: the same for every layout and light."""
-        return _seed(self.traffic)
+        return _seed(self.traffic_key)
 
 
 @dataclass(frozen=True)
@@ -281,9 +284,11 @@ def make_generation(
     scenarios = tuple(
         replace(plan, split=splits[group]) for (group, _), plan in zip(groups, done, strict=True)
     )
+    wanted = sum(share > 0 for share in proportions)
+    advice = "scenes" if entry.split_by == "intersection" else "values of seed"
     notes = tuple(
-        f"{split} is empty: {_counted(len(splits), entry.split_by)} for {len(SPLITS)} splits; give "
-        "more values of seed, or another split_by"
+        f"{split} is empty: {_counted(len(splits), entry.split_by)} for {wanted} splits; give "
+        f"more {advice}, or another split_by"
         for split, share in zip(SPLITS, proportions, strict=True)
         if share and split not in splits.values()
     )
@@ -365,16 +370,32 @@ def _fit(part: Any) -> str:
     return re.sub(r"[^A-Za-z0-9.+-]+", "_", str(part)).strip("._") or "_"
 
 
+@cache
+def place_of(source: SceneSource) -> str:
+    """A short text that identifies the intersection, whatever it is called.
+
+    Saved scenes are of one place if their regions are the same. A junction of a map that is given
+    by its number once, and by its ``center`` another time, counts as two.
+    """
+    if source.file is not None:
+        from inspe_jax.scene.scene import load_scene
+
+        place = load_scene(source.file).intersection
+        regions = {int(region): polygon for region, polygon in place.regions.items()}
+        return digest([np.asarray(place.center), regions])[:16]
+    return digest(replace(source.anywhere, name=""))[:16]
+
+
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:
     """What a scenario is kept together with in a split, and the kind of that."""
-    density = str(plan.settings["density"])
+    density = str(DENSITIES.get(plan.settings["density"], plan.settings["density"]))
     return {
-        "intersection": (digest(plan.source.anywhere), (plan.kind,)),
-        "scene": (plan.traffic, (density, plan.kind)),
+        "intersection": (place_of(plan.source), (plan.kind,)),
+        "scene": (plan.traffic_key, (density, plan.kind)),
         "scenario": (plan.key, (density, plan.kind, plan.conditions.light)),
     }[split_by]
 

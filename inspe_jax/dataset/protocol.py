@@ -216,8 +216,9 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
     notes = [f"made with {', '.join(sorted(differ))}: files may differ"] if differ else []
     if entry.format != FORMATS[0]:
         notes.append(
-            "recorded by an earlier version, which let road users return points from beyond a "
-            "LiDAR's reach and gave them another look in each layout: files will differ"
+            "recorded by an earlier version, in which road users returned points from beyond a "
+            "LiDAR's reach and looked different in each layout, a LiDAR's turn took as long as a "
+            "frame, and point clouds had a second name: files will differ"
         )
     recorded = entry.recording
     return Generation(entry.name, (plan,), recorded.backend, tuple(notes), recorded.format)

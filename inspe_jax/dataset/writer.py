@@ -25,7 +25,8 @@ from inspe_jax.dataset.manifest import (
     RECORDS,
     Fault,
     faults,
-    read_manifest,
+    forget_others,
+    manifest_of,
     recorded_frames,
     reopen,
     write_manifest,
@@ -104,7 +105,7 @@ class DatasetWriter:
         """Move a scenario into its split. Gives False, and does not move it, if a frame is
         missing."""
         folder, place = self.unfinished(plan), self.place(plan)
-        self.there[plan.name] = self._frames(folder)
+        self.there[plan.name] = set(recorded_frames(folder))
         if len(self.there[plan.name]) < plan.frames:
             return False
         for part in folder.rglob(".*.part"):  # half-written files of a worker that was killed
@@ -128,7 +129,7 @@ class DatasetWriter:
         """Count the complete frames of all scenarios again, finished or not."""
         for plan in generation.scenarios:
             if not self.place(plan).exists():
-                self.there[plan.name] = self._frames(self.unfinished(plan))
+                self.there[plan.name] = set(recorded_frames(self.unfinished(plan)))
         return self.frames
 
     @property
@@ -182,7 +183,7 @@ class DatasetWriter:
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
             shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed
-            found = self._faults(place, deep)
+            found = self._faults(plan, deep)
             if not found:
                 return set(range(plan.frames))
             self.damage[plan.name] = found
@@ -190,27 +191,28 @@ class DatasetWriter:
             folder.parent.mkdir(parents=True, exist_ok=True)
             reopen(place, found)
             os.replace(place, folder)
-        return self._frames(folder)
+        there = set(recorded_frames(folder, deep))
+        forget_others(folder, there)
+        return there
 
-    def _faults(self, place: Path, deep: bool) -> list[Fault]:
-        """What is wrong with the files of a finished scenario; others than its own do no harm."""
-        try:
-            manifest = read_manifest(place)
-        except InspeError as e:
-            return [Fault(place / MANIFEST, str(e).removeprefix(f"{place / MANIFEST}: "))]
+    def _faults(self, plan: ScenarioPlan, deep: bool) -> list[Fault]:
+        """What is wrong with the files of a finished scenario.
+
+        Files that the manifest does not know are left alone: they may be the user's.
+        """
+        place = self.place(plan)
+        manifest, found = manifest_of(place)
         if manifest is None:
-            return [Fault(place / MANIFEST, "is missing")]
+            return found or [Fault(place / MANIFEST, "is missing")]
+        if not manifest.is_complete(plan.frames, self.format.protocol_file):
+            return [Fault(place / MANIFEST, f"does not list all files of {plan.frames} frames")]
         own = {place / path for _, path, _, _ in manifest.all}
         return [fault for fault in faults(place, manifest, deep) if fault.path in own]
-
-    def _frames(self, folder: Path) -> set[int]:
-        """Numbers of the complete frames in the folder of an unfinished scenario."""
-        return set(recorded_frames(folder)) if self.format.is_begun(folder) else set()
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:
     """The content of a data set's ``generation.yaml``."""
-    plans = [[p.name, p.split, p.seed, p.tags, p.key] for p in generation.scenarios]
+    plans = [[p.name, p.split, p.seed, p.tags, p.key, p.files] for p in generation.scenarios]
     return {
         "format": FORMAT,
         "name": generation.name,

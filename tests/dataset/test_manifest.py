@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 import inspe_jax.cli  # noqa: F401, which adds the commands
 from inspe_jax.cli.common import app
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset import chunk, load_generation
+from inspe_jax.dataset import FileOptions, chunk, load_generation, read_frame
 from inspe_jax.dataset.check import check
-from inspe_jax.dataset.manifest import MANIFEST, read_manifest
+from inspe_jax.dataset.manifest import MANIFEST, RECORDS, read_manifest
 from inspe_jax.dataset.writer import DatasetWriter
 
 FRAMES = 4
@@ -96,7 +96,11 @@ def test_a_copy_has_the_same_size(made, copy):
     """No file has two names, which a copy would make two files."""
     (_, out), (_, other) = made, copy
     assert check(other).size == check(out).size == check(other, deep=True).size
-    assert all(path.stat().st_nlink == 1 for path in out.rglob("*.pcd"))
+    disk = [
+        {(s.st_dev, s.st_ino): s.st_size for s in (p.stat() for p in top.rglob("*") if p.is_file())}
+        for top in (out, other)
+    ]
+    assert sum(disk[0].values()) == sum(disk[1].values())
 
 
 def flip_bit(path: Path, at: int) -> None:
@@ -151,7 +155,9 @@ def test_a_protocol_and_a_manifest_are_repaired(made, copy):
     place = scenario(out)
     (place / "data_protocol.yaml").write_bytes(b"world: {}\n")
     assert [fault.frame for fault in check(out).faults] == [None]
-    assert len(record(plan, out)) == 1
+    with DatasetWriter(plan, out, "embedded") as writer:
+        assert sorted(map(len, writer.there.values())) == [FRAMES - 1, FRAMES]  # one frame again
+    record(plan, out)
     assert content(out) == whole
     for text in (None, "{", '{"format": "another"}', '{"format": "inspe_jax manifest 1"}'):
         if text is None:
@@ -184,10 +190,65 @@ def test_a_scenario_that_is_gone_and_a_file_too_many(copy):
     }  # fmt: skip
 
 
+def test_a_manifest_that_lists_too_little_is_no_proof(made, copy):
+    """With a frame gone from the manifest and from the disk, nothing else would show it."""
+    plan, out = copy
+    place = scenario(out)
+    for change in (lambda files: files.pop("2"), lambda files: files.clear()):
+        given = json.loads((place / MANIFEST).read_text())
+        gone = list(given["frames"].get("2", ()))
+        change(given["frames"])
+        (place / MANIFEST).write_text(json.dumps(given))
+        for name in gone:
+            (place / name).unlink()
+        told = [fault.what for fault in check(out).faults if fault.path == place / MANIFEST]
+        assert told == [f"does not list all files of {FRAMES} frames"]
+        assert len(record(plan, out)) == 1
+        assert content(out) == content(made[1])
+
+
+def test_a_picture_that_is_not_of_the_set_is_not_read(copy):
+    """A stray JPEG beside the PNG: found by a check, left alone, and not read in its place."""
+    plan, out = copy
+    (png, *_) = sorted(scenario(out).rglob("000001_camera0.png"))
+    before = read_frame(scenario(out), 1).stations[0].images[0].rgb
+    png.with_suffix(".jpg").write_bytes(png.read_bytes()[:50])
+    assert [fault.what for fault in check(out).faults] == ["not in the manifest"]
+    assert record(plan, out) == {}
+    np.testing.assert_array_equal(read_frame(scenario(out), 1).stations[0].images[0].rgb, before)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"a": 3}'])
+def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
+    """Of a run that was cut off: it goes on, and records that frame again."""
+    plan, out = copy
+    one = plan.scenarios[0]
+    with DatasetWriter(plan, out, "embedded") as writer:
+        folder = writer.unfinished(one)
+        folder.parent.mkdir(parents=True)
+        shutil.rmtree(writer.place(one))
+        given = folder, writer.lock(one, 0), 0, FRAMES - 1, FRAMES
+        todo = chunk.Chunk(one, "embedded", *given)
+        chunk.work(chunk.build(todo), todo)
+        (folder / RECORDS / "000001.json").write_text(text)
+        flip_bit(folder / "-1" / "000003.pcd", -30)
+    with DatasetWriter(plan, out, "embedded") as writer:
+        assert writer.there[one.name] == {0, 2}  # frame 3 is damaged
+    record(plan, out)
+    assert content(out) == content(made[1])
+
+
+def test_files_of_another_kind_are_another_set(copy):
+    plan, out = copy
+    other = tuple(replace(p, files=FileOptions(pictures="jpeg")) for p in plan.scenarios)
+    with pytest.raises(InspeError, match="holds another data set"):
+        DatasetWriter(replace(plan, scenarios=other), out, "embedded")
+
+
 def test_a_manifest_that_points_out_of_its_folder_is_rejected(copy):
     _, out = copy
     path = scenario(out) / MANIFEST
-    for name in ("../../generation.yaml", "/etc/hostname"):
+    for name in ("../../generation.yaml", "/etc/hostname", "a\0b"):
         given = json.loads(path.read_text())
         given["files"][name] = [1, "0" * 64]
         path.write_text(json.dumps(given))

@@ -367,6 +367,24 @@ def test_agents_with_as_many_cameras_each(tmp_path):
     assert black["cords"][5] == 90.0  # CARLA's pitch: straight up
 
 
+@pytest.mark.parametrize(
+    "observed",
+    [True, [1, 2], "yes", {3: True}, {3: {"lidar_points": 5}}, {3: {"lidar_points": {}}}],
+)
+def test_what_others_call_observed_is_left_out(tmp_path, observed):
+    """And a velocity that is no vector, or not as long as the speed."""
+    scenario = written(tmp_path / "a", frame(boxes=[car(3)]))
+    for path in scenario.glob("*/000068.yaml"):
+        holds = content(path) | {"observed": observed}
+        for velocity in (5.0, [1.0, 2.0], [1.0, 2.0, 3.0], None):
+            for section in ("vehicles", "cars"):
+                holds[section][3]["velocity"] = velocity
+            path.write_text(yaml.safe_dump(holds))
+            read = read_frame(scenario, 68)
+            np.testing.assert_allclose(read.boxes[0].velocity, [0, 10, 0], atol=1e-6)
+            assert read.stations[0].scans[0].returns is None
+
+
 def test_what_was_observed_of_each_road_user(tmp_path):
     """Counts of every sensor are read back, also where tracks are not in order."""
     given = frame()

@@ -178,6 +178,39 @@ def test_splits_hold_every_density_and_kind_in_proportion(read):
                 assert both == len(plans) / 6, (split, value, kind)
 
 
+def test_a_place_with_two_names_is_one_place(read):
+    """Its traffic, which is the same, lies in one split, and looks the same."""
+    scenes = [
+        {"built_in": "four_way", "name": "a"},
+        {"built_in": "four_way", "name": "b", "radius": 30},
+    ]
+    settings = dict(seed=list(range(6)), density=["low", 20, "high"], voxel=1)
+    for by in ("scene", "intersection"):
+        generation = read(scenes=scenes, settings=settings, split_by=by)
+        where = places(
+            generation,
+            lambda plan: plan.settings["seed"],
+            lambda plan: str(plan.settings["density"]).replace("20", "low"),
+        )
+        assert len(where) == 12
+        assert all(len(splits) == 1 for splits in where.values())
+    assert len({plan.appearance_seed for plan in generation.scenarios}) == 12
+    assert {plan.split for plan in generation.scenarios} == {"train"}
+    assert "test is empty: 1 intersection for 3 splits; give more scenes" in generation.notes[-1]
+
+
+def test_saved_scenes_of_one_place_are_one_intersection(read, tmp_path):
+    for seed in (0, 1):
+        settings = dict(radius=20, voxel=2, frames=4, step=0.1, density="low", seed=seed)
+        save_scene(build_scene(built_in("four_way"), **settings), tmp_path / f"{seed}.npz")
+    scenes = [{"file": f"{seed}.npz"} for seed in (0, 1)]
+    given = dict(scenes=scenes, settings={}, splits=dict(train=1, test=1))
+    apart = read(**given).scenarios
+    assert len({plan.split for plan in apart}) == 2  # the traffic differs
+    together = read(**given, split_by="intersection").scenarios
+    assert len({plan.split for plan in together}) == 1
+
+
 def test_split_by_intersection_tests_on_other_places(read):
     generation = read(**SIX, split_by="intersection")
     where = places(generation, lambda plan: plan.source.name)

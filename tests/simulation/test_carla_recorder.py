@@ -338,7 +338,8 @@ def test_the_address_of_the_server_is_not_in_the_data_set(generated):
 def test_what_carla_cannot_record_is_noted(generated):
     study, folder, _, words = generated
     (scenario,) = dataset.open(folder).scenarios
-    (kept,) = scenario.protocol["notes"]
+    kept, turns = scenario.protocol["notes"]
+    assert turns.endswith("of a LiDAR's turn at once: lidar_turn_s is 0")
     assert kept.startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced")
     assert f"Note: {kept} (1 scenario)" in words
     again = dataset.load_generation(scenario.path / "data_protocol.yaml", study.parent)

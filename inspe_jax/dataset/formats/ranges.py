@@ -20,20 +20,19 @@ their grid four times."""
 
 
 def lidar_ranges(agents: Sequence[Station], voxels: VoxelGrid) -> dict[int, list[float]]:
-    """The range that holds every road user of the region, by the id of each agent with a LiDAR.
+    """The range that holds every road user of the region, by the id of each agent.
 
     Each is [x, y, z, x, y, z] [m], lower and upper limits in the frame of the agent's first LiDAR,
-    the same on all four sides. What readers call ``cav_lidar_range`` should hold that of the agent
-    which is the ego.
+    or of its unit where it has none, the same on all four sides. What readers call
+    ``cav_lidar_range`` should hold that of the agent which is the ego.
     """
     found = {}
     ground = np.column_stack([voxels.columns, voxels.ground])
     around = np.concatenate([ground, ground + [0.0, 0.0, HIGHEST]])
     for agent in agents:
-        if agent.scans:
-            pose = np.asarray(agent.scans[0].pose, float)
-            at = (around - pose[:3]) @ rotation(pose[3:], np)
-            side = float(np.ceil(np.abs(at[:, :2]).max() / STEP) * STEP)
-            low, high = np.floor(at[:, 2].min()), np.ceil(at[:, 2].max())
-            found[-agent.number] = [-side, -side, float(low), side, side, float(high)]
+        pose = np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
+        at = (around - pose[:3]) @ rotation(pose[3:], np)
+        side = float(np.ceil(np.abs(at[:, :2]).max() / STEP) * STEP)
+        low, high = np.floor(at[:, 2].min()), np.ceil(at[:, 2].max())
+        found[-agent.number] = [-side, -side, float(low), side, side, float(high)]
     return found

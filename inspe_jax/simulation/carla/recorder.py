@@ -58,7 +58,7 @@ class CarlaRecorder:
         self.appearance_seed = appearance_seed
         self.layout = conditions.layout(layout)
         self.poses = np.asarray(self.layout.poses, float)
-        self.notes = notes_of(self.layout)
+        self.notes = notes_of(self.layout, self.recording)
 
     def __enter__(self) -> Self:
         with plain_errors(self.server), ExitStack() as stack:

@@ -133,8 +133,12 @@ def sensor_kind(spec: Any) -> CarlaSensorKind:
     return SENSOR_KINDS[spec.kind]
 
 
-def notes_of(layout: Layout) -> tuple[str, ...]:
-    """What CARLA cannot record as the layout's specs have it: at most one line per device."""
+def notes_of(layout: Layout, recording: Recording | None = None) -> tuple[str, ...]:
+    """What CARLA cannot record as it is asked for: at most one line per device, and one of turns
+    that take time."""
     specs = dict.fromkeys(sensor.spec for sensor in layout.sensors)
-    notes = (sensor_kind(spec).note(spec) for spec in specs)
+    notes = [sensor_kind(spec).note(spec) for spec in specs]
+    turns = recording is not None and recording.turn > 0
+    if turns and any(spec.kind == "lidar" for spec in specs):
+        notes.append("CARLA fires all rays of a LiDAR's turn at once: lidar_turn_s is 0")
     return tuple(note for note in notes if note)

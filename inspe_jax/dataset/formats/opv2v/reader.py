@@ -86,13 +86,13 @@ def frame_of(
     contents = [_content(path, known) for path in files]
     names = protocol.get("stations")
     names = names if isinstance(names, Mapping) else {}
-    boxes = _boxes(contents, files)
+    boxes, suffixes = _boxes(contents, files), _suffixes(protocol)
     return Frame(
         number=number,
         time=number * _tick(protocol),
         boxes=boxes,
         stations=tuple(
-            _station(agent, str(names.get(agent, agent)), content, path, boxes)
+            _station(agent, str(names.get(agent, agent)), content, path, boxes, suffixes)
             for agent, content, path in zip(agents, contents, files, strict=True)
         ),
     )
@@ -102,6 +102,13 @@ def _tick(protocol: Mapping[str, Any]) -> float:
     world = protocol.get("world")
     tick = world.get("fixed_delta_seconds") if isinstance(world, Mapping) else None
     return float(tick) if isinstance(tick, int | float) and tick > 0 else TICK
+
+
+def _suffixes(protocol: Mapping[str, Any]) -> tuple[str, ...]:
+    """Suffixes that pictures may have: that of the protocol, if it says one, first."""
+    recording = protocol.get("recording")
+    told = recording.get("pictures", "png") if isinstance(recording, Mapping) else "png"
+    return tuple(sorted(SUFFIXES.values(), key=lambda suffix: suffix != SUFFIXES.get(told)))
 
 
 def _frame_file(agent: Path, number: int) -> Path:
@@ -183,14 +190,23 @@ def _box(track: int, kind: str, entry: Mapping[str, Any], where: str) -> RoadUse
     pose = from_carla([*(location + middle), *angle])
     ahead = np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
     velocity = ahead * (speed / KMH)
-    if "velocity" in entry:
-        velocity = flip(_numbers(entry, "velocity", (3,), where))
+    told = np.array(entry.get("velocity"), dtype=object)
+    # Sets of other people may mean something else: ours is a vector in m/s, as long as the speed.
+    if told.shape == (3,) and all(isinstance(x, int | float) for x in told):
+        vector = told.astype(float)
+        if abs(np.linalg.norm(vector) * KMH - speed) < 1e-5 * (1 + speed):
+            velocity = flip(vector)
     name = str(entry.get("name", entry.get("bp_id", "")))
     return RoadUserBox(track, kind, name, pose[:3], float(pose[5]), 2 * extent, velocity)
 
 
 def _station(
-    agent: int, name: str, content: dict[str, Any], path: Path, boxes: Sequence[RoadUserBox]
+    agent: int,
+    name: str,
+    content: dict[str, Any],
+    path: Path,
+    boxes: Sequence[RoadUserBox],
+    suffixes: Sequence[str],
 ) -> Station:
     lidars = _numbered(content, "lidar_pose")
     if not lidars and "lidar_pose" in content:
@@ -200,8 +216,8 @@ def _station(
         number=-agent,
         name=name,
         pose=from_carla(_numbers(content, ego, (6,), path)),
-        images=tuple(_images(content, path, _observed(content, agent, "images", boxes, path))),
-        scans=tuple(_scans(content, lidars, path, _observed(content, agent, "scans", boxes, path))),
+        images=tuple(_images(content, path, _observed(content, agent, "images", boxes), suffixes)),
+        scans=tuple(_scans(content, lidars, path, _observed(content, agent, "scans", boxes))),
     )
 
 
@@ -210,21 +226,22 @@ Counts = Mapping[str, Float[np.ndarray, "K B"]]
 
 
 def _observed(
-    content: Mapping[str, Any], agent: int, records: str, boxes: Sequence[RoadUserBox], path: Path
+    content: Mapping[str, Any], agent: int, records: str, boxes: Sequence[RoadUserBox]
 ) -> Counts:
-    """What an agent's scans or images recorded of each road user, as far as the file says it."""
-    observed: dict[Any, Any] = as_mapping(content.get("observed") or {}, f"{path}: observed")
+    """What an agent's scans or images recorded of each road user, as far as the file says it.
+
+    A section ``observed`` of another shape is another one's, and is left out.
+    """
+    observed = content.get("observed")
     found = dict[str, np.ndarray]()
     for key, of, field, decimals in OBSERVED:
-        own = list[Any]()
-        for box in boxes if of == records else ():
-            where = f"{path}: observed: {box.track}"
-            each = as_mapping(observed.get(box.track) or {}, where)
-            of_agents: dict[Any, Any] = as_mapping(each.get(key) or {}, f"{where}: {key}")
-            own.append(of_agents.get(agent))
-        if own and None not in own:
-            sensors = len(own[0]) if isinstance(own[0], list) else 0
-            rows = _numbers({key: own}, key, (len(own), sensors), path).T
+        if of != records or not boxes or not isinstance(observed, dict):
+            continue
+        try:
+            rows = np.array([observed[box.track][key][agent] for box in boxes]).T
+        except (KeyError, TypeError, ValueError):  # not there, not a mapping, uneven
+            continue
+        if rows.ndim == 2 and rows.dtype.kind in "fi" and np.isfinite(rows).all():
             found[field] = rows if decimals else rows.astype(int)
     return found
 
@@ -258,7 +275,9 @@ def _points(path: Path) -> Float[np.ndarray, "N 4"]:
     return points
 
 
-def _images(content: dict[str, Any], path: Path, counts: Counts) -> Iterator[Image]:
+def _images(
+    content: dict[str, Any], path: Path, counts: Counts, suffixes: Sequence[str]
+) -> Iterator[Image]:
     """The images of an agent, their pixels not yet read; cameras without a picture are left out."""
     for i, key in _numbered(content, "camera").items():
         where = f"{path}: {key}"
@@ -266,8 +285,8 @@ def _images(content: dict[str, Any], path: Path, counts: Counts) -> Iterator[Ima
         pose = from_carla(_numbers(camera, "cords", (6,), where))
         intrinsic = _numbers(camera, "intrinsic", (3, 3), where)
         files = {field: path.with_name(f"{path.stem}_{word}{i}.png") for field, word in _PICTURES}
-        jpeg = files["rgb"].with_suffix(SUFFIXES["jpeg"])
-        files["rgb"] = jpeg if jpeg.is_file() else files["rgb"]
+        named = [files["rgb"].with_suffix(suffix) for suffix in suffixes]
+        files["rgb"] = next((file for file in named if file.is_file()), named[0])
         if files["rgb"].is_file() and not camera.get("blank"):
             there = {field: file for field, file in files.items() if file.is_file()}
             missing = dict.fromkeys(files.keys() - there.keys())

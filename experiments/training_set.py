@@ -56,6 +56,7 @@ def options() -> argparse.Namespace:
     parser = command_line(__doc__)
     parser.add_argument("--keep", type=Path, help="folder that the set stays in: about 3 GB")
     parser.add_argument("--workers", type=int, help="processes; one a core if not given")
+    parser.add_argument("--lights", nargs="+", default=list(LIGHTS), choices=LIGHTS)
     parser.add_argument("--mix", default="fleet", choices=list(MIXES), help="of the road users")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -77,13 +78,13 @@ def folder(keep: Path | None) -> Iterator[Path]:
 
 def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
     """The content of a study file."""
-    settings = dict(density=list(DENSITIES)[1:], light=list(LIGHTS), seconds=10, mix=given.mix)
+    settings = dict(density=list(DENSITIES)[1:], light=given.lights, seconds=10, mix=given.mix)
     content: dict[str, Any] = dict(
         name="ten intersections", layouts=list(STRATEGIES), settings=settings, rate_hz=1,
         pictures="jpeg", image_size=PICTURE, splits=SPLITS,
     )  # fmt: skip
     if given.quick:
-        settings |= dict(density=["low"], light=["midday"], seconds=2, radius=25, voxel=1)
+        settings |= dict(density=["low"], light=given.lights[:1], seconds=2, radius=25, voxel=1)
         scenes = [{"built_in": "four_way"}, {"built_in": "t_junction"}]
         content |= dict(scenes=scenes, layouts=["Cam-c/L-c", "L-d1"], splits=dict(train=1, test=1))
     else:
@@ -119,13 +120,13 @@ def of_frame(frame: Frame) -> np.ndarray:
     return np.column_stack([[CLASSES.index(box.kind) for box in frame.boxes], own, inside])
 
 
-def counted(data: Dataset, mix: str) -> "Rows":
-    """A row for each placement, density and class, of the scenarios at midday.
+def counted(data: Dataset, mix: str, light: str) -> "Rows":
+    """A row for each placement, density and class, of the scenarios in one light.
 
     In another light LiDARs return the same, but for their noise.
     """
     found: dict[tuple[str, str], list[np.ndarray]] = {}
-    chosen = [s for s in data.scenarios if s.protocol["settings"]["light"] == LIGHTS[0]]
+    chosen = [s for s in data.scenarios if s.protocol["settings"]["light"] == light]
     with progress("reading scenarios") as report:
         for done, scenario in enumerate(chosen, 1):
             layout = str(scenario.protocol["layout"]["name"])
@@ -225,12 +226,13 @@ def main() -> None:
     given = options()
     stem = "training_set_quick" if given.quick else "training_set"
     with folder(given.keep) as into:
+        light = given.lights[0]
         data = recorded(study(given), into / "set", given.workers)
-        rows = counted(data, given.mix)
+        rows = counted(data, given.mix, light)
         # As before the turn was a setting: it took as long as a frame.
         slow = study(given, lidar_turn_s=1, layouts=["L-d1"])
-        slow["settings"] |= dict(light=[LIGHTS[0]])
-        before = counted(recorded(slow, into / "slow_turn", given.workers), given.mix)
+        slow["settings"] |= dict(light=[light])
+        before = counted(recorded(slow, into / "slow_turn", given.workers), given.mix, light)
         draw(data).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(densities_table(rows))
     console.print(placements_table(rows, "What LiDARs return of road users"))

@@ -213,7 +213,7 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
         (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
         (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
-        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, largest"),
+        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, fleet, largest"),
         (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
         (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
         (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights: .* 3 numbers, for coverage"),

@@ -8,6 +8,7 @@ import platform
 import resource
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -78,6 +79,17 @@ def arguments(description: str | None) -> argparse.Namespace:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     return options
+
+
+@contextmanager
+def kept_folder(keep: Path | None) -> Iterator[Path]:
+    """A folder for what is made: ``keep``, which stays, or one that is gone afterwards."""
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+        yield keep
+        return
+    with tempfile.TemporaryDirectory() as found:
+        yield Path(found)
 
 
 def machine() -> dict[str, str]:

@@ -6,13 +6,10 @@ seconds and megabytes, and what the paper's 144 000 frames would; and draws what
 one frame in each light. The set is thrown away unless --keep says where to leave it.
 """
 
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from common import command_line, write_results
+from common import command_line, kept_folder, write_results
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -33,17 +30,6 @@ rate_hz: 10
 """
 
 console = Console()
-
-
-@contextmanager
-def folder(keep: Path | None) -> Iterator[Path]:
-    """Where the set goes: a folder of its own, or one that is gone afterwards."""
-    if keep:
-        keep.mkdir(parents=True, exist_ok=True)
-        yield keep
-        return
-    with tempfile.TemporaryDirectory() as found:
-        yield Path(found)
 
 
 def record(light: str, quick: bool, into: Path, workers: int | None) -> dict[str, Any]:
@@ -81,7 +67,7 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "generate_set.csv"
-    with folder(given.keep) as into:
+    with kept_folder(given.keep) as into:
         rows = [record(light, given.quick, into, given.workers) for light in LIGHTS]
         for found in rows:
             scenario = open(into / found["light"]).scenarios[0]

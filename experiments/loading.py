@@ -14,11 +14,9 @@ loader, not of a disk. Each is the median of several rounds. Where `grain` is in
 the same loader, with its threads and with its worker processes.
 """
 
-import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -26,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import command_line, machine, write_results
+from common import command_line, kept_folder, machine, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -65,17 +63,6 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 console = Console()
-
-
-@contextmanager
-def folder(keep: Path | None) -> Iterator[Path]:
-    """Where set and cache go: a folder that stays, or one that is gone afterwards."""
-    if keep:
-        keep.mkdir(parents=True, exist_ok=True)
-        yield keep
-        return
-    with tempfile.TemporaryDirectory() as found:
-        yield Path(found)
 
 
 def record(into: Path, quick: bool) -> Dataset:
@@ -216,7 +203,7 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "loading.csv"
-    with folder(given.keep) as into:
+    with kept_folder(given.keep) as into:
         data = record(into, given.quick)
         began = time.perf_counter()
         found = cache(data, into / "cache", workers=1)

@@ -10,16 +10,13 @@ on there.
 """
 
 import argparse
-import tempfile
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, command_line, write_results
+from common import MAPS, command_line, kept_folder, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -30,9 +27,9 @@ from inspe_jax.dataset import Dataset, generate, load_generation, open
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.scene.traffic.frames import CLASSES, DENSITIES, MIXES, quota
+from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.frame import Frame
 
-LIGHTS = ("midday", "dusk", "night")
 SPLITS = dict(train=7, validate=1, test=2)
 PICTURE = [352, 128]
 """Width and height that camera detectors of the paper take."""
@@ -63,17 +60,6 @@ def options() -> argparse.Namespace:
     if not given.quick and not MAPS.is_dir():
         raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
     return given
-
-
-@contextmanager
-def folder(keep: Path | None) -> Iterator[Path]:
-    """Where the set goes: a folder of its own, or one that is gone afterwards."""
-    if keep:
-        keep.mkdir(parents=True, exist_ok=True)
-        yield keep
-        return
-    with tempfile.TemporaryDirectory() as found:
-        yield Path(found)
 
 
 def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
@@ -225,7 +211,7 @@ def main() -> None:
     """Record, count, print, draw and write."""
     given = options()
     stem = "training_set_quick" if given.quick else "training_set"
-    with folder(given.keep) as into:
+    with kept_folder(given.keep) as into:
         light = given.lights[0]
         data = recorded(study(given), into / "set", given.workers)
         rows = counted(data, given.mix, light)

@@ -289,11 +289,6 @@ def note(notes: Iterable[str]) -> None:
         err.print(Text.assemble(("Note: ", "yellow"), words), soft_wrap=True)
 
 
-def counted(count: int, what: str) -> str:
-    """A number of things in words, such as "1 job" or "2,000 jobs"."""
-    return f"{count:,} {what}{'s' * (count != 1)}"
-
-
 def plain(message: str) -> str:
     """A message in which brackets are not read as rich's markup."""
     from rich.markup import escape

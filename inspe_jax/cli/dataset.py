@@ -1,4 +1,4 @@
-"""The commands `inspe dataset stats`, `inspe dataset show` and `inspe dataset check`.
+"""The commands `inspe dataset stats`, `check`, `cache` and `show`.
 
 Modules that take long to import, such as matplotlib, are imported inside the commands.
 """
@@ -13,13 +13,13 @@ from inspe_jax.cli.common import (
     app,
     busy,
     check_record,
-    counted,
     err,
     note,
     out,
     progress,
     show,
 )
+from inspe_jax.core.words import counted
 
 dataset_app = typer.Typer(
     help="Look at data sets: statistics, single frames, and whether files are damaged.",
@@ -131,10 +131,10 @@ def check_files(
     - `inspe dataset check infra`
     - `inspe dataset check infra/test --deep --json faults.json`
     """
-    import json
     import time
 
-    from inspe_jax.core.files import write_text
+    from rich.text import Text
+
     from inspe_jax.dataset.check import check
 
     check_record(record)
@@ -142,21 +142,13 @@ def check_files(
     with progress("scenarios") as tell:
         found = check(folder, deep, tell)
     seconds = time.monotonic() - began
-    text = json.dumps(found.record, indent=2)
-    if record == "-":
-        typer.echo(text)
-    else:
-        speed = f", {found.size / 1e6 / seconds:,.0f} MB/s" if deep and seconds else ""
-        out.print(
-            f"{counted(found.scenarios, 'scenario')}, {counted(found.files, 'file')}, "
-            f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}{speed}: "
-            f"{counted(len(found.faults), 'fault') if found.faults else 'no fault'}",
-            highlight=False,
-            soft_wrap=True,
-        )
-        if record:
-            write_text(record, text + "\n")
-            out.print(f"wrote {record}", highlight=False)
+    speed = f", {found.size / 1e6 / seconds:,.0f} MB/s" if deep and seconds else ""
+    words = (
+        f"{counted(found.scenarios, 'scenario')}, {counted(found.files, 'file')}, "
+        f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}{speed}: "
+        f"{counted(len(found.faults), 'fault') if found.faults else 'no fault'}"
+    )
+    show(Text(words, no_wrap=True, overflow="ignore"), found.record, record)
     note(map(str, found.faults[:SHOWN]))
     if len(found.faults) > SHOWN:
         note([f"and {len(found.faults) - SHOWN:,} more: --json FILE lists all"])

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from inspe_jax.cli.common import app, busy, counted, err, note, out, progress
+from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.core.words import counted
 from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def generate(
         typer.Option(
             "--dry-run",
             help="Say what the set would hold, its size and the time it takes: builds every scene, "
-            "and tries every device on one frame.",
+            "and tries every layout on two frames.",
         ),
     ] = False,
 ) -> None:

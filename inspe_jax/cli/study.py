@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from inspe_jax.cli.common import app, busy, counted, err, note, out, progress
+from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.core.words import counted
 
 SHOWN = 3
 """Number of failures whose error is printed."""

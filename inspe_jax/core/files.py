@@ -3,6 +3,7 @@
 import csv
 import functools
 import io
+import json
 import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -103,6 +104,15 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
         return yaml.load(text if isinstance(text, str) else text.decode("utf-8"), _Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as e:
         raise InspeError(f"{where}: not YAML: {' '.join(str(e).split())}") from e
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file. Raises InspeError if it is missing or is not JSON."""
+    check_input(path)
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as e:
+        raise InspeError(f"{path}: not JSON: {e}") from e
 
 
 def check_input(path: Path) -> None:

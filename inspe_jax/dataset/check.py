@@ -9,7 +9,7 @@ from typing import Any
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_yaml
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
-from inspe_jax.dataset.manifest import MANIFEST, STRANGE, Fault, Manifest, faults, manifest_of
+from inspe_jax.dataset.manifest import Fault, Manifest, faults, manifest_of, missing_frames
 
 GENERATION = "generation.yaml"
 """The record of a generated data set: among other things, which scenarios it has."""
@@ -62,7 +62,7 @@ def check(
         if manifest is not None:
             known, size = known + 1, size + manifest.size
             files += sum(1 for _ in manifest.all)
-            found += faults(scenario.path, manifest, deep)
+            found += faults(scenario.path, manifest, deep, others=True)
             found += _missing_frames(scenario, manifest)
         elif not broken:
             unknown.append(scenario.path)
@@ -77,8 +77,7 @@ def differing(scenario: Scenario) -> list[Fault]:
     Files that the manifest does not know are left out.
     """
     manifest, broken = manifest_of(scenario.path)
-    found = [] if manifest is None else faults(scenario.path, manifest)
-    return broken + [fault for fault in found if fault.what != STRANGE]
+    return broken if manifest is None else faults(scenario.path, manifest)
 
 
 def _missing_frames(scenario: Scenario, manifest: Manifest) -> list[Fault]:
@@ -88,9 +87,7 @@ def _missing_frames(scenario: Scenario, manifest: Manifest) -> list[Fault]:
         count = round(told["settings"]["seconds"] * told["recording"]["rate_hz"])
     except (InspeError, KeyError, TypeError):
         return []  # a damaged protocol is a fault of its own
-    if manifest.is_complete(count, scenario.format.protocol_file):
-        return []
-    return [Fault(scenario.path / MANIFEST, f"does not list all files of {count} frames")]
+    return missing_frames(scenario.path, manifest, count, scenario.format.protocol_file)
 
 
 def _missing_scenarios(data: Dataset) -> list[Fault]:

@@ -17,7 +17,7 @@ from inspe_jax.dataset.formats.ranges import lidar_ranges
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
-from inspe_jax.dataset.points_in_boxes import counted
+from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
@@ -173,7 +173,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                         frame = replace(_worker.recorder.frame(t), number=t)  # type: ignore[union-attr]
                     except Exception as e:
                         return Outcome(error=f"frame {t}: {message_of(e)}")
-                    frame = counted(frame)
+                    frame = with_counts(frame)
                     if not stored.is_begun(chunk.folder):
                         agents = with_cameras(frame.stations, options.cameras_per_agent)
                         protocol = _worker.protocol or {}

@@ -19,7 +19,7 @@ from inspe_jax.dataset.chunk import SIZE, layout_of
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.manifest import record_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
-from inspe_jax.dataset.points_in_boxes import counted
+from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.simulation.backends import BACKENDS, recorder_of
@@ -151,7 +151,7 @@ def _sample(
         opened = time.perf_counter()
         for t in (0, plan.frames // 2):  # what is done once, is done with the first
             first = time.perf_counter()
-            files = FORMATS[format].write(Path(folder), counted(recorder.frame(t)), plan.files)
+            files = FORMATS[format].write(Path(folder), with_counts(recorder.frame(t)), plan.files)
             record_frame(Path(folder), t, files)
         ended = time.perf_counter()
         size = sum(path.stat().st_size for path in files)

@@ -22,11 +22,10 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import write_text
+from inspe_jax.core.files import read_json, write_text
 
 MANIFEST, RECORDS = "manifest.json", ".frames"
 FORMAT = "inspe_jax manifest 1"
-STRANGE = "not in the manifest"
 Files = Mapping[str, tuple[int, str]]
 """Size [bytes] and SHA-256 of files, by their path relative to the scenario's folder."""
 
@@ -46,11 +45,6 @@ class Manifest:
         for number, files in self.frames.items():
             for path, (size, digest) in files.items():
                 yield number, path, size, digest
-
-    def is_complete(self, frames: int, protocol: str) -> bool:
-        """Whether it lists files of every frame, 0 to ``frames`` − 1, and the file ``protocol``."""
-        listed = {number for number, files in self.frames.items() if files}
-        return listed == set(range(frames)) and protocol in self.files
 
     @property
     def size(self) -> int:
@@ -89,7 +83,7 @@ def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
         try:
-            files = _files(_read_json(path), path)
+            files = _files(read_json(path), path)
         except InspeError:
             continue
         faulty = (
@@ -160,7 +154,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST
     if not path.is_file():
         return None
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InspeError(f"{path}: not a manifest of this version of the package")
     frames = content.get("frames")
@@ -181,10 +175,20 @@ def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
         return None, [Fault(path, str(e).removeprefix(f"{path}: "))]
 
 
-def faults(folder: Path, manifest: Manifest, deep: bool = False) -> list[Fault]:
+def missing_frames(folder: Path, manifest: Manifest, count: int, protocol: str) -> list[Fault]:
+    """A fault where the manifest lacks the file ``protocol``, or files of a frame 0 … count − 1."""
+    listed = {number for number, files in manifest.frames.items() if files}
+    if listed == set(range(count)) and protocol in manifest.files:
+        return []
+    return [Fault(folder / MANIFEST, f"does not list all files of {count} frames")]
+
+
+def faults(
+    folder: Path, manifest: Manifest, deep: bool = False, others: bool = False
+) -> list[Fault]:
     """The files that are not as the manifest says; ``deep`` also reads and compares them.
 
-    Files that the manifest does not know are faults too, but for hidden ones.
+    With ``others``, files that the manifest does not know are faults too, but for hidden ones.
     """
     rows = list(manifest.all)
 
@@ -196,11 +200,9 @@ def faults(folder: Path, manifest: Manifest, deep: bool = False) -> list[Fault]:
     # A digest is computed without Python's lock, so that threads use every core.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = [fault for fault in pool.map(check, rows) if fault]
-    known = {path for _, path, _, _ in rows} | {MANIFEST}
-    for path in sorted(_visible_files(folder)):
-        if path.relative_to(folder).as_posix() not in known:
-            found.append(Fault(path, STRANGE))
-    return found
+    known = {folder / path for _, path, _, _ in rows} | {folder / MANIFEST}
+    strange = sorted(set(_visible_files(folder)) - known) if others else ()
+    return found + [Fault(path, "not in the manifest") for path in strange]
 
 
 def _fault_of(path: Path, size: int, digest: str | None = None) -> str:
@@ -227,13 +229,6 @@ def _visible_files(folder: Path) -> Iterator[Path]:
 def _digest(path: Path) -> str:
     with path.open("rb") as f:
         return hashlib.file_digest(f, "sha256").hexdigest()
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as e:
-        raise InspeError(f"{path}: not JSON: {e}") from None
 
 
 def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:

@@ -52,6 +52,7 @@ from pydantic import Field
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model
+from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
@@ -287,7 +288,7 @@ def make_generation(
     wanted = sum(share > 0 for share in proportions)
     advice = "scenes" if entry.split_by == "intersection" else "values of seed"
     notes = tuple(
-        f"{split} is empty: {_counted(len(splits), entry.split_by)} for {wanted} splits; give "
+        f"{split} is empty: {counted(len(splits), entry.split_by)} for {wanted} splits; give "
         f"more {advice}, or another split_by"
         for split, share in zip(SPLITS, proportions, strict=True)
         if share and split not in splits.values()
@@ -384,10 +385,6 @@ def place_of(source: SceneSource) -> str:
         regions = {int(region): polygon for region, polygon in place.regions.items()}
         return digest([np.asarray(place.center), regions])[:16]
     return digest(replace(source.anywhere, name=""))[:16]
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:

@@ -55,7 +55,7 @@ def returns_of(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.nd
     return count_inside(scans, boxes)
 
 
-def counted(frame: Frame) -> Frame:
+def with_counts(frame: Frame) -> Frame:
     """The frame with the returns and the pixels of each road user, where its recorder told none.
 
     Then returns are the points inside its box, and pixels are counted in the instance picture, if

@@ -27,6 +27,7 @@ from inspe_jax.dataset.manifest import (
     faults,
     forget_others,
     manifest_of,
+    missing_frames,
     recorded_frames,
     reopen,
     write_manifest,
@@ -204,10 +205,8 @@ class DatasetWriter:
         manifest, found = manifest_of(place)
         if manifest is None:
             return found or [Fault(place / MANIFEST, "is missing")]
-        if not manifest.is_complete(plan.frames, self.format.protocol_file):
-            return [Fault(place / MANIFEST, f"does not list all files of {plan.frames} frames")]
-        own = {place / path for _, path, _, _ in manifest.all}
-        return [fault for fault in faults(place, manifest, deep) if fault.path in own]
+        missing = missing_frames(place, manifest, plan.frames, self.format.protocol_file)
+        return missing or faults(place, manifest, deep)
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:

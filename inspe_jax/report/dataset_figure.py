@@ -17,6 +17,7 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 
+from inspe_jax.core.words import counted
 from inspe_jax.dataset.statistics import RANGE_EDGES, Band, Statistics, bands
 from inspe_jax.report.figures import CLASS_COLORS, KEYS
 from inspe_jax.report.sheet import NOTE_LINE, WIDTH, fit, house_style
@@ -287,8 +288,3 @@ def _curve(of: Sequence[Band]) -> tuple[np.ndarray, np.ndarray]:
         np.array([_middle(band) for band in nonempty]),
         np.array([band.quartiles for band in nonempty]).reshape(-1, 3),
     )
-
-
-def counted(count: int, what: str) -> str:
-    """A number with its noun, in the plural if needed: ``1 frame``, ``1,200 frames``."""
-    return f"{count:,} {what}{'s' * (count != 1)}"

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
-from inspe_jax.report.dataset_figure import counted
 from inspe_jax.report.figures import CLASS_COLORS, KEYS
 from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, WIDTH, fit, house_style
 from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station

@@ -34,15 +34,21 @@ def generation(folder: Path):
     return load_generation(path)
 
 
+def work_on(writer: DatasetWriter, plan) -> Path:
+    """Record what is missing of a scenario, as a worker does; gives its unfinished folder."""
+    folder = writer.unfinished(plan)
+    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), 0, FRAMES - 1, FRAMES)
+    assert not chunk.work(chunk.build(todo), todo).error
+    return folder
+
+
 def record(plan_of, out: Path, deep: bool = True) -> dict[str, list]:
     """What `generate` does, without processes; gives what was repaired."""
     with DatasetWriter(plan_of, out, "embedded", deep) as writer:
         for plan in plan_of.scenarios:
             if writer.place(plan).exists():
                 continue
-            given = writer.unfinished(plan), writer.lock(plan, 0), 0, FRAMES - 1, FRAMES
-            todo = chunk.Chunk(plan, "embedded", *given)
-            assert not chunk.work(chunk.build(todo), todo).error
+            work_on(writer, plan)
             assert writer.finish(plan)
         writer.clear()
         return writer.damage
@@ -224,12 +230,8 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
     plan, out = copy
     one = plan.scenarios[0]
     with DatasetWriter(plan, out, "embedded") as writer:
-        folder = writer.unfinished(one)
-        folder.parent.mkdir(parents=True)
         shutil.rmtree(writer.place(one))
-        given = folder, writer.lock(one, 0), 0, FRAMES - 1, FRAMES
-        todo = chunk.Chunk(one, "embedded", *given)
-        chunk.work(chunk.build(todo), todo)
+        folder = work_on(writer, one)
         (folder / RECORDS / "000001.json").write_text(text)
         flip_bit(folder / "-1" / "000003.pcd", -30)
     with DatasetWriter(plan, out, "embedded") as writer:
@@ -261,12 +263,8 @@ def test_half_a_frame_is_not_complete(copy):
     plan, out = copy
     with DatasetWriter(plan, out, "embedded") as writer:
         one = plan.scenarios[0]
-        folder = writer.unfinished(one)
-        folder.parent.mkdir(parents=True)
         shutil.rmtree(writer.place(one))
-        given = folder, writer.lock(one, 0), 0, FRAMES - 1, FRAMES
-        todo = chunk.Chunk(one, "embedded", *given)
-        chunk.work(chunk.build(todo), todo)
+        folder = work_on(writer, one)
         (folder / "-1" / "000002.pcd").write_bytes(b"")
         assert not writer.finish(one)
         assert writer.there[one.name] == {0, 1, 3}
@@ -294,7 +292,7 @@ def test_counts_where_a_recorder_tells_none():
     """Points in the box, and pixels in the instance picture."""
     from frames import car, frame, scan, station
 
-    from inspe_jax.dataset.points_in_boxes import counted
+    from inspe_jax.dataset.points_in_boxes import with_counts
 
     here = station(1, cameras=1, lidars=0)
     points = np.array([[0.0, 0.0, 0.0, 1.0], [30.0, 0.0, 0.0, 1.0]])
@@ -304,6 +302,6 @@ def test_counts_where_a_recorder_tells_none():
     instance[0, :3] = 4  # track 3
     shown = replace(here.images[0], instance=instance)
     given = frame(boxes=[car(3)], stations=[replace(here, images=(shown,), scans=(on,))])
-    (found,) = counted(given).stations
+    (found,) = with_counts(given).stations
     assert found.scans[0].returns.tolist() == [1]
     assert found.images[0].pixels.tolist() == [3]

@@ -22,11 +22,11 @@ from filelock import FileLock, Timeout
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import STRICT, check_model, prepare_folder, write_text
+from inspe_jax.core.files import STRICT, check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
 from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
-from inspe_jax.dataset.loading.stored import RECORD, StoredScenario, read_json
+from inspe_jax.dataset.loading.stored import RECORD, StoredScenario
 
 CACHE = "cache.json"
 FORMAT = "inspe_jax cache 1"

@@ -5,7 +5,6 @@ Its folder holds ``points.npy`` (all clouds one after the other), ``pictures.npy
 """
 
 import io
-import json
 import zipfile
 from collections.abc import Mapping
 from functools import cached_property
@@ -17,7 +16,7 @@ from jaxtyping import Float, Int, Int16, UInt8
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import STRICT, check_input, check_model
+from inspe_jax.core.files import STRICT, check_model, read_json
 
 RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.npy", "pictures.npy"
 
@@ -143,12 +142,3 @@ class StoredScenario:
 
     def _damaged(self, path: Path) -> InspeError:
         return InspeError(f"{path}: is missing or damaged: delete {self.path} and cache it again")
-
-
-def read_json(path: Path) -> Any:
-    """The content of a JSON file. Raises InspeError if it is missing or is not JSON."""
-    check_input(path)
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as e:
-        raise InspeError(f"{path}: not JSON: {e}") from e

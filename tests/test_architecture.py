@@ -22,6 +22,7 @@ LADDER = [
     "study",
     "simulation",
     "dataset",
+    "perception",
     "report",
     "viewer",
     "cli",

@@ -1,0 +1,1 @@
+"""What detectors find in recorded data, and how that is measured."""

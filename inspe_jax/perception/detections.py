@@ -1,0 +1,63 @@
+"""Boxes that a detector finds in a frame, and the ground truth in the same form."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset.loading.batch import Targets
+
+
+class Detections(NamedTuple):
+    """The N boxes of one frame, without padding.
+
+    ``boxes`` are as in :class:`~inspe_jax.dataset.loading.batch.Targets`: x, y, z of the middle,
+    length, width, height [m], yaw [rad], and velocity in x and y [m/s], in the frame of the
+    intersection. A detector that does not estimate velocity gives 0 for it. ``kind`` is the index
+    in :data:`~inspe_jax.simulation.frame.KINDS`, and ``score`` is from 0 to 1: how sure the
+    detector is.
+    """
+
+    boxes: Float32[np.ndarray, "N 9"]
+    kind: Int32[np.ndarray, " N"]
+    score: Float32[np.ndarray, " N"]
+
+
+def truth_of(
+    targets: Targets, b: int, *, least_returns: int = 0, half: float | None = None
+) -> Detections:
+    """The road users of frame b of a batch as detections with score 1.
+
+    Those with fewer than ``least_returns`` returns, of all LiDARs of the frame together, are left
+    out: nuScenes requires 1, because nobody could label what no sensor saw. The default keeps all,
+    so that placements are compared on the same truth: with 1, a placement that sees less would be
+    asked for less. ``half`` leaves boxes out as :func:`within` does.
+
+    Raises InspeError if ``least_returns`` is above 0 and the targets have no LiDAR to count returns
+    of, as in a set with cameras alone. In a cache that mixes both sorts of scenario, a scenario
+    without LiDARs has 0 returns, so that ``least_returns`` leaves out all of its road users.
+    """
+    kept = np.array(targets.mask[b], bool)
+    if least_returns > 0:
+        if targets.returns.shape[-1] == 0:
+            raise InspeError(
+                f"least_returns {least_returns}: the set has no LiDARs whose returns could be "
+                "counted: use 0"
+            )
+        kept &= np.asarray(targets.returns[b]).sum(-1) >= least_returns
+    boxes = np.asarray(targets.boxes[b], np.float32)[kept]
+    kind = np.asarray(targets.kind[b], np.int32)[kept]
+    found = Detections(boxes, kind, np.ones(len(boxes), np.float32))
+    return found if half is None else within(found, half)
+
+
+def within(detections: Detections, half: float) -> Detections:
+    """The boxes whose middle is at most ``half`` [m] from the origin along x and along y.
+
+    This is the region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in. Apply it to
+    detections if the truth is cut to a region that is smaller than a detector's: what it finds
+    outside would count as false.
+    """
+    kept = (np.abs(detections.boxes[:, :2]) <= half).all(1)
+    return Detections(*(part[kept] for part in detections))

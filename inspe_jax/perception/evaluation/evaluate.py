@@ -1,0 +1,143 @@
+"""Evaluates the detections of many frames by nuScenes' measures."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.words import counted
+from inspe_jax.perception.detections import Detections
+from inspe_jax.perception.evaluation.matching import Places, by_score, match
+from inspe_jax.perception.evaluation.metrics import (
+    DISTANCES,
+    ERROR_DISTANCE,
+    ERRORS,
+    RECALLS,
+    Evaluation,
+    average_precision,
+    curve,
+    differences,
+    mean_errors,
+)
+from inspe_jax.simulation.frame import KINDS
+
+
+class Boxes(NamedTuple):
+    """The boxes of all frames, one after the other, in double precision as in nuScenes' code."""
+
+    frame: Int[np.ndarray, " N"]
+    boxes: Float[np.ndarray, "N 9"]
+    kind: Int[np.ndarray, " N"]
+    score: Float[np.ndarray, " N"]
+
+
+def evaluate(
+    detections: Sequence[Detections], truth: Sequence[Detections], kinds: Sequence[str] = KINDS
+) -> Evaluation:
+    """The measures of ``detections`` against ``truth``, which both have a record for each frame.
+
+    ``kinds`` are the classes to evaluate, others are ignored. The scores of ``truth`` mean nothing.
+    All measures are those of ``nuscenes-devkit``, also the order of equal scores: of these, the
+    later frame and in it the later box comes first. What the devkit does before, leaving boxes out
+    that are far away or have no points, is for the caller to do.
+
+    Raises InspeError if the numbers of frames differ, boxes or scores are not finite numbers, a
+    size is not above 0, a score is not from 0 to 1, a kind is not known, or there is no road user
+    of ``kinds`` in any frame.
+    """
+    wanted = _indices(kinds)
+    if len(detections) != len(truth):
+        raise InspeError(
+            f"detections of {counted(len(detections), 'frame')}, but ground truth of "
+            f"{len(truth):,}: give one of each for every frame, empty if there is none"
+        )
+    found, users = _joined(detections, "detections"), _joined(truth, "truth")
+    if not np.isin(users.kind, wanted).any():
+        raise InspeError(
+            f"truth: no {' or '.join(kinds)} in {counted(len(truth), 'frame')}: there is nothing "
+            "to find; use other frames"
+        )
+    shape = len(wanted), len(DISTANCES)
+    result = Evaluation(
+        kinds=tuple(kinds),
+        frames=len(truth),
+        ap=np.full(shape, np.nan),
+        errors=np.full((len(wanted), len(ERRORS)), np.nan),
+        users=np.array([(users.kind == k).sum() for k in wanted]),
+        detections=np.array([(found.kind == k).sum() for k in wanted]),
+        matched=np.zeros(shape, int),
+        precision=np.zeros((*shape, RECALLS)),
+        score=np.zeros((*shape, RECALLS)),
+    )
+    for row, k in enumerate(wanted):
+        if result.users[row]:
+            _fill(result, row, _of_kind(found, k), _of_kind(users, k))
+    return result
+
+
+def _fill(result: Evaluation, row: int, found: Boxes, users: Boxes) -> None:
+    """Write the measures of one class."""
+    found = Boxes(*(part[by_score(found.score)] for part in found))
+    places = [Places(of.frame, of.boxes[:, :2]) for of in (found, users)]
+    taken, away = match(places[0], places[1], DISTANCES)
+    for d, distance in enumerate(DISTANCES):
+        true = taken[d] >= 0
+        on = curve(true, found.score, len(users.kind))
+        result.matched[row, d] = true.sum()
+        result.precision[row, d], result.score[row, d] = on.precision, on.score
+        result.ap[row, d] = average_precision(on.precision)
+        if distance == ERROR_DISTANCE:
+            each = differences(found.boxes[true], users.boxes[taken[d, true]], away[d, true])
+            result.errors[row] = mean_errors(each, found.score[true], on)
+
+
+def _of_kind(of: Boxes, kind: int) -> Boxes:
+    own = of.kind == kind
+    return Boxes(*(part[own] for part in of))
+
+
+def _indices(kinds: Sequence[str]) -> list[int]:
+    """The index of each class. Raises InspeError if one is unknown or given twice, or for none."""
+    if isinstance(kinds, str) or not kinds:
+        raise InspeError(f"kinds {kinds!r}: a list with at least one of {', '.join(KINDS)}")
+    for kind in kinds:
+        if kind not in KINDS:
+            hint = nearest(str(kind), KINDS)
+            raise InspeError(f"kinds: '{kind}': one of {', '.join(KINDS)}{hint}")
+    if len(set(kinds)) < len(kinds):
+        raise InspeError(f"kinds: {', '.join(kinds)}: each only once")
+    return [KINDS.index(kind) for kind in kinds]
+
+
+def _joined(frames: Sequence[Detections], what: str) -> Boxes:
+    """All frames as one. Raises InspeError if a value is not allowed."""
+    for t, frame in enumerate(frames):
+        count = len(frame.kind)
+        shapes = tuple(np.shape(part) for part in frame)
+        if shapes != ((count, 9), (count,), (count,)):
+            raise InspeError(
+                f"{what}: frame {t}: boxes, kind and score have the shapes {shapes[0]}, "
+                f"{shapes[1]} and {shapes[2]}: (N, 9), (N,) and (N,) are needed"
+            )
+    empty = Detections(np.zeros((0, 9)), np.zeros(0, int), np.zeros(0))
+    boxes, kind, score = (np.concatenate(part) for part in zip(empty, *frames, strict=True))
+    counts = [len(frame.kind) for frame in frames]
+    found = Boxes(np.repeat(np.arange(len(frames)), counts), boxes, kind, score)
+    finite = np.isfinite(boxes).all(1)
+    _require(finite, found, what, "box", boxes, "finite numbers are needed")
+    _require((boxes[:, 3:6] > 0).all(1), found, what, "size", boxes[:, 3:6], "must be above 0")
+    _require((score >= 0) & (score <= 1), found, what, "score", score, "must be from 0 to 1")
+    known = np.isin(kind, np.arange(len(KINDS)))
+    _require(known, found, what, "kind", kind, f"0 to {len(KINDS) - 1}: {', '.join(KINDS)}")
+    return found
+
+
+def _require(fine: Any, of: Boxes, what: str, name: str, values: np.ndarray, allowed: str) -> None:
+    """Raise InspeError with the first box that is not fine."""
+    if not fine.all():
+        n = int(np.argmin(fine))
+        place = n - int(np.searchsorted(of.frame, of.frame[n]))
+        where = f"{what}: frame {of.frame[n]}: box {place}"
+        raise InspeError(f"{where}: {name} {np.asarray(values[n]).tolist()}: {allowed}")

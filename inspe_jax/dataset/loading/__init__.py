@@ -12,7 +12,7 @@ from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Tar
 from inspe_jax.dataset.loading.caching import Cache, cache, open_cache
 from inspe_jax.dataset.loading.geometry import Similarity, on_picture
 from inspe_jax.dataset.loading.loader import Loader, PaddedPoints
-from inspe_jax.dataset.loading.pillars import PillarGrid, pillar_features
+from inspe_jax.dataset.loading.pillars import PillarGrid, pillar_features, taken
 
 __all__ = [
     "Augment",
@@ -30,4 +30,5 @@ __all__ = [
     "on_picture",
     "open_cache",
     "pillar_features",
+    "taken",
 ]

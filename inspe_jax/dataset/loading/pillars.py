@@ -121,8 +121,7 @@ def pillar_features(pillars: Pillars, grid: PillarGrid, xp: Any = np) -> Any:
     ``xp`` is numpy or jax.numpy: on an accelerator this costs nothing, and the nine columns need
     not be sent to it.
     """
-    slots = xp.arange(grid.most_points)
-    mask = slots < pillars.counts[..., None]  # (…, P, K)
+    mask = taken(pillars, grid, xp)
     count = xp.maximum(pillars.counts, 1).astype(xp.float32)[..., None, None]
     mean = pillars.points[..., :3].sum(-2, keepdims=True) / count
     middle = (pillars.cells.astype(xp.float32) + 0.5) * grid.cell - grid.half
@@ -133,6 +132,12 @@ def pillar_features(pillars: Pillars, grid: PillarGrid, xp: Any = np) -> Any:
     ]
     features = xp.concatenate(columns, -1)
     return xp.where(mask[..., None], features, xp.zeros_like(features))
+
+
+def taken(pillars: Pillars, grid: PillarGrid, xp: Any = np) -> Any:
+    """Which places of each pillar have a point, as (…, P, K)."""
+    slots = xp.arange(grid.most_points).reshape((1,) * pillars.counts.ndim + (-1,))
+    return slots < pillars.counts[..., None]
 
 
 def grouping(

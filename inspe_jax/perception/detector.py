@@ -1,0 +1,172 @@
+"""A detector: encoders of its modalities, a fusion of agents, and the head.
+
+The eight of the paper's Table 1 are rows of :data:`MODELS`. What makes each of them that detector
+is its encoder and its fusion, which are as in its paper but smaller; pyramid, head and training are
+the same for all, so that what differs is what is compared.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.dataset.loading.loader import Sensor
+from inspe_jax.perception.encoders import LiftSplat, Neck, PillarEncoder, Pyramid
+from inspe_jax.perception.encoders.pyramid import Maps
+from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
+from inspe_jax.perception.head import CenterHead, Found
+from inspe_jax.perception.inputs import BevGrid, Inputs
+
+ENCODED, CHANNELS = 32, 48
+"""Channels of what encoders give, and of the maps that are fused. Half of PointPillars' 64, and an
+eighth of its 384: what two cores train in hours instead of days."""
+
+Fusion = Callable[[Float[Array, "B A H W C"], Bool[Array, "B A"]], Float[Array, "B H W C"]]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A row of the registry.
+
+    ``images`` is the encoder of pictures. ``fuse`` makes a fusion of maps with so many channels and
+    of agents with these modalities (0 LiDAR, 1 camera). With ``every_scale`` the maps of all three
+    scales are fused, otherwise the one made of them. With ``joined``, all agents of a modality are
+    one from the start: early fusion. ``taught`` models learn from the maps of a teacher.
+    """
+
+    sensors: tuple[Sensor, ...]
+    fuse: Callable[[int, tuple[int, ...], Array], Fusion]
+    source: str
+    images: str = "efficientnet"
+    every_scale: bool = False
+    joined: bool = False
+    taught: bool = False
+
+
+def _mean(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
+    return Mean()
+
+
+def _att_fuse(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
+    return AttFuse()
+
+
+def _v2vnet(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
+    return V2VNet(channels, key)
+
+
+def _disco_net(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
+    return DiscoNet(channels, key)
+
+
+LIDAR: tuple[Sensor, ...] = ("lidar",)
+CAMERA: tuple[Sensor, ...] = ("camera",)
+BOTH: tuple[Sensor, ...] = ("lidar", "camera")
+
+TEACHER = "early-fusion"
+
+MODELS: dict[str, Model] = {
+    "lss-eff": Model(CAMERA, _mean, "Philion and Fidler 2020; Tan and Le 2019", joined=True),
+    "lss-resnet": Model(
+        CAMERA, _mean, "Philion and Fidler 2020; He et al. 2016", images="resnet", joined=True
+    ),
+    "v2vnet": Model(LIDAR, _v2vnet, "Wang et al. 2020"),
+    "v2x-vit": Model(LIDAR, V2XViT, "Xu et al. 2022"),
+    "coalign": Model(LIDAR, _att_fuse, "Lu et al. 2023", every_scale=True),
+    "attfuse": Model(BOTH, _att_fuse, "Xu et al. 2022"),
+    "disconet": Model(BOTH, _disco_net, "Li et al. 2021", taught=True),
+    "hm-vit": Model(BOTH, HMViT, "Xiang et al. 2023"),
+    TEACHER: Model(LIDAR, _mean, "DiscoNet's teacher: all points together", joined=True),
+}
+"""Detectors by name. CoAlign's correction of poses is left out: the poses are exact."""
+
+
+def model_of(name: str) -> Model:
+    """The row of a name. Raises InspeError, which lists the models, for another one."""
+    if name not in MODELS:
+        raise InspeError(f"no model '{name}': {', '.join(MODELS)}{nearest(name, tuple(MODELS))}")
+    return MODELS[name]
+
+
+class Agents(NamedTuple):
+    """How many agents of LiDARs and of cameras a frame has at most."""
+
+    lidars: int
+    cameras: int
+
+
+class Detector(eqx.Module):
+    """What a row of :data:`MODELS` says, with parameters drawn by ``key``."""
+
+    pillars: PillarEncoder | None
+    pictures: LiftSplat | None
+    pyramids: list[Pyramid]
+    necks: list[Neck]
+    fusions: list[Any]
+    head: CenterHead
+    model: Model = eqx.field(static=True)
+    agents: Agents = eqx.field(static=True)
+
+    def __init__(self, model: Model, agents: Agents, grid: BevGrid, key: Array) -> None:
+        a, b, c, d, e, f = jax.random.split(key, 6)
+        lidars = agents.lidars if "lidar" in model.sensors else 0
+        cameras = agents.cameras if "camera" in model.sensors else 0
+        if model.joined:
+            lidars, cameras = min(lidars, 1), min(cameras, 1)
+        self.model, self.agents = model, Agents(lidars, cameras)
+        self.pillars = PillarEncoder(grid.pillars(), ENCODED, a) if lidars else None
+        self.pictures = LiftSplat(model.images, grid, cameras, ENCODED, b) if cameras else None
+        modalities = (0,) * lidars + (1,) * cameras
+        ways = len(set(modalities))
+        self.pyramids = [Pyramid(ENCODED, own) for own in jax.random.split(c, ways)]
+        # Where every scale is fused, one neck comes after the fusion; else, one a modality before.
+        self.necks = [
+            Neck(CHANNELS, own) for own in jax.random.split(d, 1 if model.every_scale else ways)
+        ]
+        scales = 3 if model.every_scale else 1
+        self.fusions = [
+            model.fuse(CHANNELS, modalities, own) for own in jax.random.split(e, scales)
+        ]
+        self.head = CenterHead(CHANNELS, f)
+
+    def __call__(self, inputs: Inputs) -> tuple[Found, Float[Array, "B h w C"]]:
+        """What the head tells, and the fused map."""
+        fused = self.fused(inputs)
+        return self.head(fused), fused
+
+    def fused(self, inputs: Inputs) -> Float[Array, "B h w C"]:
+        """The map of all agents together."""
+        encoded, present = self._encoded(inputs)
+        maps = [pyramid(x) for pyramid, x in zip(self.pyramids, encoded, strict=True)]
+        if self.model.every_scale:
+            each: list[Maps] = maps
+            scales = [jnp.concatenate(scale, 1) for scale in zip(*each, strict=True)]
+            pairs = zip(self.fusions, scales, strict=True)
+            return self.necks[0](tuple(fusion(x, present) for fusion, x in pairs))
+        necked = [neck(x) for neck, x in zip(self.necks, maps, strict=True)]
+        found: Array = self.fusions[0](jnp.concatenate(necked, 1), present)
+        return found
+
+    def _encoded(
+        self, inputs: Inputs
+    ) -> tuple[list[Float[Array, "B A H W C"]], Bool[Array, "B A"]]:
+        """The maps of each modality's agents, and which agents are present."""
+        maps, present = [], jnp.asarray(inputs.present)
+        joined = self.model.joined
+        if self.pillars is not None:
+            assert inputs.pillars is not None
+            found = self.pillars(inputs.pillars)
+            maps.append(found.max(1, keepdims=True) if joined else found)
+        if self.pictures is not None:
+            maps.append(self.pictures(inputs))
+        return maps, present.any(1, keepdims=True) if joined else present
+
+
+def parameters(detector: Detector) -> int:
+    """Number of parameters."""
+    return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)))

@@ -1,0 +1,131 @@
+"""Encoders of pictures: of blocks as in EfficientNet (Tan and Le 2019) or ResNet (He et al. 2016).
+
+Both give maps at an eighth of the picture's sides: those at a sixteenth, enlarged, beside those at
+an eighth, as in Lift, Splat, Shoot. They have fewer blocks than their originals and are not
+pre-trained.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, UInt8
+
+from inspe_jax.perception.layers import Block, Conv, Depthwise, Linear, Norm, enlarged
+
+STEM = (16, 24)
+"""Channels at a half and a quarter of the sides, which two blocks give: the inverted residuals that
+EfficientNet has there widen maps of 60,000 cells, and would take a CPU longer than all that follows
+(EfficientNetV2 has none there either)."""
+WIDTHS = (48, 96)
+"""Channels at an eighth and a sixteenth of the sides; EfficientNet-B0 has 40 and 112."""
+EXPANSION = 3
+"""How many times wider an inverted residual is inside; EfficientNet has 6, which takes twice as long
+and is made for 1,000 classes."""
+STRIDE = 8
+
+
+class SqueezeExcite(eqx.Module):
+    """Weights channels by what the whole picture has (Hu et al. 2018)."""
+
+    squeeze: Linear
+    excite: Linear
+
+    def __init__(self, channels: int, squeezed: int, key: Array) -> None:
+        first, second = jax.random.split(key)
+        self.squeeze = Linear(channels, squeezed, first)
+        self.excite = Linear(squeezed, channels, second)
+
+    def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n h w c"]:
+        hidden = jax.nn.swish(self.squeeze(x.mean((1, 2))))
+        return x * jax.nn.sigmoid(self.excite(hidden))[:, None, None]
+
+
+class InvertedResidual(eqx.Module):
+    """EfficientNet's MBConv: widen, convolve each channel, weight channels, narrow."""
+
+    widen: Block
+    depthwise: Depthwise
+    norm: Norm
+    weigh: SqueezeExcite
+    narrow: Conv
+    narrow_norm: Norm
+
+    def __init__(self, inputs: int, outputs: int, key: Array, *, stride: int = 1) -> None:
+        inside = inputs * EXPANSION
+        a, b, c, d = jax.random.split(key, 4)
+        self.widen = Block(inputs, inside, a, width=1, activation=jax.nn.swish)
+        self.depthwise = Depthwise(inside, b, stride=stride)
+        self.norm = Norm(inside)
+        self.weigh = SqueezeExcite(inside, max(1, inputs // 4), c)
+        self.narrow = Conv(inside, outputs, d, width=1)
+        self.narrow_norm = Norm(outputs)
+
+    def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n hs ws d"]:
+        inside = jax.nn.swish(self.norm(self.depthwise(self.widen(x))))
+        found = self.narrow_norm(self.narrow(self.weigh(inside)))
+        return found + x if found.shape == x.shape else found
+
+
+class Bottleneck(eqx.Module):
+    """ResNet's bottleneck: narrow, convolve, widen, beside a shortcut."""
+
+    narrow: Block
+    convolve: Block
+    widen: Conv
+    norm: Norm
+    shortcut: Conv | None
+
+    def __init__(self, inputs: int, outputs: int, key: Array, *, stride: int = 1) -> None:
+        a, b, c, d = jax.random.split(key, 4)
+        inside = outputs // 2
+        self.narrow = Block(inputs, inside, a, width=1)
+        self.convolve = Block(inside, inside, b, stride=stride)
+        self.widen = Conv(inside, outputs, c, width=1)
+        self.norm = Norm(outputs)
+        same = inputs == outputs and stride == 1
+        self.shortcut = None if same else Conv(inputs, outputs, d, width=1, stride=stride)
+
+    def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n hs ws d"]:
+        beside = x if self.shortcut is None else self.shortcut(x)
+        return jax.nn.relu(self.norm(self.widen(self.convolve(self.narrow(x)))) + beside)
+
+
+BLOCKS: dict[str, type[InvertedResidual] | type[Bottleneck]] = {
+    "efficientnet": InvertedResidual,
+    "resnet": Bottleneck,
+}
+"""By name of the encoder: what its stages are made of."""
+
+
+class ImageEncoder(eqx.Module):
+    """A stem of two blocks, two stages of two, and these joined; each halves the sides."""
+
+    stem: tuple[Block, Block]
+    stages: list[tuple[Any, Any]]
+    join: Block
+
+    def __init__(self, name: str, channels: int, key: Array) -> None:
+        block: Callable[..., Any] = BLOCKS[name]
+        first, second, last, *keys = jax.random.split(key, 3 + 2 * len(WIDTHS))
+        self.stem = (Block(3, STEM[0], first, stride=2), Block(*STEM, second, stride=2))
+        self.stages, inputs = [], STEM[-1]
+        for k, width in enumerate(WIDTHS):
+            halve = block(inputs, width, keys[2 * k], stride=2)
+            self.stages.append((halve, block(width, width, keys[2 * k + 1])))
+            inputs = width
+        self.join = Block(sum(WIDTHS), channels, last)
+
+    def __call__(self, pixels: UInt8[Array, "n H W 3"]) -> Float[Array, "n h w c"]:
+        x, maps = pixels.astype(jnp.float32) / 127.5 - 1, []
+        for block in self.stem:
+            x = block(x)
+        for halve, keep in self.stages:
+            x = keep(halve(x))
+            maps.append(x)
+        finer, coarser = maps
+        high, wide = finer.shape[1:3]
+        beside = enlarged(coarser, 2)[:, :high, :wide]
+        return self.join(jnp.concatenate([finer, beside], -1))

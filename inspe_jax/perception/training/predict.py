@@ -1,0 +1,86 @@
+"""What a detector finds in frames, and how much of it is right."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from inspe_jax.dataset.loading import Batch, Cache, Loader
+from inspe_jax.perception.detections import Detections, truth_of
+from inspe_jax.perception.detector import Agents, Detector, model_of
+from inspe_jax.perception.evaluation import Evaluation, evaluate
+from inspe_jax.perception.head import Peaks, peaks
+from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
+
+LEAST_SCORE = 0.01
+"""Detections with a lower score are dropped. They come last, where precision is below 0.1, which
+counts for nothing."""
+
+
+def loader_of(name: str, cache: Cache, split: str, grid: BevGrid, **how: Any) -> Loader:
+    """A loader of what a model takes; ``how`` are further arguments of the loader."""
+    return Loader(
+        cache,
+        split,
+        sensors=model_of(name).sensors,
+        points=grid.pillars(),
+        half=grid.half,
+        **how,
+    )
+
+
+class Predictor:
+    """A detector that is compiled once, for frames of one shape."""
+
+    def __init__(self, detector: Detector, agents: Agents, grid: BevGrid) -> None:
+        self.detector, self.agents, self.grid = detector, agents, grid
+        self._peaks = eqx.filter_jit(lambda of, inputs: peaks(of(inputs)[0], grid))
+
+    def __call__(self, batch: Batch) -> list[Detections]:
+        """The detections in each frame of a batch that is ``valid``."""
+        inputs: Inputs = inputs_of(batch, self.agents.cameras)
+        found: Peaks = self._peaks(self.detector, inputs)
+        found = Peaks(*[np.asarray(part) for part in found])  # type: ignore[arg-type]
+        return [_kept(found, b) for b in np.flatnonzero(batch.valid).tolist()]
+
+    def evaluate(
+        self,
+        loader: Loader,
+        most: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Evaluation:
+        """The measures over the batches of a loader, or over about ``most`` frames of them.
+
+        ``progress`` is called with (frames done, all frames).
+        """
+        found: list[Detections] = []
+        truth: list[Detections] = []
+        chosen = _spread(len(loader), None if most is None else -(-most // loader.batch))
+        for done, batch in enumerate(_batches(loader, chosen), 1):
+            found += self(batch)
+            truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
+            if progress:
+                progress(done, len(chosen))
+        return evaluate(found, truth)
+
+
+def _kept(found: Any, b: int) -> Detections:
+    """The detections of a frame that are worth keeping."""
+    enough = found.score[b] >= LEAST_SCORE
+    return Detections(
+        boxes=found.boxes[b][enough],
+        kind=found.kind[b][enough].astype(np.int32),
+        score=found.score[b][enough],
+    )
+
+
+def _spread(count: int, most: int | None) -> list[int]:
+    """At most ``most`` of the numbers below ``count``, evenly over them."""
+    if most is None or most >= count:
+        return list(range(count))
+    return np.linspace(0, count - 1, most).round().astype(int).tolist()
+
+
+def _batches(loader: Loader, chosen: list[int]) -> Iterator[Batch]:
+    return (loader[k] for k in chosen) if len(chosen) < len(loader) else iter(loader)

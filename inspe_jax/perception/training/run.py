@@ -1,0 +1,197 @@
+"""The folder of a training: its record, what each step told, and its last two states.
+
+``run.json`` says what is trained on what. ``losses.csv`` has a row for each step, and
+``validation.csv`` one for each time that mAP was measured. ``step_00000250.eqx`` is the state after
+250 steps: the detector and the optimiser's moments, as Equinox writes them.
+"""
+
+import csv
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+from filelock import FileLock, Timeout
+from pydantic import BaseModel
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import (
+    STRICT,
+    check_model,
+    prepare_folder,
+    read_json,
+    whole_file,
+    write_text,
+)
+from inspe_jax.perception.detector import Detector, model_of
+from inspe_jax.perception.training.optimiser import optimiser
+from inspe_jax.perception.training.settings import Content
+
+RECORD, LOSSES, VALIDATION, LOCK = "run.json", "losses.csv", "validation.csv", ".run.lock"
+FORMAT = "inspe_jax run 1"
+KEPT = 2
+"""States that are kept: the last, and the one before it in case the last is damaged."""
+
+State = tuple[Detector, Any]
+"""The detector, and the moments of the optimiser."""
+
+
+class _Record(BaseModel):
+    model_config = STRICT
+
+    format: str
+    content: Content
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training, begun or done."""
+
+    path: Path
+    content: Content
+
+    @property
+    def states(self) -> list[tuple[int, Path]]:
+        """The steps after which there are states, and their files, earliest first."""
+        found = sorted(self.path.glob("step_*.eqx"))
+        return [(int(path.stem.removeprefix("step_")), path) for path in found]
+
+    @property
+    def steps(self) -> int:
+        """Steps done, as of the last state."""
+        return self.states[-1][0] if self.states else 0
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are done."""
+        return self.steps >= self.content.settings.steps
+
+    def rows(self, name: str) -> list[dict[str, float]]:
+        """The rows of :data:`LOSSES` or of :data:`VALIDATION`."""
+        path = self.path / name
+        if not path.is_file():
+            return []
+        with path.open(newline="", encoding="utf-8") as file:
+            return [
+                {key: float(value) for key, value in row.items()} for row in csv.DictReader(file)
+            ]
+
+    def write(self, name: str, row: Mapping[str, float]) -> None:
+        """Append a row; numbers are written so that they read back the same."""
+        path = self.path / name
+        new = not path.is_file()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, list(row), lineterminator="\n")
+            if new:
+                table.writeheader()
+            table.writerow(row)
+
+    def forget(self, after: int) -> None:
+        """Drop the rows of steps after ``after``: they are told again, and come out the same."""
+        for name in (LOSSES, VALIDATION):
+            path = self.path / name
+            if path.is_file():
+                head, *lines = path.read_text(encoding="utf-8").splitlines()
+                kept = [line for line in lines if _step(line) <= after]
+                write_text(path, "\n".join([head, *kept]) + "\n")
+
+    def keep(self, step: int, state: State) -> None:
+        """Write the state after ``step`` steps, whole or not at all; older ones go."""
+        with whole_file(self.path / f"step_{step:08}.eqx") as file:
+            eqx.tree_serialise_leaves(file, state)
+        for _, path in self.states[:-KEPT]:
+            path.unlink()
+
+    def restore(self) -> tuple[int, State]:
+        """The last state and its step; that before the first step if there is none.
+
+        Raises InspeError if its file is damaged.
+        """
+        detector = self.blank()
+        weights = eqx.filter(detector, eqx.is_inexact_array)
+        like = detector, optimiser(self.content.settings).init(weights)
+        if not self.states:
+            return 0, like
+        step, path = self.states[-1]
+        try:
+            with path.open("rb") as file:
+                found: State = eqx.tree_deserialise_leaves(file, like)
+                if file.read(1):
+                    raise ValueError("more bytes than the state has")
+        except Exception as e:
+            before = f"from step {self.states[-2][0]}" if len(self.states) > 1 else "from the start"
+            raise InspeError(
+                f"{path}: is damaged, or of another model: delete it, and training goes on {before}"
+            ) from e
+        return step, found
+
+    def blank(self) -> Detector:
+        """The detector that training begins with."""
+        settings = self.content.settings
+        key = jax.random.key(settings.seed)
+        return Detector(model_of(settings.model), self.content.agents, self.content.grid, key)
+
+    def detector(self) -> Detector:
+        """The detector of the last state. Raises InspeError if there is none, or it is damaged."""
+        if not self.states:
+            raise InspeError(f"{self.path}: has no state yet: train it first")
+        _, (detector, _) = self.restore()
+        return detector
+
+    def lock(self) -> FileLock:
+        """A lock that is held while the run is trained. Raises InspeError if another holds it."""
+        lock = FileLock(self.path / LOCK)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout as e:
+            raise InspeError(f"{self.path}: another process trains this run") from e
+        return lock
+
+
+def begin(folder: str | os.PathLike[str], content: Content) -> Run:
+    """A run in ``folder``, new or begun before with the same content.
+
+    Raises InspeError if the folder has another run, saying what is different, or other files.
+    """
+    path = prepare_folder(folder).resolve()
+    if (path / RECORD).is_file():
+        run = open_run(path)
+        here, there = (each.model_dump() for each in (run.content, content))
+        for key, value in {**there, **there["settings"]}.items():
+            had = {**here, **here["settings"]}[key]
+            if had != value and key != "settings":
+                raise InspeError(
+                    f"{folder}: this run has {key} {had}, not {value}: name another folder, or "
+                    f"give the same again to go on"
+                )
+        return run
+    others = sorted(child.name for child in path.iterdir() if child.name != LOCK)
+    if others:
+        raise InspeError(f"{folder}: has other files, such as {others[0]}: name an empty folder")
+    record = _Record(format=FORMAT, content=content)
+    write_text(path / RECORD, json.dumps(record.model_dump(), indent=2) + "\n")
+    return Run(path, content)
+
+
+def open_run(folder: str | os.PathLike[str]) -> Run:
+    """The run in a folder. Raises InspeError if there is none, or its record is damaged."""
+    path = Path(folder).resolve()
+    if not (path / RECORD).is_file():
+        raise InspeError(f"{folder}: not a training run: make one with inspe train")
+    record = check_model(_Record, read_json(path / RECORD), str(path / RECORD))
+    if record.format != FORMAT:
+        raise InspeError(
+            f"{path / RECORD}: format '{record.format}', not '{FORMAT}': it was made by another "
+            f"version: train again into another folder"
+        )
+    return Run(path, record.content)
+
+
+def _step(line: str) -> float:
+    """The step of a row; beyond all of them if a kill cut the row short."""
+    first, more, _ = line.partition(",")
+    return int(first) if more and first.isdigit() else float("inf")

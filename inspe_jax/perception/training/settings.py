@@ -1,0 +1,91 @@
+"""What a training is told. All of it is in the record of its run."""
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import STRICT
+from inspe_jax.dataset.loading import Augment, Cache
+from inspe_jax.perception.detector import Agents, model_of
+from inspe_jax.perception.inputs import BevGrid
+
+AUGMENT = Augment(flip=0.5, turn=np.pi, scale=(0.95, 1.05))
+"""Intersections have arms in any direction, so they are turned by any angle."""
+
+
+class Settings(BaseModel):
+    """How a detector is trained.
+
+    ``model`` is a name of :data:`~inspe_jax.perception.detector.MODELS`. ``steps`` of ``batch``
+    frames each; ``rate`` is the highest learning rate, of AdamW under a schedule that rises for
+    three tenths of the steps and falls for the rest (Smith and Topin 2019). After every ``every``
+    steps the state is kept, and the mAP of ``validate_frames`` frames of the split ``validate`` is
+    measured. With ``augment``, frames are mirrored, turned and scaled at random.
+
+    The defaults are for a study on two cores: the same number of steps for each model and
+    placement, after which most of the mAP is there.
+    """
+
+    model_config = STRICT
+
+    model: str
+    steps: Annotated[int, Field(ge=1)] = 1500
+    batch: Annotated[int, Field(ge=1)] = 2
+    rate: Annotated[float, Field(gt=0)] = 2e-3
+    seed: Annotated[int, Field(ge=0)] = 0
+    every: Annotated[int, Field(ge=1)] = 250
+    validate_frames: Annotated[int, Field(ge=0)] = 60
+    augment: bool = True
+
+
+class Content(BaseModel):
+    """What a run depends on: its settings, and what of the data set decides shapes and samples."""
+
+    model_config = STRICT
+
+    settings: Settings
+    frames: dict[str, int]
+    scenarios: str
+    pictures: list[int] | None
+    lidars: int
+    cameras: int
+    half: float
+    cell: float
+
+    @property
+    def agents(self) -> Agents:
+        """The agents that the detector is made for."""
+        return Agents(self.lidars, self.cameras)
+
+    @property
+    def grid(self) -> BevGrid:
+        """The cells that the detector is made for."""
+        return BevGrid(half=self.half, cell=self.cell)
+
+
+def agents_of(cache: Cache) -> Agents:
+    """The most units with LiDARs, and with cameras, that a scenario of a cache has."""
+    cameras = [
+        len(np.unique(units[units > 0]))
+        for units in (each.index["camera_unit"] for each in cache.scenarios)
+    ]
+    return Agents(
+        lidars=max(each.record.lidar_units for each in cache.scenarios),
+        cameras=max(cameras) if cache.pictures else 0,
+    )
+
+
+def check_sensors(name: str, cache: Cache) -> None:
+    """Raise InspeError if a model needs sensors that a cache has no data of."""
+    model, agents = model_of(name), agents_of(cache)
+    if "lidar" in model.sensors and not agents.lidars:
+        raise InspeError(f"{cache.path}: {name} needs LiDARs, and no scenario has one")
+    if "camera" in model.sensors and not agents.cameras:
+        why = (
+            "no scenario has a camera"
+            if cache.pictures
+            else "the cache was made without pictures: cache the set again, with pictures"
+        )
+        raise InspeError(f"{cache.path}: {name} needs pictures, and {why}")

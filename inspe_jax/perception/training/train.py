@@ -1,0 +1,197 @@
+"""The loop: batches, steps, and what is kept of them."""
+
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from inspe_jax.core import sharding
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset.loading import Cache, Targets
+from inspe_jax.perception.detector import TEACHER, Detector, model_of
+from inspe_jax.perception.distillation import distillation
+from inspe_jax.perception.head import aims, loss
+from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
+from inspe_jax.perception.training.optimiser import optimiser
+from inspe_jax.perception.training.predict import Predictor, loader_of
+from inspe_jax.perception.training.run import LOSSES, VALIDATION, Run, begin
+from inspe_jax.perception.training.settings import (
+    AUGMENT,
+    Content,
+    Settings,
+    agents_of,
+    check_sensors,
+)
+from inspe_jax.simulation.frame import KINDS
+
+
+class Report(NamedTuple):
+    """How far a training is: of which model, ``step`` of ``steps``, the loss of late, and the mAP
+    on the validation split, once there is one."""
+
+    model: str
+    step: int
+    steps: int
+    loss: float
+    mean_ap: float | None
+
+
+class _Losses(NamedTuple):
+    heat: Float[Array, ""]
+    values: Float[Array, ""]
+    taught: Float[Array, ""]
+
+
+def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
+    """What a run of these settings on a cache depends on."""
+    agents = agents_of(cache)
+    sources = sorted((each.split, each.name, each.record.source) for each in cache.scenarios)
+    return Content(
+        settings=settings,
+        frames={
+            name: sum(each.record.frames for each in own) for name, own in cache.splits.items()
+        },
+        scenarios=digest(sources),
+        pictures=None if cache.pictures is None else list(cache.pictures),
+        lidars=agents.lidars,
+        cameras=agents.cameras,
+        half=grid.half,
+        cell=grid.cell,
+    )
+
+
+def train(
+    cache: Cache,
+    folder: str | os.PathLike[str],
+    settings: Settings,
+    *,
+    grid: BevGrid | None = None,
+    workers: int = 1,
+    progress: Callable[[Report], None] | None = None,
+) -> Run:
+    """Train a detector on the split ``train`` of a cache; the run is in ``folder``.
+
+    After a kill, call this again: it goes on from the last state, and its losses are the same to
+    the last digit as without the kill, on the same machine. A model that is taught has its teacher
+    trained first, in ``folder/teacher``. With several devices, each takes its share of a batch.
+
+    Raises InspeError if the cache has no data of the model's sensors or no split ``train``; if the
+    folder has another run; if the last state is damaged; or if a loss is not a number, in which
+    case the states before it stay.
+    """
+    grid = grid or BevGrid()
+    model = model_of(settings.model)
+    check_sensors(settings.model, cache)
+    run = begin(folder, content_of(cache, settings, grid))
+    teacher = None
+    if model.taught:
+        own = settings.model_copy(update={"model": TEACHER})
+        teacher = train(
+            cache, run.path / "teacher", own, grid=grid, workers=workers, progress=progress
+        ).detector()
+    with run.lock():
+        _train(cache, run, teacher, workers, progress)
+    return run
+
+
+def _train(
+    cache: Cache,
+    run: Run,
+    teacher: Detector | None,
+    workers: int,
+    progress: Callable[[Report], None] | None,
+) -> None:
+    settings, grid, agents = run.content.settings, run.content.grid, run.content.agents
+    first, (detector, moments) = run.restore()
+    run.forget(first)
+    if first >= settings.steps:
+        return
+    loader = loader_of(
+        settings.model,
+        cache,
+        "train",
+        grid,
+        batch=settings.batch,
+        seed=settings.seed,
+        augment=AUGMENT if settings.augment else None,
+        workers=workers,
+    )
+    step = _compiled(settings, grid)
+    late, mean_ap = None, _last_map(run)
+    for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
+        inputs = _placed((inputs_of(batch, agents.cameras), batch.targets))
+        detector, moments, told = step(detector, moments, teacher, *inputs)
+        row = {name: float(value) for name, value in told._asdict().items()}
+        total = sum(row.values())
+        if not np.isfinite(total):
+            raise InspeError(
+                f"{run.path}: the loss of step {number} is not a number: try a lower rate than "
+                f"{settings.rate:g}; the state after step {run.steps} stays"
+            )
+        run.write(LOSSES, {"step": number, **row})
+        late = total if late is None else 0.95 * late + 0.05 * total
+        if number % settings.every == 0 or number == settings.steps:
+            run.keep(number, (detector, moments))
+            mean_ap = _validate(cache, run, detector, number)
+        if progress:
+            progress(Report(settings.model, number, settings.steps, late, mean_ap))
+
+
+def _compiled(settings: Settings, grid: BevGrid) -> Callable[..., Any]:
+    """A step: (detector, moments, teacher, inputs, targets) to the next two, and the losses."""
+    change = optimiser(settings)
+
+    def told(
+        detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets
+    ) -> tuple[Float[Array, ""], _Losses]:
+        found, fused = detector(inputs)
+        heat, values = loss(found, aims(targets, grid))
+        taught = jnp.zeros(())
+        if teacher is not None:
+            taught = distillation(fused, teacher.fused(inputs))
+        return heat + values + taught, _Losses(heat, values, taught)
+
+    @eqx.filter_jit(donate="all-except-first")
+    def step(
+        constant: tuple[Detector | None, Inputs, Targets], detector: Detector, moments: Any
+    ) -> tuple[Detector, Any, _Losses]:
+        teacher, inputs, targets = constant
+        slope, losses = eqx.filter_grad(told, has_aux=True)(detector, teacher, inputs, targets)
+        weights = eqx.filter(detector, eqx.is_inexact_array)
+        with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions
+            updates, moments = change.update(slope, moments, weights)
+        return eqx.apply_updates(detector, updates), moments, losses
+
+    return lambda detector, moments, *constant: step(constant, detector, moments)
+
+
+def _placed(arrays: Any) -> Any:
+    """Arrays of a batch, split among the devices if there are several and they divide it."""
+    frames = len(jax.tree.leaves(arrays)[0])
+    return sharding.put(arrays, 0) if sharding.divides(frames) else arrays
+
+
+def _last_map(run: Run) -> float | None:
+    rows = run.rows(VALIDATION)
+    return rows[-1]["mean_ap"] if rows else None
+
+
+def _validate(cache: Cache, run: Run, detector: Detector, step: int) -> float | None:
+    """The mAP on the split ``validate``, if there is one, as a row of the run."""
+    content = run.content
+    if not content.settings.validate_frames or "validate" not in cache.splits:
+        return None
+    loader = loader_of(
+        content.settings.model, cache, "validate", content.grid, batch=1, shuffle=False
+    )
+    predictor = Predictor(detector, content.agents, content.grid)
+    found = predictor.evaluate(loader, content.settings.validate_frames)
+    classes = dict(zip(KINDS, found.class_ap.tolist(), strict=True))
+    run.write(VALIDATION, {"step": step, "mean_ap": found.mean_ap, **classes})
+    return found.mean_ap

@@ -1,14 +1,14 @@
 """Evaluates the detections of many frames by nuScenes' measures."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.words import counted
-from inspe_jax.perception.detections import Detections
+from inspe_jax.perception.detections import Detections, check
 from inspe_jax.perception.evaluation.matching import Places, by_score, match
 from inspe_jax.perception.evaluation.metrics import (
     DISTANCES,
@@ -114,30 +114,8 @@ def _indices(kinds: Sequence[str]) -> list[int]:
 def _joined(frames: Sequence[Detections], what: str) -> Boxes:
     """All frames as one. Raises InspeError if a value is not allowed."""
     for t, frame in enumerate(frames):
-        count = len(frame.kind)
-        shapes = tuple(np.shape(part) for part in frame)
-        if shapes != ((count, 9), (count,), (count,)):
-            raise InspeError(
-                f"{what}: frame {t}: boxes, kind and score have the shapes {shapes[0]}, "
-                f"{shapes[1]} and {shapes[2]}: (N, 9), (N,) and (N,) are needed"
-            )
+        check(frame, f"{what}: frame {t}")
     empty = Detections(np.zeros((0, 9)), np.zeros(0, int), np.zeros(0))
-    boxes, kind, score = (np.concatenate(part) for part in zip(empty, *frames, strict=True))
     counts = [len(frame.kind) for frame in frames]
-    found = Boxes(np.repeat(np.arange(len(frames)), counts), boxes, kind, score)
-    finite = np.isfinite(boxes).all(1)
-    _require(finite, found, what, "box", boxes, "finite numbers are needed")
-    _require((boxes[:, 3:6] > 0).all(1), found, what, "size", boxes[:, 3:6], "must be above 0")
-    _require((score >= 0) & (score <= 1), found, what, "score", score, "must be from 0 to 1")
-    known = np.isin(kind, np.arange(len(KINDS)))
-    _require(known, found, what, "kind", kind, f"0 to {len(KINDS) - 1}: {', '.join(KINDS)}")
-    return found
-
-
-def _require(fine: Any, of: Boxes, what: str, name: str, values: np.ndarray, allowed: str) -> None:
-    """Raise InspeError with the first box that is not fine."""
-    if not fine.all():
-        n = int(np.argmin(fine))
-        place = n - int(np.searchsorted(of.frame, of.frame[n]))
-        where = f"{what}: frame {of.frame[n]}: box {place}"
-        raise InspeError(f"{where}: {name} {np.asarray(values[n]).tolist()}: {allowed}")
+    parts = (np.concatenate(part) for part in zip(empty, *frames, strict=True))
+    return Boxes(np.repeat(np.arange(len(frames)), counts), *parts)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -32,7 +32,7 @@ _HEIGHTS = LinearSegmentedColormap.from_list(
 )
 _HEAD, _FOOT, _GAP, _WORDS = 0.62, 0.42, 0.10, 0.17  # [inch]
 _DOTS: Any = (0, (1, 1.2))
-_RIM: list[Any] = [patheffects.withStroke(linewidth=1.3, foreground="white", alpha=0.6)]
+RIM: list[Any] = [patheffects.withStroke(linewidth=1.3, foreground="white", alpha=0.6)]
 _ROW = 9.5  # height of a row of the panel [pt]
 
 
@@ -49,30 +49,39 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
         for station in frame.stations
         for i, image in enumerate(station.images)
     ]
-    columns = 2 if len(images) <= 4 else 3 if len(images) <= 12 else 4
-    width = (WIDTH - 2 * _GAP - _GAP * (columns - 1)) / columns
-    ratio = max((image.rgb.shape[0] / image.rgb.shape[1] for _, image in images), default=0.0)
-    step = width * ratio + _WORDS + _GAP
-    rows = -(-len(images) // columns)
-    height = _HEAD + MAP + _FOOT + (rows * step + _GAP if images else 0.0)
     with house_style():
-        fig = Figure(figsize=(WIDTH, height), facecolor="white")
+        fig, ax, panel, pictures = sheet_of_pictures([image.rgb.shape[:2] for _, image in images])
         _heading(fig, scenario, frame, [image for _, image in images])
-        ax = fig.add_axes((LEFT / WIDTH, 1 - (_HEAD + MAP) / height, MAP / WIDTH, MAP / height))
-        panel = fig.add_axes(
-            (PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
-        )
-        panel.set(xlim=(0, ASIDE * 72), ylim=(-MAP * 72, 0))  # in points
-        panel.axis("off")
         cloud = _draw_plan(ax, frame)
         _draw_panel(fig, panel, frame, cloud, bool(images))
-        for k, (words, image) in enumerate(images):
-            left = _GAP + (k % columns) * (width + _GAP)
-            top = _HEAD + MAP + _FOOT + _WORDS + (k // columns) * step
-            own = width * image.rgb.shape[0] / image.rgb.shape[1]
-            place = (left / WIDTH, 1 - (top + own) / height, width / WIDTH, own / height)
-            _draw_image(fig.add_axes(place), image, frame.boxes, words)
+        for place, (words, image) in zip(pictures, images, strict=True):
+            _draw_image(place, image, frame.boxes, words)
     return fig
+
+
+def sheet_of_pictures(
+    shapes: Sequence[tuple[int, ...]],
+) -> tuple[Figure, Axes, Axes, list[Axes]]:
+    """An empty sheet: figure, plan, panel beside it, and below a place for each picture of height
+    and width ``shapes`` [pixels]."""
+    columns = 2 if len(shapes) <= 4 else 3 if len(shapes) <= 12 else 4
+    width = (WIDTH - 2 * _GAP - _GAP * (columns - 1)) / columns
+    step = width * max((tall / wide for tall, wide in shapes), default=0.0) + _WORDS + _GAP
+    rows = -(-len(shapes) // columns)
+    height = _HEAD + MAP + _FOOT + (rows * step + _GAP if shapes else 0.0)
+    fig = Figure(figsize=(WIDTH, height), facecolor="white")
+    ax = fig.add_axes((LEFT / WIDTH, 1 - (_HEAD + MAP) / height, MAP / WIDTH, MAP / height))
+    panel = fig.add_axes((PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height))
+    panel.set(xlim=(0, ASIDE * 72), ylim=(-MAP * 72, 0))  # in points
+    panel.axis("off")
+    pictures = []
+    for k, (tall, wide) in enumerate(shapes):
+        left = _GAP + (k % columns) * (width + _GAP)
+        top = _HEAD + MAP + _FOOT + _WORDS + (k // columns) * step
+        own = width * tall / wide
+        place = (left / WIDTH, 1 - (top + own) / height, width / WIDTH, own / height)
+        pictures.append(fig.add_axes(place))
+    return fig, ax, panel, pictures
 
 
 def name_of(station: Station) -> str:
@@ -81,18 +90,22 @@ def name_of(station: Station) -> str:
 
 
 def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Image]) -> None:
-    height = fig.get_figheight()
     scans = [scan for station in frame.stations for scan in station.scans]
     points = sum(len(scan.points) for scan in scans)
-    title = fit(f"{scenario.name}, frame {frame.number}", 68)
     facts = (
         f"{frame.time:.2f} s; {counted(len(frame.boxes), 'object')}; "
         f"{counted(len(frame.stations), 'station')}\n"
         f"{counted(len(images), 'image')}; {counted(len(scans), 'point cloud')}"
         f"{f' of {points:,} points together' if scans else ''}"
     )
+    heading(fig, f"{scenario.name}, frame {frame.number}", facts)
+
+
+def heading(fig: Figure, title: str, facts: str) -> None:
+    """Write a title, and two lines of ``facts`` below it."""
+    height = fig.get_figheight()
     at: dict[str, Any] = dict(x=LEFT / WIDTH, va="top", parse_math=False)
-    fig.text(y=1 - 0.10 / height, s=title, size=10, weight="bold", **at)
+    fig.text(y=1 - 0.10 / height, s=fit(title, 68), size=10, weight="bold", **at)
     fig.text(y=1 - 0.29 / height, s=facts, linespacing=1.35, **at)
 
 
@@ -111,23 +124,33 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
             cloud[0], cloud[1], c=cloud[2], s=0.35, lw=0, cmap=_HEIGHTS, vmin=low, vmax=high,
             rasterized=True, zorder=1,
         )  # fmt: skip
-    footprint = corners(frame.boxes)[:, :4, :2]
-    colors = [_color(box) for box in frame.boxes]
-    ax.add_collection(
-        PolyCollection(list(footprint), fc="none", ec=colors, lw=0.8, zorder=3), autolim=False
-    )
-    front = footprint[:, [0, 3]].mean(1)
-    middle = footprint.mean(1)
-    ahead = LineCollection(list(np.stack([middle, front], 1)), colors=colors, lw=0.6, zorder=3)
-    ax.add_collection(ahead, autolim=False)
+    draw_footprints(ax, frame.boxes, [_color(box) for box in frame.boxes])
     for station in frame.stations:
         for image in station.images:
-            yaw = image.pose[5]
-            tip = image.pose[:2] + 0.05 * (x1 - x0) * np.array([np.cos(yaw), np.sin(yaw)])
-            ends = np.stack([image.pose[:2], tip])
-            ax.plot(*ends.T, color=BADGE_COLOR, lw=0.9, zorder=5, path_effects=HALO)
-        _badge(ax, station.pose[:2], station)
+            draw_direction(ax, image.pose[:2], image.pose[5])
+        badge(ax, station.pose[:2], name_of(station))
     return drawn
+
+
+def draw_footprints(
+    ax: Axes, boxes: Sequence[RoadUserBox], colors: Sequence[str], fill: str = "none", **look: Any
+) -> None:
+    """Draw boxes in plan, and a line from the middle of each to its front."""
+    look = dict(lw=0.8, zorder=3) | look
+    footprint = corners(boxes)[:, :4, :2]
+    outlines = PolyCollection(list(footprint), fc=fill, ec=colors, **look)
+    front, middle = footprint[:, [0, 3]].mean(1), footprint.mean(1)
+    look["lw"] *= 0.75
+    ahead = LineCollection(list(np.stack([middle, front], 1)), colors=colors, **look)
+    for drawn in (outlines, ahead):
+        ax.add_collection(drawn, autolim=False)
+
+
+def draw_direction(ax: Axes, at: Float[np.ndarray, "2"], yaw: float) -> None:
+    """Draw a line from a camera to where it looks, a twentieth of the plan long."""
+    reach = 0.05 * np.diff(ax.get_xlim())
+    ends = np.stack([at, at + reach * np.array([np.cos(yaw), np.sin(yaw)])])
+    ax.plot(*ends.T, color=BADGE_COLOR, lw=0.9, zorder=5, path_effects=HALO)
 
 
 def _limits(
@@ -157,9 +180,10 @@ def _color(box: RoadUserBox) -> str:
     return CLASS_COLORS[KINDS.index(box.kind)]
 
 
-def _badge(ax: Axes, at: Any, station: Station) -> None:
+def badge(ax: Axes, at: Any, name: str) -> None:
+    """Mark a station with its name."""
     ax.annotate(
-        name_of(station), tuple(at), size=6, weight="bold", color="white", ha="center", va="center",
+        name, tuple(at), size=6, weight="bold", color="white", ha="center", va="center",
         zorder=6, bbox=dict(boxstyle="round,pad=0.25,rounding_size=0.6", fc=BADGE_COLOR,
         ec="white", lw=0.5), annotation_clip=True,
     )  # fmt: skip
@@ -183,7 +207,7 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
             panel.text(0, y - _ROW, f"and {len(frame.stations) - room} more stations", **look)
             break
         y -= _ROW
-        _badge(panel, (6, y), station)
+        badge(panel, (6, y), name_of(station))
         inset = 13 + 3.2 * (len(name_of(station)) - 1)
         panel.text(inset, y, fit(station.name, 26), **look, weight="bold")
         y -= _ROW
@@ -212,7 +236,6 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
 def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str) -> None:
     """An image, and the boxes that fall into it."""
     height, width = image.rgb.shape[:2]
-    ax.imshow(image.rgb, extent=(0, width, height, 0))
     lines, owner = box_lines(image, boxes, width, height)
     seen = set(range(len(boxes)))
     if image.instance is not None:
@@ -223,9 +246,15 @@ def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str
         colors = [_color(boxes[k]) for k in owner[own]]
         drawn = LineCollection(list(lines[own]), colors=colors, **look)
         if shown:
-            drawn.set_path_effects(_RIM)
+            drawn.set_path_effects(RIM)
         ax.add_collection(drawn, autolim=False)
-    ax.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     met = len(set(owner.tolist()) & seen)
-    words = f"{words}: {met} box{'es' * (met != 1)}"
+    draw_picture(ax, image.rgb, f"{words}: {met} box{'es' * (met != 1)}")
+
+
+def draw_picture(ax: Axes, rgb: UInt8[np.ndarray, "H W 3"], words: str) -> None:
+    """Draw a picture under what is drawn in its pixels, with words above it."""
+    height, width = rgb.shape[:2]
+    ax.imshow(rgb, extent=(0, width, height, 0))
+    ax.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     ax.set_title(words, loc="left", size=6.5, pad=2.5, parse_math=False)

@@ -68,7 +68,14 @@ def box_lines(
     ``width`` and ``height`` are the picture's, in pixels. A box behind the camera, or outside the
     picture, has no edges.
     """
-    lines, owner = _in_front(image, corners(boxes), NEAR)
+    return edge_lines(image, corners(boxes), width, height)
+
+
+def edge_lines(
+    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], width: int, height: int
+) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
+    """What :func:`box_lines` gives, of boxes by their :func:`corners`."""
+    lines, owner = _in_front(image, box_corners, NEAR)
     for axis, most in ((0, width), (1, height)):
         lines, owner = _cut(lines, owner, lines[..., axis])
         lines, owner = _cut(lines, owner, most - lines[..., axis])

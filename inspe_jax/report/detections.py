@@ -1,0 +1,262 @@
+"""A figure of detections beside ground truth: in plan over the points, and on the pictures."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
+from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars
+from inspe_jax.perception.detections import Detections, check, truth_of
+from inspe_jax.perception.evaluation.matching import matched
+from inspe_jax.perception.evaluation.metrics import ERROR_DISTANCE
+from inspe_jax.report.figures import CLASS_COLORS, KEYS
+from inspe_jax.report.frames import (
+    BADGE_COLOR,
+    MARGIN,
+    RIM,
+    badge,
+    draw_direction,
+    draw_footprints,
+    draw_picture,
+    heading,
+    sheet_of_pictures,
+)
+from inspe_jax.report.sheet import house_style
+from inspe_jax.simulation.frame import KINDS, RoadUserBox
+from inspe_jax.simulation.projection import corners, edge_lines
+
+TRUTH_COLOR, MISSED_COLOR = "#808080", "#f0e442"
+"""A grey, and Okabe and Ito's yellow, which no class has."""
+
+_FILL, _POINT = "#dcdcdc", "#cfcfcf"
+_ROW = 9.5  # height of a row of the panel [pt]
+_COLUMNS = (62, 91, 117)  # right edges in the panel [pt]
+_DASHES: Any = (0, (2.5, 1.2))
+_DISC: dict[str, Any] = dict(ls="", marker="o", ms=10, mfc=MISSED_COLOR, mew=0, alpha=0.6)
+_CROSS: dict[str, Any] = dict(marker="x", ms=4.5, mec="black", mew=0.9)
+_SCORE_HALO = [patheffects.withStroke(linewidth=1.2, foreground="white")]
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """What is drawn: truth and detections as boxes, and which of them have no counterpart."""
+
+    truth: Detections
+    found: Detections
+    users: list[RoadUserBox]
+    boxes: list[RoadUserBox]
+    missed: Bool[np.ndarray, " M"]
+    false: Bool[np.ndarray, " N"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """A camera at the origin: boxes are given in its body's frame."""
+
+    intrinsic: Float[np.ndarray, "3 3"]
+    pose: Float[np.ndarray, "6"]
+
+
+def draw(
+    batch: Batch, b: int, detections: Detections, title: str, *, least_score: float = 0.0
+) -> Figure:
+    """A figure of frame b of a batch: points and boxes in plan, and every picture with the boxes.
+
+    Ground truth is grey, white on pictures; detections have the colour of their class, and a line
+    to their front. A road user that no detection of its class takes at 2 m is missed, and drawn in
+    yellow; a detection that takes none is false, and dashed
+    (:func:`~inspe_jax.perception.evaluation.matched`). Detections with a score below
+    ``least_score`` are left out, and count as not made. Everything is in the frame of the
+    intersection, as in the batch. Raises InspeError if b is padding, or a detection is not valid.
+    """
+    if not batch.valid[b]:
+        raise InspeError(f"frame {b} of the batch is padding: use one that is valid")
+    check(detections, "detections")
+    shown = Detections(*(np.asarray(p)[detections.score >= least_score] for p in detections))
+    compared = _compare(truth_of(batch.targets, b), shown)
+    cameras = batch.cameras
+    there = [] if cameras is None else np.flatnonzero(cameras.present[b]).tolist()
+    shapes = [] if cameras is None else [cameras.pixels.shape[2:4]] * len(there)
+    with house_style():
+        fig, ax, panel, places = sheet_of_pictures(shapes)
+        heading(fig, title, _facts(compared, len(detections.kind), least_score))
+        _draw_plan(ax, batch, b, compared)
+        _draw_panel(panel, compared, bool(there), batch.lidars is not None)
+        if cameras is not None:
+            for place, c in zip(places, there, strict=True):
+                _draw_image(place, cameras, b, c, compared)
+    return fig
+
+
+def _compare(truth: Detections, found: Detections) -> _Compared:
+    taken = matched(found, truth)
+    missed = ~np.isin(np.arange(len(truth.kind)), taken)
+    return _Compared(truth, found, _boxes(truth), _boxes(found), missed, taken < 0)
+
+
+def _boxes(of: Detections) -> list[RoadUserBox]:
+    return [
+        RoadUserBox(
+            track=k,
+            kind=KINDS[kind],
+            name="",
+            center=x[:3],
+            yaw=float(x[6]),
+            size=x[3:6],
+            velocity=np.array([*x[7:], 0.0]),
+        )
+        for k, (x, kind) in enumerate(zip(of.boxes.astype(float), of.kind, strict=True))
+    ]
+
+
+def _facts(compared: _Compared, given: int, least_score: float) -> str:
+    """Two lines: how many of both there are, and how many of them match."""
+    left_out = given - len(compared.boxes)
+    words = (
+        f"{counted(len(compared.users), 'road user')}; {counted(len(compared.boxes), 'detection')}"
+    )
+    if least_score > 0:
+        words += f" with a score of {least_score:g} or more, and {left_out:,} below, not drawn"
+    missed, false = int(compared.missed.sum()), int(compared.false.sum())
+    found = len(compared.users) - missed
+    return (
+        f"{words}\nwithin {ERROR_DISTANCE:g} m: {found:,} found, {missed:,} missed, "
+        f"{counted(false, 'false detection')}"
+    )
+
+
+def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared) -> None:
+    """Draw points, sensors, truth and detections in plan."""
+    sensors = [each for each in (batch.lidars, batch.cameras) if each is not None]
+    places = [each.pose[b, each.present[b], :2, 3] for each in sensors]
+    spots = np.concatenate([compared.truth.boxes[:, :2], compared.found.boxes[:, :2], *places])
+    low, high = (spots.min(0), spots.max(0)) if len(spots) else (np.zeros(2), np.zeros(2))
+    middle, reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
+    (x0, y0), (x1, y1) = middle - reach, middle + reach
+    ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x [m]", ylabel="y [m]")
+    if batch.lidars is not None:
+        x, y = _points(batch.lidars, b).T
+        near = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        ax.scatter(x[near], y[near], c=_POINT, s=0.3, lw=0, rasterized=True, zorder=1)
+    ax.plot(*compared.truth.boxes[compared.missed, :2].T, **_DISC, zorder=2)
+    for missed, fill in ((False, _FILL), (True, MISSED_COLOR)):
+        users = [compared.users[n] for n in np.flatnonzero(compared.missed == missed)]
+        colors = [TRUTH_COLOR] * len(users)
+        draw_footprints(ax, users, colors, fill=fill, lw=0.5, zorder=3)
+    for false, style in ((False, "-"), (True, _DASHES)):
+        own = np.flatnonzero(compared.false == false)
+        colors = [_color(compared.found.kind[n]) for n in own]
+        draw_footprints(ax, [compared.boxes[n] for n in own], colors, ls=style, zorder=4)
+    ax.plot(*compared.found.boxes[compared.false, :2].T, ls="", **_CROSS, zorder=5)
+    _draw_scores(ax, compared)
+    for unit in _units(batch, b):
+        _draw_unit(ax, batch, b, unit)
+
+
+def _color(kind: int) -> str:
+    return CLASS_COLORS[kind]
+
+
+def _points(lidars: Lidars, b: int) -> Float[np.ndarray, "N 2"]:
+    """x and y of all points of a frame, padded or in pillars."""
+    points, inside = lidars.points, lidars.mask
+    if lidars.pillars is not None:
+        points, counts = lidars.pillars.points, lidars.pillars.counts
+        inside = np.arange(points.shape[3]) < counts[..., None]  # (B, G, P, K)
+    if points is None or inside is None:
+        return np.zeros((0, 2))
+    return points[b][inside[b]][:, :2]
+
+
+def _draw_scores(ax: Axes, compared: _Compared) -> None:
+    """Write the score of each detection right of its box."""
+    for box, kind, score in zip(
+        compared.boxes, compared.found.kind, compared.found.score, strict=True
+    ):
+        ax.annotate(
+            f"{score:.2f}".removeprefix("0"), (corners([box])[..., 0].max(), box.center[1]),
+            xytext=(1, 0), textcoords="offset points", size=4.5, color=_color(kind), va="center",
+            zorder=5, path_effects=_SCORE_HALO, annotation_clip=True,
+        )  # fmt: skip
+
+
+def _units(batch: Batch, b: int) -> list[int]:
+    """The numbers of the units that have a sensor in a frame."""
+    sensors = [each for each in (batch.lidars, batch.cameras) if each is not None]
+    return sorted({int(unit) for each in sensors for unit in each.unit[b][each.present[b]]})
+
+
+def _draw_unit(ax: Axes, batch: Batch, b: int, unit: int) -> None:
+    """Mark a unit in the middle of its sensors, and where its cameras look."""
+    places = []
+    for each in (batch.lidars, batch.cameras):
+        if each is not None:
+            own = each.present[b] & (each.unit[b] == unit)
+            places.append(each.pose[b, own])
+    poses = np.concatenate(places)
+    if batch.cameras is not None:
+        for pose in places[-1]:
+            draw_direction(ax, pose[:2, 3], float(np.arctan2(pose[1, 0], pose[0, 0])))
+    badge(ax, poses[:, :2, 3].mean(0), str(unit))
+
+
+def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -> None:
+    """A table of counts by class, and the legend."""
+    look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
+    for x, word in zip(_COLUMNS, ("found", "missed", "false"), strict=True):
+        panel.text(x, -_ROW / 2, word, ha="right", **look)
+    for k, kind in enumerate(KINDS):
+        y = -_ROW * (k + 1.5)
+        panel.text(0, y, kind, color=_color(k), weight="bold", **look)
+        missed = compared.missed[compared.truth.kind == k]
+        counts = (~missed).sum(), missed.sum(), compared.false[compared.found.kind == k].sum()
+        for x, count in zip(_COLUMNS, counts, strict=True):
+            panel.text(x, y, f"{count:,}", ha="right", **look)
+    wrong: dict[str, Any] = dict(color="black", lw=0.8, ls=_DASHES, **_CROSS)
+    truth = "ground truth (white below)" if cameras else "ground truth"
+    keys: list[Any] = [
+        Patch(fc=_FILL, ec=TRUTH_COLOR, lw=0.5, label=truth),
+        Patch(fc="none", ec=_color(0), lw=0.8, label="detection, and its score"),
+        Line2D([], [], **_DISC, label=f"missed: none within {ERROR_DISTANCE:g} m"),
+        Line2D([], [], **wrong, label="false detection"),
+    ]
+    if points:
+        keys.append(Line2D([], [], ls="", marker=".", ms=3, c=_POINT, label="LiDAR point"))
+    if cameras:
+        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
+    panel.legend(handles=keys, loc="lower left", **KEYS)
+
+
+def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, compared: _Compared) -> None:
+    """A picture with truth and detections on it."""
+    pixels = cameras.pixels[b, c]
+    height, width = pixels.shape[:2]
+    pose = cameras.pose[b, c].astype(float)
+    camera = _Camera(cameras.intrinsic[b, c].astype(float), np.zeros(6))
+
+    def lines_of(boxes: list[RoadUserBox]) -> tuple[np.ndarray, Int[np.ndarray, " L"]]:
+        return edge_lines(camera, (corners(boxes) - pose[:3, 3]) @ pose[:3, :3], width, height)
+
+    lines, owner = lines_of(compared.users)
+    for wrong, color in ((False, "white"), (True, MISSED_COLOR)):
+        own = compared.missed[owner] == wrong
+        ax.add_collection(LineCollection(list(lines[own]), colors=color, lw=0.8), autolim=False)
+    lines, owner = lines_of(compared.boxes)
+    for wrong, style in ((False, "-"), (True, _DASHES)):
+        own = compared.false[owner] == wrong
+        colors = [_color(kind) for kind in compared.found.kind[owner[own]]]
+        drawn = LineCollection(list(lines[own]), colors=colors, lw=0.7, ls=style)
+        drawn.set_path_effects(RIM)
+        ax.add_collection(drawn, autolim=False)
+    number = int((cameras.unit[b, :c] == cameras.unit[b, c]).sum())
+    words = f"unit {cameras.unit[b, c]}, camera {number}"
+    draw_picture(ax, pixels, f"{words}: {counted(len(set(owner.tolist())), 'detection')}")

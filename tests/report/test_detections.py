@@ -1,0 +1,248 @@
+"""The figure of detections beside ground truth: what is drawn where, and how it is marked."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset.loading import Batch, Cameras, Lidars, Pillars, Targets
+from inspe_jax.dataset.loading.geometry import on_picture, pose_matrix
+from inspe_jax.perception.detections import Detections
+from inspe_jax.report.detections import MISSED_COLOR, TRUTH_COLOR, draw
+from inspe_jax.report.figures import CLASS_COLORS
+from inspe_jax.report.sheet import save_figure
+
+POINTS = np.array([[3.0, 4, 0, 1], [-5, 1, 0, 1], [900, 0, 0, 1]], np.float32)
+"""Three points, of which the last is far outside the plan."""
+
+USERS = np.array(
+    [
+        [10, 0, 1, 4, 2, 2, 0, 0, 0],
+        [0, 20, 1, 4, 2, 2, np.pi / 2, 0, 0],
+        [-8, -8, 0.9, 0.5, 0.5, 1.8, 0, 0, 0],
+    ],
+    np.float32,
+)
+"""A car ahead of the camera, a car beside it, and a pedestrian behind it."""
+
+
+LEVEL = np.array([0.0, 0, 1, 0, 0, 0])
+
+
+def batch(cameras: bool = True, points: str | None = "padded", pose=LEVEL) -> Batch:
+    """Two frames, of which the second is padding. Unit 2 has a camera, usually a level one at the
+    origin, 1 m above the ground, which looks along x; unit 1 has a LiDAR there."""
+    poses = np.broadcast_to(pose_matrix(pose).astype(np.float32), (2, 2, 4, 4))
+    present = np.array([[True, False]] * 2)
+    padded, mask = np.zeros((2, 2, 5, 4), np.float32), np.zeros((2, 2, 5), bool)
+    padded[0, 0, :3], mask[0, 0, :3] = POINTS, True
+    pillars = Pillars(
+        padded.reshape(2, 2, 1, 5, 4),
+        mask.sum(-1, keepdims=True).astype(np.int32),
+        np.zeros((2, 2, 1, 2), np.int32),
+    )
+    lidars = Lidars(
+        padded if points == "padded" else None,
+        mask if points == "padded" else None,
+        pillars if points == "pillars" else None,
+        poses,
+        present,
+        np.array([[1, 0]] * 2, np.int32),
+    )
+    intrinsic = np.array([[100, 0, 400], [0, 100, 300], [0, 0, 1]], np.float32)
+    views = Cameras(
+        np.full((2, 2, 600, 800, 3), 90, np.uint8),
+        np.broadcast_to(intrinsic, (2, 2, 3, 3)),
+        poses,
+        present,
+        np.array([[2, 0]] * 2, np.int32),
+    )
+    targets = Targets(
+        boxes=np.stack([USERS, USERS]),
+        kind=np.array([[0, 0, 3]] * 2, np.int32),
+        track=np.zeros((2, 3), np.int32),
+        returns=np.zeros((2, 3, 2), np.int32),
+        mask=np.array([[True] * 3, [False] * 3]),
+    )
+    return Batch(
+        lidars=lidars if points else None,
+        cameras=views if cameras else None,
+        targets=targets,
+        scenario=np.zeros(2, np.int32),
+        number=np.zeros(2, np.int32),
+        transform=np.broadcast_to(np.eye(4, dtype=np.float32), (2, 4, 4)),
+        valid=np.array([True, False]),
+    )
+
+
+def detections() -> Detections:
+    """The car ahead is found; the other one is taken for a truck; a cyclist is nowhere; and one
+    with a low score."""
+    boxes = np.concatenate([USERS[:2], USERS[:1], USERS[2:]])
+    boxes[0, 0] += 0.5
+    boxes[2, :2] = [15, -20]
+    score = np.array([0.9, 0.6, 0.30, 0.05], np.float32)
+    return Detections(boxes, np.array([0, 1, 2, 3], np.int32), score)
+
+
+def plan_of(fig: Figure):
+    return next(ax for ax in fig.axes if ax.get_xlabel() == "x [m]")
+
+
+def polygons(ax) -> list[tuple[tuple[str, str], np.ndarray]]:
+    """Fill and edge colour of each polygon of a plan, and its corners."""
+    found = []
+    for drawn in ax.collections:
+        if type(drawn).__name__ == "PolyCollection":
+            fills, edges = drawn.get_facecolor(), drawn.get_edgecolor()
+            for k, path in enumerate(drawn.get_paths()):
+                fill = to_hex(fills[k % len(fills)]) if len(fills) else "none"
+                found.append(((fill, to_hex(edges[k % len(edges)])), path.vertices[:4]))
+    return found
+
+
+def panel_rows(fig: Figure) -> dict[str, list[str]]:
+    """The table of the panel: the row of each class."""
+    panel = next(ax for ax in fig.axes if ax.get_legend())
+    texts = [
+        (-text.get_position()[1], text.get_position()[0], text.get_text()) for text in panel.texts
+    ]
+    rows: dict[float, list[str]] = {}
+    for y, _, word in sorted(texts):
+        rows.setdefault(y, []).append(word)
+    return {row[0]: row[1:] for row in rows.values()}
+
+
+@pytest.fixture(scope="module")
+def fig():
+    return draw(batch(), 0, detections(), "a detector", least_score=0.1)
+
+
+def test_the_heading_and_the_panel_count(fig):
+    words = "\n".join(text.get_text() for text in fig.texts)
+    assert "a detector" in words
+    assert "3 road users; 3 detections with a score of 0.1 or more, and 1 below, not drawn" in words
+    assert "within 2 m: 1 found, 2 missed, 2 false detections" in words
+    assert panel_rows(fig) == {
+        "found": ["missed", "false"],
+        "car": ["1", "1", "0"],
+        "truck": ["0", "0", "1"],
+        "cyclist": ["0", "0", "1"],
+        "pedestrian": ["0", "1", "0"],
+    }
+
+
+def test_boxes_are_in_plan_where_they_are(fig):
+    """Truth is filled, in yellow where it is missed; detections have the colour of their class."""
+    shown = polygons(plan_of(fig))
+    truth = [(fill, corners) for (fill, edge), corners in shown if edge == TRUTH_COLOR]
+    assert [fill == MISSED_COLOR for fill, _ in truth] == [False, True, True]
+    np.testing.assert_allclose(truth[0][1].min(0), [8, -1])
+    np.testing.assert_allclose(truth[1][1].max(0), [1, 22], atol=1e-5)
+    found = [(edge, corners) for (_, edge), corners in shown if edge != TRUTH_COLOR]
+    assert [color for color, _ in found] == list(CLASS_COLORS[:3])
+    np.testing.assert_allclose(found[0][1].min(0), [8.5, -1])
+
+
+def test_false_detections_are_dashed_and_crossed_and_missed_users_have_a_disc(fig):
+    ax = plan_of(fig)
+    by = {line.get_marker(): line.get_xydata() for line in ax.lines if len(line.get_xydata())}
+    np.testing.assert_allclose(by["o"], USERS[1:, :2])
+    np.testing.assert_allclose(by["x"], [[0, 20], [15, -20]])
+    dashed = [
+        len(drawn.get_paths())
+        for drawn in ax.collections
+        if type(drawn).__name__ == "PolyCollection" and drawn.get_linestyle()[0][1] is not None
+    ]
+    assert dashed == [2]
+
+
+def test_scores_headings_and_units_are_in_plan(fig):
+    ax = plan_of(fig)
+    words = {text.get_text(): text for text in ax.texts}
+    assert list(words) == [".90", ".60", ".30", "1", "2"]
+    assert words[".90"].get_color() == CLASS_COLORS[0]
+    np.testing.assert_allclose(words[".90"].xy, [12.5, 0])
+    ahead = [line for drawn in ax.collections for line in getattr(drawn, "get_segments", list)()]
+    for ends in ([[10, 0], [12, 0]], [[0, 20], [0, 22]], [[10.5, 0], [12.5, 0]]):
+        assert any(np.allclose(line, ends, atol=1e-5) for line in ahead)
+    (camera,) = (line for line in ax.lines if line.get_marker() == "None")
+    (x0, y0), (x1, y1) = camera.get_xydata()
+    assert (x0, y0, y1) == (0, 0, 0)
+    assert x1 > 1
+
+
+def test_boxes_are_on_the_picture_where_the_calibration_puts_them(fig):
+    """The near corners of the car ahead are 8 m away, 1 m beside and 1 m above and below the axis:
+    12.5 pixels. Its detection is half a metre farther. What is behind the camera is not there."""
+    (ax,) = (ax for ax in fig.axes if ax.images)
+    assert ax.get_title(loc="left") == "unit 2, camera 0: 2 detections"
+    truth, missed, found, false = (drawn.get_segments() for drawn in ax.collections)
+    assert [len(lines) for lines in (truth, missed, found)] == [12, 0, 12]
+    ends = np.concatenate(truth)
+    assert ends.min(0).tolist() == [387.5, 287.5]
+    assert ends.max(0).tolist() == [412.5, 312.5]
+    np.testing.assert_allclose(np.concatenate(found).min(0), 400 - 100 / 8.5 - np.array([0, 100]))
+    assert np.concatenate(false)[:, 0].min() > 412.5  # the cyclist, right of it
+    assert to_hex(ax.collections[0].get_color()) == "#ffffff"
+    assert to_hex(ax.collections[1].get_color()) == MISSED_COLOR
+    assert to_hex(ax.collections[2].get_color()[0]) == CLASS_COLORS[0]
+    assert ax.get_xlim() == (0, 800)
+    assert ax.get_ylim() == (600, 0)
+
+
+def test_a_camera_may_look_anywhere():
+    """Against :func:`on_picture`: all corners of the car are where it says."""
+    pose = pose_matrix(np.array([-6, -9, 7, 0.1, -0.5, 0.6]))
+    tilted = batch(pose=[-6, -9, 7, 0.1, -0.5, 0.6])
+    fig = draw(tilted, 0, Detections(*(part[:0] for part in detections())), "tilted")
+    (ax,) = (ax for ax in fig.axes if ax.images)
+    ends = np.concatenate(ax.collections[1].get_segments())
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = USERS[0, :3] + signs * USERS[0, 3:6] / 2
+    expected = on_picture(corners, pose, tilted.cameras.intrinsic[0, 0])
+    assert (expected[:, 2] > 0).all()
+    for corner in expected[:, :2]:
+        assert (np.abs(ends - corner).max(1) < 1e-3).sum() == 3
+
+
+@pytest.mark.parametrize("points", ["padded", "pillars"])
+def test_points_are_drawn_that_are_no_padding(points):
+    ax = plan_of(draw(batch(points=points), 0, detections(), "points"))
+    cloud = ax.collections[0].get_offsets()
+    assert sorted(np.asarray(cloud).tolist()) == [[-5, 1], [3, 4]]
+
+
+@pytest.mark.parametrize(("cameras", "points"), [(False, "padded"), (True, None), (False, None)])
+def test_sensors_may_be_missing(tmp_path, cameras, points):
+    fig = draw(batch(cameras, points), 0, detections(), "few sensors")
+    save_figure(fig, tmp_path / "few.png")
+    assert [bool(ax.images) for ax in fig.axes].count(True) == cameras
+    assert "3 road users; 4 detections\n" in fig.texts[1].get_text()
+    keys = [text.get_text() for ax in fig.axes if ax.get_legend() for text in ax.get_legend().texts]
+    assert ("LiDAR point" in keys) == (points is not None)
+    assert ("direction of a camera" in keys) == cameras
+
+
+def test_nothing_found_and_nothing_there(tmp_path):
+    none = Detections(*(part[:0] for part in detections()))
+    fig = draw(batch(), 0, none, "nothing found")
+    assert panel_rows(fig)["car"] == ["0", "2", "0"]
+    empty = batch()
+    empty.targets.mask[:] = False
+    fig = draw(empty, 0, none, "nothing there")
+    save_figure(fig, tmp_path / "nothing.png")
+    assert (
+        "0 road users; 0 detections\nwithin 2 m: 0 found, 0 missed, 0 false"
+        in fig.texts[1].get_text()
+    )
+
+
+def test_bad_input():
+    with pytest.raises(InspeError, match="frame 1 of the batch is padding"):
+        draw(batch(), 1, detections(), "padding")
+    bad = detections()
+    bad.boxes[2, 0] = np.nan
+    with pytest.raises(InspeError, match=r"detections: box 2: box .*nan.*: finite numbers"):
+        draw(batch(), 0, bad, "bad")

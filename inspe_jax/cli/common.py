@@ -1,6 +1,7 @@
 """What all commands share: the app, its consoles, arguments, progress bars, and errors."""
 
 import json
+import re
 import sys
 import tempfile
 import time
@@ -54,6 +55,18 @@ ProfileOption = Annotated[
 PlotOption = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Draw a figure: .png, .svg or .pdf.")
 ]
+PicturesOption = Annotated[
+    str,
+    typer.Option("--pictures", metavar="WxH", help="Width and height of pictures, or none."),
+]
+
+
+def picture_size(text: str) -> tuple[int, int] | None:
+    """Height and width of an option such as 400x300; None for none."""
+    found = re.fullmatch(r"(\d+)x(\d+)", text)
+    if not found and text != "none":
+        raise InspeError(f"--pictures {text}: width and height such as 400x300, or none")
+    return (int(found[2]), int(found[1])) if found else None
 
 
 def main() -> None:

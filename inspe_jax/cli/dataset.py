@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from inspe_jax.cli.common import (
+    PicturesOption,
     PlotOption,
     app,
     busy,
@@ -16,6 +17,7 @@ from inspe_jax.cli.common import (
     err,
     note,
     out,
+    picture_size,
     progress,
     show,
 )
@@ -167,12 +169,7 @@ def check_files(
 def decode(
     folder: SetArgument,
     into: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the cache.")],
-    size: Annotated[
-        str,
-        typer.Option(
-            "--pictures", metavar="WxH", help="Width and height of pictures, or none for none."
-        ),
-    ] = "400x300",
+    size: PicturesOption = "400x300",
     workers: Annotated[
         int | None, typer.Option(help="Number of processes; one per core if not given.")
     ] = None,
@@ -187,17 +184,10 @@ def decode(
     - `inspe dataset cache infra --out infra_cache --pictures 352x128`
     - `inspe dataset cache infra --out infra_cache --pictures none`
     """
-    import re
-
-    from inspe_jax.core.errors import InspeError
     from inspe_jax.dataset import cache
 
-    found = re.fullmatch(r"(\d+)x(\d+)", size)
-    if not found and size != "none":
-        raise InspeError(f"--pictures {size}: width and height such as 400x300, or none")
-    pictures = (int(found[2]), int(found[1])) if found else None
     with progress("frames") as tell:
-        made = cache(folder, into, pictures=pictures, workers=workers, progress=tell)
+        made = cache(folder, into, pictures=picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     out.print(
         f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}",

@@ -7,7 +7,7 @@ the same for all, so that what differs is what is compared.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ from inspe_jax.perception.encoders import LiftSplat, Neck, PillarEncoder, Pyrami
 from inspe_jax.perception.encoders.pyramid import Maps
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
 from inspe_jax.perception.head import CenterHead, Found
-from inspe_jax.perception.inputs import BevGrid, Inputs
+from inspe_jax.perception.inputs import Agents, BevGrid, Inputs
 
 ENCODED, CHANNELS = 32, 48
 """Channels of what encoders give, and of the maps that are fused. Half of PointPillars' 64, and an
@@ -91,13 +91,6 @@ def model_of(name: str) -> Model:
     if name not in MODELS:
         raise InspeError(f"no model '{name}': {', '.join(MODELS)}{nearest(name, tuple(MODELS))}")
     return MODELS[name]
-
-
-class Agents(NamedTuple):
-    """How many agents of LiDARs and of cameras a frame has at most."""
-
-    lidars: int
-    cameras: int
 
 
 class Detector(eqx.Module):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Batch, PillarGrid, Pillars
 
 
@@ -65,17 +66,27 @@ class Inputs(NamedTuple):
     present: Bool[np.ndarray, "B A"]
 
 
-def inputs_of(batch: Batch, camera_units: int) -> Inputs:
-    """The inputs of a batch whose pillars are by unit; ``camera_units`` is U, 0 without cameras."""
+class Agents(NamedTuple):
+    """How many agents of LiDARs and of cameras a frame has at most."""
+
+    lidars: int
+    cameras: int
+
+
+def inputs_of(batch: Batch, agents: Agents) -> Inputs:
+    """The inputs of a batch whose pillars are by unit, filled up to the number of ``agents``.
+
+    Raises InspeError if a frame has more agents.
+    """
     lidars, cameras = batch.lidars, batch.cameras
-    pillars = None if lidars is None else lidars.pillars
-    present = []
-    if pillars is not None:
+    pillars, unit, present = None, None, []
+    if lidars is not None and lidars.pillars is not None:
+        pillars = _filled_up(lidars.pillars, agents.lidars)
         present.append(pillars.counts.any(-1))
-    unit = None
     if cameras is not None:
         unit = np.where(cameras.present, _ranks(cameras.unit), -1).astype(np.int32)
-        present.append((unit[..., None] == np.arange(camera_units)).any(1))
+        _check_count(int(unit.max(initial=-1)) + 1, agents.cameras, "cameras")
+        present.append((unit[..., None] == np.arange(agents.cameras)).any(1))
     return Inputs(
         pillars=pillars,
         pixels=None if cameras is None else cameras.pixels,
@@ -84,6 +95,28 @@ def inputs_of(batch: Batch, camera_units: int) -> Inputs:
         unit=unit,
         present=_one_at_least(np.concatenate(present, -1)),
     )
+
+
+def _filled_up(pillars: Pillars, count: int) -> Pillars:
+    """Pillars with ``count`` groups: the last ones are empty."""
+    missing = count - pillars.counts.shape[1]
+    _check_count(int(pillars.counts.any((0, 2)).sum()), count, "LiDARs")
+    if missing <= 0:
+        return Pillars(*(part[:, :count] for part in pillars))
+    return Pillars(
+        *(
+            np.concatenate([part, np.zeros((len(part), missing, *part.shape[2:]), part.dtype)], 1)
+            for part in pillars
+        )
+    )
+
+
+def _check_count(there: int, most: int, what: str) -> None:
+    if there > most:
+        raise InspeError(
+            f"a frame has {there} units with {what}, but the detector was made for {most}: train "
+            f"one on a set with as many"
+        )
 
 
 def _ranks(unit: Int32[np.ndarray, "B C"]) -> Int32[np.ndarray, "B C"]:

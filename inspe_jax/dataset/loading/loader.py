@@ -177,6 +177,30 @@ class Loader:
         finally:
             pool.shutdown(cancel_futures=True)
 
+    def find(self, scenario: str | None = None, frame: int | None = None) -> tuple[str, int, int]:
+        """A frame by its scenario and number: both, and the step whose batch has it.
+
+        The first scenario, or its first frame, if not given. For loaders without ``shuffle`` and
+        with batches of one. Raises InspeError that says which there are.
+        """
+        names = [each.name for each in self.scenarios]
+        if scenario is not None and scenario not in names:
+            hint = nearest(scenario, names)
+            raise InspeError(
+                f"no scenario '{scenario}' in split '{self.split}': it has {', '.join(names[:3])}"
+                f"{' …' if len(names) > 3 else ''}{hint}"
+            )
+        s = 0 if scenario is None else names.index(scenario)
+        numbers = self.scenarios[s].index["number"].tolist()
+        if frame is not None and frame not in numbers:
+            raise InspeError(
+                f"{names[s]}: no frame {frame}: it has {len(numbers)}, from {numbers[0]} to "
+                f"{numbers[-1]}"
+            )
+        t = 0 if frame is None else numbers.index(frame)
+        at = np.flatnonzero((self.frames == [s, t]).all(1))
+        return names[s], numbers[t], int(at[0])
+
     def order(self, epoch: int) -> Int[np.ndarray, " D"]:
         """The frames that an epoch draws, as rows of :attr:`frames`."""
         known = self._orders

@@ -22,8 +22,8 @@ EfficientNet has there widen maps of 60,000 cells, and would take a CPU longer t
 WIDTHS = (48, 96)
 """Channels at an eighth and a sixteenth of the sides; EfficientNet-B0 has 40 and 112."""
 EXPANSION = 3
-"""How many times wider an inverted residual is inside; EfficientNet has 6, which takes twice as long
-and is made for 1,000 classes."""
+"""How many times wider an inverted residual is inside; EfficientNet has 6, for 1,000 classes, which
+takes twice as long."""
 STRIDE = 8
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from inspe_jax.dataset.loading import Batch, Cache, Loader
 from inspe_jax.perception.detections import Detections, truth_of
-from inspe_jax.perception.detector import Agents, Detector, model_of
+from inspe_jax.perception.detector import Detector, model_of
 from inspe_jax.perception.evaluation import Evaluation, evaluate
 from inspe_jax.perception.head import Peaks, peaks
-from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
+from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 
 LEAST_SCORE = 0.01
 """Detections with a lower score are dropped. They come last, where precision is below 0.1, which
@@ -39,7 +39,7 @@ class Predictor:
 
     def __call__(self, batch: Batch) -> list[Detections]:
         """The detections in each frame of a batch that is ``valid``."""
-        inputs: Inputs = inputs_of(batch, self.agents.cameras)
+        inputs: Inputs = inputs_of(batch, self.agents)
         found: Peaks = self._peaks(self.detector, inputs)
         found = Peaks(*[np.asarray(part) for part in found])  # type: ignore[arg-type]
         return [_kept(found, b) for b in np.flatnonzero(batch.valid).tolist()]

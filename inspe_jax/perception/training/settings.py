@@ -8,8 +8,8 @@ from pydantic import BaseModel, Field
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import STRICT
 from inspe_jax.dataset.loading import Augment, Cache
-from inspe_jax.perception.detector import Agents, model_of
-from inspe_jax.perception.inputs import BevGrid
+from inspe_jax.perception.detector import model_of
+from inspe_jax.perception.inputs import Agents, BevGrid
 
 AUGMENT = Augment(flip=0.5, turn=np.pi, scale=(0.95, 1.05))
 """Intersections have arms in any direction, so they are turned by any angle."""

@@ -125,7 +125,7 @@ def _train(
     step = _compiled(settings, grid)
     late, mean_ap = None, _last_map(run)
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
-        inputs = _placed((inputs_of(batch, agents.cameras), batch.targets))
+        inputs = _placed((inputs_of(batch, agents), batch.targets))
         detector, moments, told = step(detector, moments, teacher, *inputs)
         row = {name: float(value) for name, value in told._asdict().items()}
         total = sum(row.values())

@@ -1,0 +1,238 @@
+"""Detectors trained on data sets: `inspe train`, `inspe evaluate` and `inspe detect`.
+
+Imports are inside the commands: Equinox is an extra, and JAX takes long to import.
+"""
+
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inspe_jax.cli.common import (
+    PicturesOption,
+    PlotOption,
+    app,
+    busy,
+    check_record,
+    err,
+    out,
+    picture_size,
+    progress,
+    show,
+)
+from inspe_jax.core.errors import InspeError
+
+if TYPE_CHECKING:
+    from inspe_jax.dataset import Cache, Loader
+    from inspe_jax.perception.training import Run
+
+SetArgument = Annotated[
+    Path, typer.Argument(metavar="SET", help="A data set, or the cache of one.")
+]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training.")]
+CacheOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--cache",
+        metavar="DIR",
+        help="Folder for the set's cache, if SET is none: SET_cache if not given.",
+    ),
+]
+SplitOption = Annotated[str, typer.Option(help="Split of the set.")]
+RecordOption = Annotated[
+    str | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write the result as JSON; - writes it to stdout only."
+    ),
+]
+
+
+@app.command("train")
+def train_detector(
+    source: SetArgument,
+    folder: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the training.")],
+    model: Annotated[str, typer.Option(help="Detector; see above.")] = "coalign",
+    steps: Annotated[int, typer.Option(min=1, help="Steps of training.")] = 1500,
+    batch: Annotated[int, typer.Option(min=1, help="Frames of a step.")] = 2,
+    rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
+    seed: Annotated[int, typer.Option(min=0, help="Of weights, order and augmentation.")] = 0,
+    every: Annotated[
+        int, typer.Option(min=1, help="Steps after which the state is kept, and mAP measured.")
+    ] = 250,
+    validate: Annotated[
+        int, typer.Option(min=0, help="Frames of the split validate that mAP is measured on.")
+    ] = 60,
+    augment: Annotated[bool, typer.Option(help="Mirror, turn and scale frames at random.")] = True,
+    pictures: PicturesOption = "400x300",
+    cache: CacheOption = None,
+) -> None:
+    """Train a detector on the split train of a data set.
+
+    The detectors of InSPE's Table 1 are lss-eff and lss-resnet (cameras), v2vnet, v2x-vit and
+    coalign (LiDARs), attfuse, disconet and hm-vit (both). They are small: what two cores train in
+    an hour. early-fusion is disconet's teacher, which is trained first.
+
+    RUN gets losses.csv, validation.csv and the last two states. To go on after a stop, give the
+    same command again; losses are the same as without the stop.
+
+    Examples:
+
+    - `inspe train infra --model v2x-vit --out runs/v2x-vit`
+    - `inspe train infra_cache --model lss-eff --steps 3000 --out runs/lss-eff`
+    """
+    from inspe_jax.core.files import check_folder
+
+    training = _training()
+    check_folder(folder)
+    settings = training.Settings(
+        model=model,
+        steps=steps,
+        batch=batch,
+        rate=rate,
+        seed=seed,
+        every=every,
+        validate_frames=validate,
+        augment=augment,
+    )
+    data = _cache(source, cache, picture_size(pictures))
+    try:
+        with progress("compiling") as tell:
+
+            def report(now: Any) -> None:
+                words = f"{now.model}: loss {now.loss:.2f}"
+                if now.mean_ap is not None:
+                    words += f", mAP {now.mean_ap:.1%}"
+                tell(now.step, now.steps, words)
+
+            run = training.train(data, folder, settings, progress=report if tell else None)
+    except KeyboardInterrupt:
+        err.print("stopped; give the same command again to go on", soft_wrap=True)
+        raise typer.Exit(130) from None
+    rows = run.rows("validation.csv")
+    found = f", mAP {rows[-1]['mean_ap']:.1%} on the split validate" if rows else ""
+    out.print(f"{model}: {run.steps:,} steps{found}\nwrote {folder}", highlight=False)
+
+
+@app.command("evaluate")
+def evaluate_detector(
+    folder: RunArgument,
+    source: SetArgument,
+    split: SplitOption = "test",
+    table: Annotated[
+        Path | None,
+        typer.Option("--csv", metavar="FILE.csv", help="Write the table's rows as CSV."),
+    ] = None,
+    record: RecordOption = None,
+    cache: CacheOption = None,
+) -> None:
+    """Measure what a trained detector finds: nuScenes' mAP and errors, by class.
+
+    Detections are true if they are nearer than 0.5, 1, 2 and 4 m to a road user of their class; AP
+    is the mean over these. All road users of the frames count, also those that no sensor sees, so
+    that placements of sensors are measured against the same traffic.
+
+    Examples:
+
+    - `inspe evaluate runs/v2x-vit infra`
+    - `inspe evaluate runs/v2x-vit infra --split validate --csv table.csv`
+    """
+    from inspe_jax.core.files import check_output, csv_text, json_value, write_text
+    from inspe_jax.report.perception_tables import evaluation_table
+
+    check_output(table, (".csv",))
+    check_record(record)
+    run, loader, predictor = _ready(folder, source, cache, split)
+    with progress("frames") as tell:
+        found = predictor.evaluate(loader, progress=tell)
+    rows = [dict(row) for row in found.rows()]
+    content = {"run": str(run.path), "split": split, "step": run.steps, "classes": rows}
+    show(evaluation_table(found), json_value(content), record)
+    if table:
+        write_text(table, csv_text(rows))
+        (err if record == "-" else out).print(f"wrote {table}", highlight=False)
+
+
+@app.command("detect")
+def detect(
+    folder: RunArgument,
+    source: SetArgument,
+    frame: Annotated[
+        int | None, typer.Option(help="Number of the frame; the first if not given.")
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Its scenario; the first if not given.")
+    ] = None,
+    split: SplitOption = "test",
+    least: Annotated[
+        float, typer.Option("--score", min=0, max=1, help="Least score that is shown.")
+    ] = 0.3,
+    plot: PlotOption = None,
+    record: RecordOption = None,
+    cache: CacheOption = None,
+) -> None:
+    """List what a trained detector finds in a frame, and draw it beside the ground truth.
+
+    Examples:
+
+    - `inspe detect runs/v2x-vit infra --plot detections.png`
+    - `inspe detect runs/v2x-vit infra --scenario four_way --frame 68 --score 0.1`
+    """
+    from inspe_jax.core.files import check_output, json_value
+    from inspe_jax.report.detections import draw
+    from inspe_jax.report.perception_tables import detections_table
+    from inspe_jax.report.sheet import FORMATS, save_figure
+
+    check_output(plot, FORMATS)
+    check_record(record)
+    run, loader, predictor = _ready(folder, source, cache, split)
+    name, number, step = loader.find(scenario, frame)
+    batch = loader[step]
+    with busy("detecting"):
+        (found,) = predictor(batch)
+    where = {"run": str(run.path), "scenario": name, "frame": number}
+    show(detections_table(found, least), json_value({**where, **found._asdict()}), record)
+    if plot:
+        with busy("drawing"):
+            title = f"{run.content.settings.model}: {name}, frame {number}"
+            save_figure(draw(batch, 0, found, title, least_score=least), plot)
+        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+
+
+def _training() -> ModuleType:
+    """The room of trainings. Raises InspeError if Equinox is missing."""
+    try:
+        from inspe_jax.perception import training
+    except ModuleNotFoundError as e:
+        if e.name != "equinox":
+            raise
+        raise InspeError(
+            "this needs Equinox, which is not installed: pip install 'inspe_jax[perception]'"
+        ) from e
+    return training
+
+
+def _cache(source: Path, folder: Path | None, pictures: tuple[int, int] | None) -> "Cache":
+    """The cache of a set, which is decoded as far as it is not."""
+    from inspe_jax.perception.training.source import cache_of
+
+    with progress("decoding frames") as tell:
+        return cache_of(source, pictures=pictures, folder=folder, progress=tell)
+
+
+def _ready(folder: Path, source: Path, cache: Path | None, split: str) -> "tuple[Run, Loader, Any]":
+    """A run, the frames of a set in order, and what detects in them."""
+    training = _training()
+    from inspe_jax.perception.training.predict import loader_of
+    from inspe_jax.perception.training.settings import check_sensors
+    from inspe_jax.perception.training.source import check_pictures
+
+    run = training.open_run(folder)
+    content = run.content
+    detector = run.detector()
+    size = content.pictures
+    data = _cache(source, cache, None if size is None else (size[0], size[1]))
+    check_sensors(content.settings.model, data)
+    check_pictures(run, data)
+    loader = loader_of(content.settings.model, data, split, content.grid, batch=1, shuffle=False)
+    return run, loader, training.Predictor(detector, content.agents, content.grid)

@@ -1,0 +1,43 @@
+"""The cache of a data set that a command names."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.dataset.loading import Cache, cache, open_cache
+from inspe_jax.dataset.loading.caching import CACHE
+from inspe_jax.perception.training.run import Run
+
+
+def cache_of(
+    source: str | os.PathLike[str],
+    *,
+    pictures: tuple[int, int] | None,
+    folder: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Cache:
+    """A data set as a cache; ``source`` may be one.
+
+    What of the set is not decoded yet is decoded into ``folder``, or else into a folder beside the
+    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width); a cache
+    that is given has the size that it has.
+    """
+    source = Path(source)
+    if (source / CACHE).is_file():
+        return open_cache(source)
+    beside = source.resolve()
+    into = beside.with_name(f"{beside.name}_cache") if folder is None else folder
+    return cache(source, into, pictures=pictures, progress=progress)
+
+
+def check_pictures(run: Run, found: Cache) -> None:
+    """Raise InspeError if a run's detector takes pictures of another size than a cache has."""
+    size = None if found.pictures is None else list(found.pictures)
+    if run.content.cameras and size != run.content.pictures:
+        height, width = run.content.pictures or (0, 0)
+        has = "no pictures" if size is None else f"pictures of {size[1]}x{size[0]}"
+        raise InspeError(
+            f"{found.path}: has {has}, but {run.path} was trained on {width}x{height}: cache the "
+            f"set into another folder with --pictures {width}x{height}"
+        )

@@ -111,11 +111,10 @@ class Run:
 
         Raises InspeError if its file is damaged.
         """
-        detector = self.blank()
-        weights = eqx.filter(detector, eqx.is_inexact_array)
-        like = detector, optimiser(self.content.settings).init(weights)
         if not self.states:
-            return 0, like
+            # Compiled as one: dispatched one by one, each shape of weights would be compiled.
+            return 0, eqx.filter_jit(self._first)()
+        like = eqx.filter_eval_shape(self._first)
         step, path = self.states[-1]
         try:
             with path.open("rb") as file:
@@ -129,11 +128,12 @@ class Run:
             ) from e
         return step, found
 
-    def blank(self) -> Detector:
-        """The detector that training begins with."""
-        settings = self.content.settings
-        key = jax.random.key(settings.seed)
-        return Detector(model_of(settings.model), self.content.agents, self.content.grid, key)
+    def _first(self) -> State:
+        """The state that training begins with."""
+        settings, agents, grid = self.content.settings, self.content.agents, self.content.grid
+        detector = Detector(model_of(settings.model), agents, grid, jax.random.key(settings.seed))
+        weights = eqx.filter(detector, eqx.is_inexact_array)
+        return detector, optimiser(settings).init(weights)
 
     def detector(self) -> Detector:
         """The detector of the last state. Raises InspeError if there is none, or it is damaged."""

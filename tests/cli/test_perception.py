@@ -1,0 +1,69 @@
+"""`inspe train`, `evaluate` and `detect`, from a set to a figure."""
+
+import json
+
+import pytest
+from loading_sets import write_set
+from typer.testing import CliRunner
+
+from inspe_jax.cli.common import app
+
+TRAIN = ("--model", "early-fusion", "--steps", "2", "--every", "1", "--pictures", "32x24")
+
+
+def run(*words: object):
+    return CliRunner().invoke(app, ["--no-cache", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    root = tmp_path_factory.mktemp("perception")
+    write_set(root / "set")
+    found = run("train", root / "set", *TRAIN, "--out", root / "run")
+    assert found.exit_code == 0, found.output
+    assert "early-fusion: 2 steps\nwrote" in found.output
+    assert (root / "set_cache" / "cache.json").is_file()
+    return root
+
+
+def test_evaluate_tells_by_class(trained, tmp_path):
+    table = tmp_path / "table.csv"
+    found = run("evaluate", trained / "run", trained / "set", "--json", "-", "--csv", table)
+    assert found.exit_code == 0, found.output
+    classes = json.loads(found.stdout)["classes"]
+    assert [row["class"] for row in classes] == ["car", "truck", "cyclist", "pedestrian", "all"]
+    assert classes[-1]["road_users"] == 12
+    assert len(table.read_text().splitlines()) == 6
+
+
+def test_detect_lists_and_draws_a_frame(trained, tmp_path):
+    plot = tmp_path / "frame.png"
+    words = ("detect", trained / "run", trained / "set_cache", "--frame", 8, "--score", 0)
+    found = run(*words, "--plot", plot)
+    assert found.exit_code == 0, found.output
+    assert plot.stat().st_size > 10_000
+    record = json.loads(run(*words, "--json", "-").stdout)
+    assert (record["scenario"], record["frame"]) == ("c", 8)
+    assert len(record["boxes"]) == len(record["score"]) == len(record["kind"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--scenario", "d"), "no scenario 'd' in split 'test': it has c"),
+        (("--frame", "6"), "c: no frame 6: it has 3, from 7 to 9"),
+        (("--split", "tset"), "no split 'tset': there is"),
+    ],
+)
+def test_what_is_not_in_the_set_is_said(trained, words, said):
+    found = run("detect", trained / "run", trained / "set_cache", *words)
+    assert found.exit_code
+    assert said in str(found.exception)
+
+
+def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
+    words = ("--model", "lss-eff", "--pictures", "none", "--cache", tmp_path / "blind")
+    found = run("train", trained / "set", *words, "--out", tmp_path / "run")
+    assert "lss-eff needs pictures, and the cache was made without" in str(found.exception)
+    found = run("train", trained / "set", "--pictures", "big", "--out", tmp_path / "run")
+    assert "--pictures big: width and height such as 400x300, or none" in str(found.exception)

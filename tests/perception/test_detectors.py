@@ -1,0 +1,96 @@
+"""The eight detectors and the teacher, on what a loader gives."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario
+
+from inspe_jax import dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.perception.detector import MODELS, Detector, model_of, parameters
+from inspe_jax.perception.head import aims, loss
+from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
+from inspe_jax.perception.training.predict import loader_of
+from inspe_jax.perception.training.settings import agents_of
+
+GRID = BevGrid(half=12.8)
+
+
+@pytest.fixture(scope="module")
+def cached(tmp_path_factory):
+    root = tmp_path_factory.mktemp("detectors")
+    write_scenario(root / "set" / "train" / "a", [frame_of(n, points=20) for n in (0, 1)])
+    return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
+
+
+def inputs(cached, name: str) -> tuple[Inputs, dataset.loading.Targets]:
+    batch = loader_of(name, cached, "train", GRID, batch=2, shuffle=False)[0]
+    return inputs_of(batch, agents_of(cached)), batch.targets
+
+
+def exchanged(given: Inputs) -> Inputs:
+    """The same with the two units of each modality the other way round."""
+    pillars = given.pillars
+    if pillars is not None:
+        pillars = type(pillars)(*(part[:, ::-1] for part in pillars))
+    unit = None if given.unit is None else np.where(given.unit >= 0, 1 - given.unit, -1)
+    count = given.present.shape[1]
+    order = [1, 0, 3, 2][:count]
+    return given._replace(
+        pillars=pillars,
+        unit=None if unit is None else unit.astype(np.int32),
+        present=given.present[:, order],
+    )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
+    given, targets = inputs(cached, name)
+    detector = eqx.filter_jit(Detector)(model_of(name), agents_of(cached), GRID, jax.random.key(0))
+
+    @eqx.filter_jit
+    def both(detector, given, other, targets):
+        def told(detector, given):
+            found, fused = detector(given)
+            return sum(loss(found, aims(targets, GRID))), fused
+
+        slopes, fused = eqx.filter_grad(told, has_aux=True)(detector, given)
+        return slopes, fused, detector.fused(other)
+
+    slopes, fused, turned = both(detector, given, exchanged(given), targets)
+    assert fused.shape == (2, GRID.side // 2, GRID.side // 2, 48)
+    np.testing.assert_allclose(turned, fused, atol=1e-3)
+    still = [
+        jax.tree_util.keystr(path)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(slopes)
+        if not np.asarray(leaf).any()
+    ]
+    assert still == []
+    assert 4e5 < parameters(detector) < 2e6
+
+
+def test_agents_are_filled_up_and_never_left_out(cached):
+    loader = loader_of("attfuse", cached, "train", GRID, batch=2, shuffle=False)
+    batch = loader[0]
+    more = inputs_of(batch, Agents(3, 4))
+    assert more.pillars.counts.shape[1] == 3
+    assert not more.pillars.counts[:, 2].any()
+    np.testing.assert_array_equal(more.present, [[1, 1, 0, 1, 1, 0, 0]] * 2)
+    np.testing.assert_array_equal(more.unit, [[0, 1]] * 2)
+    for few, what in ((Agents(1, 2), "LiDARs"), (Agents(2, 1), "cameras")):
+        with pytest.raises(InspeError, match=f"a frame has 2 units with {what}.* made for 1"):
+            inputs_of(batch, few)
+
+
+def test_a_frame_without_agents_has_one_that_is_empty(cached):
+    loader = loader_of("attfuse", cached, "train", GRID, batch=3, shuffle=False)
+    batch = loader[0]  # two frames, and padding
+    assert batch.valid.tolist() == [True, True, False]
+    present = inputs_of(batch, agents_of(cached)).present
+    np.testing.assert_array_equal(present, [[1, 1, 1, 1], [1, 1, 1, 1], [1, 0, 0, 0]])
+
+
+def test_an_unknown_model_is_told_which_there_are():
+    with pytest.raises(InspeError, match=r"no model 'v2xvit': lss-eff, .*did you mean v2x-vit"):
+        model_of("v2xvit")

@@ -1,0 +1,243 @@
+"""What detectors are made of, against the same written otherwise."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+from shapely.affinity import translate
+from shapely.geometry import box
+
+from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
+from inspe_jax.dataset.loading.geometry import pose_matrix
+from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
+from inspe_jax.perception.encoders.lift_splat import DEPTHS, FARTHEST, NEAREST
+from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
+from inspe_jax.perception.fusion.windows import (
+    from_grids,
+    from_windows,
+    offsets,
+    to_grids,
+    to_windows,
+)
+from inspe_jax.perception.head import LEAST_RADIUS, OVERLAP, Found, aims, loss, peaks, radius
+from inspe_jax.perception.inputs import BevGrid, Inputs
+from inspe_jax.perception.layers import Depthwise, Norm, attend
+from inspe_jax.simulation.frame import KINDS
+
+GRID = BevGrid(half=12.8)
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+def made(part):
+    """A part with weights, in one program instead of one for each shape."""
+    return eqx.filter_jit(part)(jax.random.key(3))
+
+
+# ── Layers ──────────────────────────────────────────────────────────────────
+
+
+def test_depthwise_norm_and_attention():
+    x = noise(2, 9, 8, 16)
+    depthwise, norm = made(lambda key: (Depthwise(16, key, stride=2), Norm(16)))
+    query, keys = noise(3, 2, 4, seed=1), noise(5, 2, 4, seed=2)
+    mask = np.array([True, False, True, True, False])
+
+    @jax.jit
+    def both(x, query, keys, mask):
+        weight = depthwise.weight[:, :, None]
+        # "SAME" of a stride begins at another cell where the side is even.
+        padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
+        theirs = lax.conv_general_dilated(
+            padded, weight, (2, 2), "VALID",
+            dimension_numbers=("NHWC", "HWIO", "NHWC"), feature_group_count=16,
+        )  # fmt: skip
+        return depthwise(x), theirs[:, :5, :4], norm(x), attend(query, keys, keys, mask)
+
+    ours, theirs, normal, told = map(np.asarray, both(x, query, keys, mask))
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+    groups = normal.reshape(2, 9, 8, 8, 2)
+    np.testing.assert_allclose(groups.mean((1, 2, 4)), 0, atol=1e-5)
+    np.testing.assert_allclose(groups.std((1, 2, 4)), 1, atol=1e-4)
+    scores = np.einsum("qhc,khc->hqk", query, keys[mask]) / 2
+    weights = np.exp(scores) / np.exp(scores).sum(-1, keepdims=True)
+    np.testing.assert_allclose(told, np.einsum("hqk,khc->qhc", weights, keys[mask]), atol=1e-5)
+
+
+def apart_and_back(x):
+    near, far = to_windows(x, 4), to_grids(x, 4)
+    return near, far, from_windows(near, 8, 12), from_grids(far, 8, 12)
+
+
+def test_windows_and_grids_are_cells_of_the_map():
+    x = np.arange(2 * 8 * 12).reshape(2, 8, 12, 1)
+    near, far, *back = map(np.asarray, jax.jit(apart_and_back)(x))
+    np.testing.assert_array_equal(near[1, 4, :, 0], x[1, 4:8, 4:8, 0].ravel())
+    np.testing.assert_array_equal(far[1, 4, :, 0], x[1, 1::2, 1::3, 0].ravel())
+    for again in back:
+        np.testing.assert_array_equal(again, x)
+    number = offsets(3)
+    assert number[0, 4] == number[4, 8] != number[8, 4]
+    assert len(np.unique(number)) == 25
+
+
+# ── Encoders ────────────────────────────────────────────────────────────────
+
+
+def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
+    grid = PillarGrid(half=3.2, cell=0.8, most_points=3, most_pillars=4, per="unit")
+    points, counts = noise(1, 2, 4, 3, 4), np.array([[[3, 2, 0, 0], [1, 0, 0, 0]]], np.int32)
+    cells = np.array([[[[0, 5], [7, 2], [0, 0], [0, 0]], [[0, 5], [0, 0], [0, 0], [0, 0]]]])
+    there = np.arange(3) < counts[..., None]
+    points = np.where(there[..., None], points, 0)
+    encoder = made(lambda key: PillarEncoder(grid, 8, key))
+    found = np.asarray(eqx.filter_jit(encoder)(Pillars(points, counts, cells.astype(np.int32))))
+    assert found.shape == (1, 2, 8, 8, 8)
+    taken = np.zeros((2, 8, 8), bool)
+    taken[0, [0, 7], [5, 2]] = taken[1, 0, 5] = True
+    assert (found[0][~taken] == 0).all()
+    assert found[0][taken].any(-1).all()
+    inner, outer = jax.tree.map(np.asarray, (encoder.network.inner, encoder.network.outer))
+    mean, middle = points[0, 0, 1, :2, :3].mean(0), (np.array([7, 2]) + 0.5) * 0.8 - 3.2
+    rows = [
+        [*(p[:2] / 3.2), p[2] / 3, p[3], *((p[:2] - mean[:2]) / 0.4), (p[2] - mean[2]) / 3]
+        + [*((p[:2] - middle) / 0.4)]
+        for p in points[0, 0, 1, :2]
+    ]
+    hidden = np.maximum(np.array(rows) @ inner.weight + inner.bias, 0)
+    told = np.maximum(hidden @ outer.weight + outer.bias, 0).max(0)
+    np.testing.assert_allclose(found[0, 0, 7, 2], told, rtol=1e-4, atol=1e-5)
+
+
+def test_lifted_features_fall_into_the_cell_that_their_pixel_and_depth_show():
+    """The other way round: the middle of a cell's point, projected, is the pixel it came from."""
+    grid, high, wide = BevGrid(half=51.2), 48, 64
+    pose = pose_matrix([-20, 5, 7, 0.1, 0.4, -0.3]).astype(np.float32)
+    intrinsic = np.array([[40.0, 0, 30], [0, 42, 22], [0, 0, 1]], np.float32)
+    splat = eqx.filter_eval_shape(LiftSplat, "resnet", grid, 2, 8, jax.random.key(0))
+    inputs = Inputs(
+        pillars=None,
+        pixels=np.zeros((1, 3, high, wide, 3), np.uint8),
+        intrinsic=np.stack([intrinsic] * 3)[None],
+        pose=np.stack([pose] * 3)[None],
+        unit=np.array([[0, 1, -1]], np.int32),
+        present=np.ones((1, 2), bool),
+    )
+    cells = np.asarray(jax.jit(lambda i: splat._cells(i, (high, wide), (6, 8)))(inputs))[0]
+    nowhere, side = 2 * grid.side**2, grid.side
+    assert (cells[2] == nowhere).all()  # a camera that is not there
+    some = cells[0] != nowhere
+    np.testing.assert_array_equal(cells[1][some], cells[0][some] + side**2)
+    depths = np.geomspace(NEAREST, FARTHEST, DEPTHS)
+    row, column, d = np.nonzero(some)
+    assert len(row) > 80
+    at = np.column_stack([(column + 0.5) * 8, (row + 0.5) * 8])
+    body = np.column_stack(
+        [depths[d], -(at[:, 0] - 30) / 40 * depths[d], -(at[:, 1] - 22) / 42 * depths[d]]
+    )
+    world = body @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(on_picture(world, pose, intrinsic)[:, :2], at, atol=1e-2)
+    expected = np.floor((world[:, :2] + grid.half) / grid.cell).astype(int)
+    wrong = cells[0][some] != expected[:, 0] * side + expected[:, 1]
+    edge = (np.abs((world[:, :2] + grid.half) / grid.cell % 1 - 0.5) > 0.499).any(1)
+    assert not (wrong & ~edge).any()
+    assert ((world[:, 2] > grid.low - 0.01) & (world[:, 2] < grid.high + 0.01)).all()
+
+
+# ── Fusion ──────────────────────────────────────────────────────────────────
+
+TYPES = (0, 0, 1)
+FUSIONS = {
+    "mean": lambda key: Mean(),
+    "attfuse": lambda key: AttFuse(),
+    "disconet": lambda key: DiscoNet(16, key),
+    "v2vnet": lambda key: V2VNet(16, key),
+    "v2x-vit": lambda key: V2XViT(16, TYPES, key),
+    "hm-vit": lambda key: HMViT(16, TYPES, key),
+}
+
+
+@pytest.mark.parametrize("name", FUSIONS)
+def test_fusion_heeds_who_is_present_and_not_the_order(name):
+    """What an absent agent has changes nothing; two of one modality can be exchanged; and one
+    agent alone keeps its map where nothing but weights of agents is learnt."""
+    fusion = made(FUSIONS[name])
+    x, other = noise(2, 3, 16, 16, 16), noise(2, 3, 16, 16, 16, seed=1)
+    present = np.array([[True, True, True], [True, False, False]])
+    mixed = np.where(present[..., None, None, None], x, other)
+    fuse = eqx.filter_jit(lambda x, present: fusion(x, present))
+    found = np.asarray(fuse(x, present))
+    np.testing.assert_allclose(fuse(mixed, present), found, atol=1e-5)
+    np.testing.assert_allclose(fuse(x[:, [1, 0, 2]], present[:, [1, 0, 2]]), found, atol=1e-4)
+    assert not np.allclose(fuse(other, present), found, atol=0.01)
+    if name in ("mean", "attfuse", "disconet"):
+        np.testing.assert_allclose(found[1], x[1, 0], atol=1e-6)
+    else:
+        assert not np.allclose(found[1], x[1, 0], atol=0.01)
+
+
+# ── Head ────────────────────────────────────────────────────────────────────
+
+
+def road_users() -> Targets:
+    """Two frames: of four kinds, well apart, one outside the grid; and of one."""
+    rng = np.random.default_rng(5)
+    boxes, kind = np.zeros((2, 6, 9), np.float32), np.zeros((2, 6), np.int32)
+    boxes[0, :5, :2] = [[-9, -7], [3, 8], [8, -8.3], [-6, 6.1], [20, 0]]
+    boxes[1, 0, :2] = [0.4, 12.7]
+    boxes[..., 3:6] = np.exp(rng.uniform(-0.5, 2, (2, 6, 3)))
+    boxes[..., 2], boxes[..., 6] = rng.uniform(0, 2, (2, 6)), rng.uniform(-3, 3, (2, 6))
+    kind[0, :4] = range(4)
+    mask = np.zeros((2, 6), bool)
+    mask[0, :5] = mask[1, 0] = True
+    return Targets(boxes, kind, kind, np.zeros((2, 6, 0), np.int32), mask)
+
+
+def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
+    targets = road_users()
+
+    @jax.jit
+    def around(targets):
+        aim = aims(targets, GRID)
+        frame = jnp.arange(2)[:, None]
+        values = jnp.zeros((2, GRID.side, GRID.side, 8))
+        values = values.at[frame, aim.row, aim.column].add(
+            jnp.where(aim.mask[..., None], aim.values, 0.0)
+        )
+        heat = jnp.clip(aim.heat, 1e-6, 1 - 1e-6)
+        found = Found(jnp.log(heat / (1 - heat)), values)
+        return aim, peaks(found, GRID), loss(found, aim), loss(Found(-found.heat, values + 1), aim)
+
+    aim, found, right, wrong = jax.tree.map(np.asarray, around(targets))
+    inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)
+    np.testing.assert_array_equal(aim.mask, inside)
+    assert (aim.heat == 1).sum() == inside.sum() == 5
+    assert aim.heat.min() >= 0
+    for b in range(2):
+        top = found.score[b] > 0.99
+        assert top.sum() == inside[b].sum()
+        order = np.lexsort(found.boxes[b, top, :2].T)
+        expected = targets.boxes[b, inside[b]]
+        ours = np.lexsort(expected[:, :2].T)
+        np.testing.assert_allclose(found.boxes[b, top][order], expected[ours], atol=1e-4)
+        kinds = targets.kind[b, inside[b]][ours]
+        np.testing.assert_array_equal(found.kind[b, top][order], kinds)
+    assert right[1] == 0
+    assert wrong[1] == pytest.approx(0.5 * 8, rel=1e-5)
+    assert right[0] < 0.5 < wrong[0]
+    assert len(KINDS) == aim.heat.shape[-1]
+
+
+def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
+    length, width = np.array([30.0, 12.0, 25.0]), np.array([8.0, 10.0, 20.0])
+    found = np.asarray(jax.jit(radius)(np.array([*length, 0.8]), np.array([*width, 0.8])))
+    assert found[-1] == LEAST_RADIUS
+    for r, a, b in zip(found[:-1], length, width, strict=True):
+        here = box(0, 0, a, b)
+        there = translate(here, r, r)
+        overlap = here.intersection(there).area / here.union(there).area
+        assert overlap == pytest.approx(OVERLAP, rel=1e-4)

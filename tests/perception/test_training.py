@@ -1,0 +1,139 @@
+"""Trainings: repeated, stopped, damaged, refused."""
+
+import shutil
+from importlib import import_module
+
+import numpy as np
+import pytest
+from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario, write_set
+
+from inspe_jax import dataset
+from inspe_jax.core.errors import InspeError
+from inspe_jax.perception.inputs import BevGrid
+from inspe_jax.perception.training import Settings, open_run, train
+from inspe_jax.perception.training.run import LOSSES, VALIDATION
+from inspe_jax.perception.training.source import cache_of, check_pictures
+
+GRID = BevGrid(half=12.8)
+SETTINGS = Settings(model="coalign", steps=4, batch=2, every=2, validate_frames=2, rate=1e-3)
+
+
+@pytest.fixture(scope="module")
+def cached(tmp_path_factory):
+    root = tmp_path_factory.mktemp("training")
+    write_set(root / "set")
+    write_scenario(root / "set" / "validate" / "d", [frame_of(n) for n in (10, 11, 12)])
+    return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def stopped_and_not(cached, tmp_path_factory):
+    """A training in one go, and one that is stopped after three steps of four and goes on."""
+    root = tmp_path_factory.mktemp("runs")
+    whole = train(cached, root / "whole", SETTINGS, grid=GRID)
+
+    def stop(report):
+        if report.step == 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        train(cached, root / "parts", SETTINGS, grid=GRID, progress=stop)
+    run = open_run(root / "parts")
+    assert run.steps == 2
+    assert [row["step"] for row in run.rows(LOSSES)] == [1, 2, 3]
+    with (root / "parts" / LOSSES).open("a") as file:
+        file.write("4,0.3")  # as a kill leaves it
+    return whole, train(cached, root / "parts", SETTINGS, grid=GRID)
+
+
+def test_a_stopped_training_goes_on_to_the_same_losses(stopped_and_not):
+    whole, parts = stopped_and_not
+    assert whole.done
+    assert parts.done
+    for name, count in ((LOSSES, 4), (VALIDATION, 2)):
+        assert len(whole.rows(name)) == count
+        assert whole.rows(name) == parts.rows(name)
+    (_, ours), (_, theirs) = whole.states[-1], parts.states[-1]
+    assert ours.read_bytes() == theirs.read_bytes()
+    losses = [row["heat"] + row["values"] for row in whole.rows(LOSSES)]
+    assert all(np.isfinite(losses))
+    assert len(set(losses)) == 4
+
+
+def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, cached, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(stopped_and_not[0].path, folder)
+    (_, path) = open_run(folder).states[-1]
+    content = path.read_bytes()
+    for broken in (content[:1000], content + b"x", b""):
+        path.write_bytes(broken)
+        with pytest.raises(InspeError, match=r"step_00000004.eqx: is damaged.*from step 2"):
+            open_run(folder).detector()
+    path.unlink()
+    again = train(cached, folder, SETTINGS, grid=GRID)
+    assert again.rows(LOSSES) == stopped_and_not[0].rows(LOSSES)
+
+
+def test_other_settings_are_refused_in_the_same_folder(stopped_and_not, cached, tmp_path):
+    folder = stopped_and_not[0].path
+    for key, value in (("steps", 5), ("model", "v2vnet"), ("rate", 0.1)):
+        other = SETTINGS.model_copy(update={key: value})
+        with pytest.raises(InspeError, match=f"this run has {key} .*, not {value}"):
+            train(cached, folder, other, grid=GRID)
+    with pytest.raises(InspeError, match=r"this run has half 12\.8, not 25\.6"):
+        train(cached, folder, SETTINGS, grid=BevGrid(half=25.6))
+    (tmp_path / "mine.txt").touch()
+    with pytest.raises(InspeError, match=r"has other files, such as mine.txt"):
+        train(cached, tmp_path, SETTINGS, grid=GRID)
+    with pytest.raises(InspeError, match="not a training run"):
+        open_run(tmp_path)
+
+
+def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
+    stopped_and_not, cached, tmp_path, monkeypatch
+):
+    folder = tmp_path / "run"
+    shutil.copytree(stopped_and_not[0].path, folder)
+    run = open_run(folder)
+    run.states[-1][1].unlink()
+    room = import_module("inspe_jax.perception.training.train")
+
+    def broken(settings, grid):
+        losses = room._Losses(np.nan, 0.0, 0.0)
+        return lambda detector, moments, *given: (detector, moments, losses)
+
+    monkeypatch.setattr(room, "_compiled", broken)
+    with pytest.raises(InspeError, match=r"step 3 is not a number: try a lower rate .* 2 stays"):
+        train(cached, folder, SETTINGS, grid=GRID)
+    assert open_run(folder).steps == 2
+
+
+def test_only_one_process_trains_a_run(stopped_and_not, cached):
+    run = stopped_and_not[1]
+    with run.lock(), pytest.raises(InspeError, match="another process trains this run"):
+        train(cached, run.path, SETTINGS, grid=GRID)
+
+
+def test_a_model_needs_its_sensors(cached, tmp_path):
+    write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0, lidars=False)])
+    blind = cache_of(tmp_path / "set", pictures=None)
+    assert blind.path == tmp_path / "set_cache"
+    for name, why in (
+        ("lss-eff", "needs pictures, and the cache was made without pictures"),
+        ("coalign", "needs LiDARs, and no scenario has one"),
+    ):
+        with pytest.raises(InspeError, match=why):
+            train(blind, tmp_path / "run", Settings(model=name), grid=GRID)
+    assert not (tmp_path / "run").exists()
+
+
+def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
+    write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
+    other = cache_of(tmp_path / "set", pictures=(24, 32), folder=tmp_path / "other")
+    with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
+        check_pictures(stopped_and_not[0], other)
+    assert cache_of(other.path, pictures=None).pictures == (24, 32)

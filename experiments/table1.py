@@ -1,0 +1,410 @@
+"""Claim: detectors find more where the surrogate metrics rank a placement higher (Table 1, Fig. 4).
+
+Records the ten intersections under each of the paper's nine placements, and trains the eight
+detectors on three placements each, all for the same number of steps. Each is measured on
+intersections that it has not seen, and on another time at those that it has. Tells nuScenes' mAP by
+detector, placement and class beside the paper's (``--paper1 FILE``, with the columns model,
+placement, class, map_percent), the correlation of the mean mAP of a placement with its P_sm, C, O
+and IG (``table2.csv``), with intervals from resampling the placements, and what the paper
+concludes from its table, yes or no with numbers.
+
+All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there; a
+training that is done is a row of ``table1_rows.csv``. ``--only MODEL,PLACEMENT,SEED`` trains one,
+so that many machines can share the work.
+
+``--quick`` trains one detector of each modality on eight frames, until it knows them.
+"""
+
+import argparse
+import csv
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from common import METRICS, command_line, kept_folder, machine, write_results
+from matplotlib.figure import Figure
+from rich.console import Console
+from scipy.stats import pearsonr, spearmanr
+from table2 import HERE, begin, places, read_paper
+
+from inspe_jax.cli.common import progress
+from inspe_jax.dataset import Cache, cache, generate, load_generation
+from inspe_jax.perception.detector import MODELS, TEACHER, model_of
+from inspe_jax.perception.evaluation import Evaluation
+from inspe_jax.perception.inputs import BevGrid
+from inspe_jax.perception.training import Predictor, Report, Run, Settings, train
+from inspe_jax.perception.training.predict import loader_of
+from inspe_jax.simulation.frame import KINDS
+
+BY_SENSORS = {
+    ("camera",): ("Cam-c", "Cam-d1", "Cam-d2"),
+    ("lidar",): ("L-c", "L-d1", "L-d2"),
+    ("lidar", "camera"): ("Cam-c/L-c", "Cam-d1/L-d1", "Cam-d2/L-d2"),
+}
+"""The three placements that a detector is trained on, by its sensors."""
+NAMES = {
+    "lss-eff": "LSS-Eff", "lss-resnet": "LSS-ResNet", "v2vnet": "V2VNet", "v2x-vit": "V2X-ViT",
+    "coalign": "CoAlign", "attfuse": "AttFuse", "disconet": "DiscoNet", "hm-vit": "HM-ViT",
+}  # fmt: skip
+"""The paper's names of the detectors."""
+SPREAD = ("lss-resnet", "coalign", "attfuse")
+"""One detector of each modality, trained from three seeds."""
+PICTURES = (300, 400)
+SETS: dict[str, dict[str, Any]] = {
+    "train": dict(seed=0, splits=dict(train=7, validate=1, test=2), split_by="intersection"),
+    "later": dict(seed=1, splits=dict(test=1)),
+}
+"""Held-out intersections are a split of the first set; held-out time is the second, on all."""
+RESAMPLES = 10_000
+KNOWN = 0.95
+"""AP of cars that a detector must reach on the eight frames that it was trained on."""
+
+console = Console()
+
+
+class Job(NamedTuple):
+    """A training."""
+
+    model: str
+    placement: str
+    seed: int
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        return f"{self.model}__{self.placement.replace('/', '_')}__{self.seed}"
+
+
+def options() -> argparse.Namespace:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--keep", type=Path, help="folder that sets and trainings stay in: 40 GB")
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--only", metavar="MODEL,PLACEMENT,SEED", help="this training alone")
+    parser.add_argument("--record", action="store_true", help="only record and decode")
+    parser.add_argument("--lights", nargs="+", default=["midday", "night"])
+    parser.add_argument("--densities", nargs="+", default=["medium", "high"])
+    parser.add_argument("--seconds", type=int, default=15, help="of each scenario, at 1 Hz")
+    parser.add_argument("--paper1", type=Path, metavar="FILE", help="the paper's Table 1 as CSV")
+    parser.add_argument(
+        "--workers", type=int, help="processes that record; one a core if not given"
+    )
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    return given
+
+
+# ── Data ────────────────────────────────────────────────────────────────────
+
+
+def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:
+    """The frames of a placement, recorded and decoded as far as they are not there."""
+    stem = into / f"{part}__{placement.replace('/', '_')}"
+    lights, densities, seconds = given.lights, given.densities, given.seconds
+    content = dict(SETS[part])
+    settings: dict[str, Any] = dict(mix="fleet", seed=content.pop("seed"))
+    size = list(PICTURES[::-1])
+    if given.quick:
+        content = dict(splits=dict(train=1))
+        lights, densities, seconds, size = ["midday"], ["high"], 8, [200, 150]
+        settings |= dict(radius=25.0, voxel=1.0)
+    settings |= dict(density=densities, light=lights, seconds=seconds)
+    scenes = places(given)[:1] if given.quick else places(given)
+    content |= dict(
+        name=part, scenes=scenes, layouts=[placement], settings=settings,
+        rate_hz=1, pictures="jpeg", image_size=size,
+    )  # fmt: skip
+    path = stem.with_suffix(".yaml")
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with progress(stem.name) as report:
+        made = generate(load_generation(path), stem, workers=given.workers, progress=report)
+    assert not made.failures, made.failures
+    with progress(f"decoding {stem.name}") as report:
+        return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)
+
+
+# ── Trainings ───────────────────────────────────────────────────────────────
+
+
+def jobs(given: argparse.Namespace) -> list[Job]:
+    """All trainings: each detector on its placements, and some of them from more seeds."""
+    found = [
+        Job(name, placement, seed)
+        for seed in range(3)
+        for name in NAMES
+        for placement in BY_SENSORS[model_of(name).sensors]
+        if seed == 0 or name in SPREAD
+    ]
+    if given.only:
+        model, placement, seed = given.only.split(",")
+        found = [job for job in found if job == Job(model, placement, int(seed))]
+        if not found:
+            raise SystemExit(f"--only {given.only}: no such training")
+    return found
+
+
+def trained(job: Job, data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run:
+    """The training of a job, with a bar."""
+    with progress(job.folder) as bar:
+
+        def report(now: Report) -> None:
+            told = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
+            bar(now.step, now.steps, f"{now.model} {job.placement}: loss {now.loss:.2f}{told}")
+
+        return train(data, folder, settings, grid=grid, progress=report if bar else None)
+
+
+def measured(run: Run, data: Cache, split: str) -> Evaluation:
+    """What the detector of a training finds in a split."""
+    content = run.content
+    loader = loader_of(content.settings.model, data, split, content.grid, batch=1, shuffle=False)
+    return Predictor(run.detector(), content.agents, content.grid).evaluate(loader)
+
+
+def rows_of(
+    job: Job, of: str, found: Evaluation, steps: int, seconds: float
+) -> list[dict[str, Any]]:
+    """A row for each class."""
+    return [
+        dict(
+            model=job.model, placement=job.placement, seed=job.seed, frames_of=of, road_user=kind,
+            road_users=int(found.users[k]), steps=steps, ap=round(float(found.class_ap[k]), 5),
+            **{f"ap_{d}m": round(float(found.ap[k, n]), 5) for n, d in enumerate((0.5, 1, 2, 4))},
+            seconds=round(seconds),
+        )
+        for k, kind in enumerate(found.kinds)
+    ]  # fmt: skip
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """The rows of trainings that are done."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def append_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Add the rows of a training, all at once."""
+    new = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        if new:
+            table.writeheader()
+        table.writerows(rows)
+
+
+def run_all(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
+    """Every training that is not done yet; gives the rows of all."""
+    path = into / "table1_rows.csv"
+    for job in jobs(given):
+        data = recorded(given, into, job.placement, "train")
+        later = recorded(given, into, job.placement, "later")
+        done = {(r["model"], r["placement"], int(r["seed"])) for r in read_rows(path)}
+        if given.record or job in done:
+            continue
+        settings = Settings(model=job.model, steps=given.steps, seed=job.seed)
+        began = time.monotonic()
+        run = trained(job, data, into / job.folder, settings, BevGrid())
+        seconds = time.monotonic() - began
+        rows = []
+        for of, frames, split in (("places", data, "test"), ("time", later, "test")):
+            found = measured(run, frames, split)
+            rows += rows_of(job, of, found, run.steps, seconds)
+            console.print(f"{job.folder}, other {of}: mAP {found.mean_ap:.1%}", highlight=False)
+        append_rows(path, rows)
+    return read_rows(path)
+
+
+def quick(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
+    """One detector of LiDARs and one of cameras, until they know eight frames."""
+    rows = []
+    for model, placement, steps in (("coalign", "L-d1", 120), ("lss-resnet", "Cam-d1", 240)):
+        job = Job(model, placement, 0)
+        data = recorded(given, into, placement, "train")
+        settings = Settings(
+            model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
+        )
+        began = time.monotonic()
+        run = trained(job, data, into / job.folder, settings, BevGrid(half=25.6))
+        seconds = time.monotonic() - began
+        found = measured(run, data, "train")
+        console.print(
+            f"{model}: AP of cars {found.class_ap[0]:.1%}, {seconds:.0f} s", highlight=False
+        )
+        assert found.class_ap[0] >= KNOWN, found.class_ap
+        rows += rows_of(job, "training", found, run.steps, seconds)
+    return rows
+
+
+# ── What it tells ───────────────────────────────────────────────────────────
+
+Means = dict[tuple[str, str, str], float]
+"""AP in percent by detector, placement and class."""
+
+
+def means(rows: Sequence[dict[str, Any]], of: str) -> Means:
+    """The mean over seeds, on frames of other places or of another time."""
+    found: dict[tuple[str, str, str], list[float]] = {}
+    for row in rows:
+        if row["frames_of"] == of:
+            at = row["model"], row["placement"], row["road_user"]
+            found.setdefault(at, []).append(100 * float(row["ap"]))
+    return {at: float(np.mean(values)) for at, values in found.items()}
+
+
+def read_paper1(path: Path | None) -> Means:
+    """The paper's Table 1."""
+    if path is None:
+        return {}
+    ours = {paper: name for name, paper in NAMES.items()}
+    with path.open(newline="", encoding="utf-8") as file:
+        return {
+            (ours[row["model"]], row["placement"], row["class"]): float(row["map_percent"])
+            for row in csv.DictReader(file)
+        }
+
+
+def table(found: Means, paper: Means) -> str:
+    """Detectors and placements × classes in Markdown, the paper's in brackets."""
+    lines = ["| detector | placement | " + " | ".join(KINDS) + " | mean |", "|---" * 7 + "|"]
+    for model, placement in dict.fromkeys(at[:2] for at in found):
+        cells = []
+        for get in (found, paper):
+            own = [get.get((model, placement, kind), np.nan) for kind in KINDS]
+            cells.append([*own, float(np.mean(own))])
+        beside = [
+            f"{a:.1f}" + ("" if np.isnan(b) else f" ({b:.1f})") for a, b in zip(*cells, strict=True)
+        ]
+        lines.append(f"| {NAMES[model]} | {placement} | " + " | ".join(beside) + " |")
+    return "\n".join(lines)
+
+
+def of_placements(found: Means, kind: str | None = None) -> dict[str, float]:
+    """The mean mAP of each placement, over its detectors and over classes, or of one class."""
+    placements = dict.fromkeys(placement for _, placement, _ in found)
+    return {
+        p: float(np.mean([v for (_, at, k), v in found.items() if at == p and kind in (None, k)]))
+        for p in placements
+    }
+
+
+def interval(x: np.ndarray, y: np.ndarray, measure: Any) -> tuple[float, float]:
+    """The middle 95 % of a correlation, over placements that are drawn anew with replacement."""
+    rng = np.random.default_rng(0)
+    draws = rng.integers(0, len(x), (RESAMPLES, len(x)))
+    draws = draws[[len(set(d)) > 2 for d in draws.tolist()]]  # of two, it is 1 or -1
+    values = [measure(x[d], y[d])[0] for d in draws]
+    low, high = np.nanpercentile(values, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
+    """Of mAP over placements, all classes and each, with each metric."""
+    rows = []
+    for kind in (None, *KINDS):
+        own = of_placements(found, kind)
+        y = np.array(list(own.values()))
+        for metric in METRICS:
+            x = np.array([ours[placement, metric][0] for placement in own])
+            for name, measure in (("pearson", pearsonr), ("spearman", spearmanr)):
+                low, high = interval(x, y, measure)
+                value = float(measure(x, y)[0])
+                rows.append(
+                    dict(road_user=kind or "all", metric=metric, correlation=name,
+                         value=round(value, 3), low=round(low, 3), high=round(high, 3))
+                )  # fmt: skip
+    return rows
+
+
+def conclusions(found: Means) -> list[str]:
+    """What the paper concludes from its table: yes or no, with numbers."""
+    of = of_placements(found)
+    small = {p: np.mean([of_placements(found, k)[p] for k in KINDS[2:]]) for p in of}
+    large = {p: np.mean([of_placements(found, k)[p] for k in KINDS[:2]]) for p in of}
+    gains = [
+        of[f"{cam}/{lidar}"] - of[cam]
+        for cam, lidar in zip(*list(BY_SENSORS.values())[:2], strict=True)
+    ]
+    distributed = (
+        min(of["L-d1"], of["L-d2"]) - of["L-c"],
+        min(of["Cam-d1"], of["Cam-d2"]) - of["Cam-c"],
+    )
+    second, fourth = of["L-d2"] - of["L-c"], of["L-d1"] - of["L-d2"]
+    told = (
+        ("LiDARs add 20 to 40 points to cameras", all(20 <= g <= 40 for g in gains), gains),
+        ("distributed beats centralised", min(distributed) > 0, distributed),
+        (
+            "Cam-d1 is better than Cam-d2 for cars and trucks, and worse for the small",
+            large["Cam-d1"] > large["Cam-d2"] and small["Cam-d1"] < small["Cam-d2"],
+            (large["Cam-d1"] - large["Cam-d2"], small["Cam-d1"] - small["Cam-d2"]),
+        ),
+        ("four LiDARs over two gain less than two over one", fourth < second, (second, fourth)),
+    )
+    return [
+        f"{'yes' if right else 'no'}: {claim} ({', '.join(f'{n:+.1f}' for n in numbers)})"
+        for claim, right, numbers in told
+    ]
+
+
+def draw(found: Means, ours: Any) -> Figure:
+    """Fig. 4: the mean mAP of each placement over its P_sm, C, O and IG."""
+    own = of_placements(found)
+    figure = Figure(figsize=(13, 3.6), layout="constrained")
+    for ax, (metric, symbol) in zip(
+        figure.subplots(1, 4, sharey=True), METRICS.items(), strict=True
+    ):
+        x = np.array([ours[p, metric][0] for p in own])
+        y = np.array(list(own.values()))
+        for sensors, group in BY_SENSORS.items():
+            here = [n for n, p in enumerate(own) if p in group]
+            ax.plot(x[here], y[here], "o", label=" and ".join(sensors))
+        for n, p in enumerate(own):
+            ax.annotate(p, (x[n], y[n]), (4, 3), textcoords="offset points", fontsize=7)
+        ax.set_xlabel(symbol)
+        ax.set_title(f"Pearson {pearsonr(x, y)[0]:.2f}, Spearman {spearmanr(x, y)[0]:.2f}")
+    figure.axes[0].set_ylabel("mean mAP [%]")
+    figure.axes[0].legend(fontsize=8)
+    return figure
+
+
+def main() -> None:
+    """Record, train, measure, tell."""
+    given = options()
+    stem = begin(given, "table1")
+    with kept_folder(given.keep) as into:
+        rows = quick(given, into) if given.quick else run_all(given, into)
+    if not rows:
+        return
+    write_results(given.out / f"{stem}.csv", rows, dict(vars(given)))
+    found = means(rows, "places")
+    wanted = {(job.model, job.placement) for job in jobs(given) if job.seed == 0}
+    if given.quick or wanted - {at[:2] for at in found} or given.only:
+        left = len(wanted - {at[:2] for at in found})
+        console.print(f"{left} trainings are left: no table yet" if not given.quick else "")
+        return
+    ours = read_paper(HERE / "table2.csv")
+    related = correlations(found, ours)
+    text = [
+        "# On other intersections", table(found, read_paper1(given.paper1)),
+        "# At another time", table(means(rows, "time"), {}), *conclusions(found),
+    ]  # fmt: skip
+    console.print("\n\n".join(text), highlight=False)
+    for row in related:
+        if row["road_user"] == "all":
+            console.print(
+                f"{row['metric']}: {row['correlation']} {row['value']} "
+                f"[{row['low']}, {row['high']}]",
+                highlight=False,
+            )
+    write_results(given.out / f"{stem}_correlations.csv", related, dict(machine=machine()))
+    draw(found, ours).savefig(given.out / f"{stem}.png", dpi=150)
+    console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
+
+
+if __name__ == "__main__":
+    assert set(NAMES) == set(MODELS) - {TEACHER}
+    main()

@@ -12,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points, unary_union
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.convex_regions import merge
+from inspe_jax.core.polygons import merge
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 

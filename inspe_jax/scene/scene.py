@@ -5,14 +5,17 @@ import operator
 import os
 import zipfile
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 
 import jax
 import numpy as np
 import shapely
+from jaxtyping import Bool, Float
 
+from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, check_output, whole_file
 from inspe_jax.scene.intersection import Arm, Intersection, Route
@@ -20,12 +23,15 @@ from inspe_jax.scene.maps.registry import is_map
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import StaticBody, inside_bodies, pack_bodies, unpack_bodies
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall
 from inspe_jax.scene.traffic.registry import traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 2"
+WITH_STATICS = "inspe_jax scene 3"
+"""The format of scenes with static bodies, which earlier versions would leave out in silence."""
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
 # What NumPy, shapely and the code below may raise on a file that is not a scene.
@@ -53,13 +59,39 @@ class Scene:
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
     ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
-    traffic, seed.
+    traffic, seed. ``statics`` are the bodies that stand in every frame (:meth:`with_statics`).
     """
 
     voxels: VoxelGrid
     traffic: TrafficFrames
     intersection: Intersection = field(metadata={"static": True})
     settings: tuple[tuple[str, str], ...] = field(metadata={"static": True}, default=())
+    statics: tuple[StaticBody, ...] = added((), static=True)
+
+    def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
+        """This scene with these bodies in place of its own; with none, an open scene.
+
+        They hide what is behind them in every frame, and voxels inside them are no part of the
+        region of interest. Raises InspeError where they leave nothing of it, or one alone swallows
+        it.
+        """
+        scene = replace(self, statics=tuple(bodies))
+        scene.inside_statics  # noqa: B018  # which checks them
+        return scene
+
+    @cached_property
+    def inside_statics(self) -> Bool[np.ndarray, "L Z"] | None:
+        """Whether each voxel is inside a body, by column and level; None where none is."""
+        if not self.statics:
+            return None
+        found = inside_bodies(self.statics, self.intersection, self.voxels)
+        return found if found.any() else None
+
+    @property
+    def voxel_weight(self) -> Float[np.ndarray, " V"]:
+        """Region weight w of each voxel; 0 inside a body."""
+        weight, inside = self.voxels.weight, self.inside_statics
+        return weight if inside is None else np.where(inside.ravel(), 0.0, weight)
 
     @property
     def name(self) -> str:
@@ -219,7 +251,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     """A scene as plain arrays and one JSON text, with polygons as WKB."""
     place, grid = scene.intersection, scene.voxels
     record = {
-        "format": FORMAT,
+        "format": WITH_STATICS if scene.statics else FORMAT,
         "name": place.name,
         "source": place.source,
         "notes": place.notes,
@@ -241,12 +273,12 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
     arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
     arrays |= {f"traffic_{k}": np.asarray(getattr(scene.traffic, k)) for k in _TRAFFIC}
-    return arrays
+    return arrays | pack_bodies(scene.statics)
 
 
 def _unpack(data: dict[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
-    if record["format"] != FORMAT:
+    if record["format"] not in (FORMAT, WITH_STATICS):
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
             raise _Earlier
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
@@ -282,4 +314,5 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         spacing=spacing[0] if spacing else size,
     )
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
-    return Scene(grid, traffic, place, tuple((k, v) for k, v in record["settings"]))
+    settings = tuple((k, v) for k, v in record["settings"])
+    return Scene(grid, traffic, place, settings, unpack_bodies(data))

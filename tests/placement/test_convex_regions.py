@@ -7,13 +7,12 @@ import pytest
 import shapely
 from shapely.geometry import MultiPoint, Point, Polygon, box
 
+from inspe_jax.core.polygons import LEAST_AREA, merge
 from inspe_jax.placement.convex_regions import (
-    LEAST_AREA,
     from_bounded,
     from_disc,
     into_disc,
     make_regions,
-    merge,
     to_bounded,
     to_disc,
 )

@@ -1,0 +1,328 @@
+"""Bodies that stand in every frame: buildings, walls, trees, poles, furniture, parked vehicles.
+
+A body is an upright prism on any simple outline. A tree has a crown, which begins above the ground
+and lets some light through, on a trunk. Scores, recordings and pictures take the same bodies.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int
+from shapely.geometry import LineString, Polygon
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.polygons import merge
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.voxels import VoxelGrid
+
+KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle")
+"""What a body can be. Furniture is what stands about in streets: bus shelters, kiosks, switch
+boxes."""
+CORNERS = 8
+"""Most corners of a convex part; parts with more are cut in two. Round bodies have eight sides."""
+SWALLOWED = 0.5
+"""A body that stands on more than this share of the region of interest is taken for an error."""
+LEAFY = 0.05
+"""Share of light that a crown in leaf lets through: Konarska et al., Transmissivity of solar
+radiation through crowns of single urban trees, Theor. Appl. Climatol. 117, 2014, measured 0.01 to
+0.05 in leaf and 0.40 to 0.52 without."""
+HIGHEST = 1000.0
+"""No body is higher than this [m]."""
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class StaticBody:
+    """One body, made by :func:`body`, :func:`upright_box`, :func:`wall` or :func:`tree`.
+
+    ``kind`` is one of :data:`KINDS`. ``outline`` (N, 2) are its corners in plan, counter-clockwise,
+    in world metres. It reaches from ``base`` to ``height`` [m] above the ground at its
+    :attr:`middle`; with a base of 0 it stands on the ground, and nothing is seen beneath it.
+    ``transmittance`` is the share of light that passes through it. ``trunk`` is the radius [m] of a
+    trunk from the ground to the base, in the middle; 0 for none. The first side of a parked
+    vehicle's outline points ahead.
+    """
+
+    kind: str
+    outline: Float[np.ndarray, "N 2"]
+    height: float
+    base: float = 0.0
+    transmittance: float = 0.0
+    trunk: float = 0.0
+
+    @cached_property
+    def polygon(self) -> Polygon:
+        """The outline as a shapely polygon."""
+        return Polygon(self.outline)
+
+    @property
+    def middle(self) -> Float[np.ndarray, "2"]:
+        """The centroid in plan [m]."""
+        return np.array(self.polygon.centroid.coords[0])
+
+    @property
+    def words(self) -> str:
+        """Its kind and place, for messages."""
+        x, y = self.middle.round(1) + 0.0  # no −0.0
+        return f"{self.kind} at ({x:.1f}, {y:.1f})"
+
+    @cached_property
+    def pieces(self) -> tuple[Float[np.ndarray, "M 2"], ...]:
+        """Convex outlines of at most :data:`CORNERS` corners, counter-clockwise, that together
+        cover the outline exactly."""
+        cut = shapely.constrained_delaunay_triangles(self.polygon).geoms
+        triangles = np.array([t.exterior.coords[:3] for t in cut], float)
+        return tuple(part for piece in merge(triangles, 0.0) for part in _cut(piece))
+
+
+def _cut(piece: Float[np.ndarray, "M 2"]) -> list[Float[np.ndarray, "m 2"]]:
+    """A convex outline in pieces of at most :data:`CORNERS` corners."""
+    if len(piece) <= CORNERS:
+        return [piece]
+    half = len(piece) // 2
+    return [*_cut(piece[: half + 1]), *_cut(np.concatenate([piece[half:], piece[:1]]))]
+
+
+def body(
+    kind: str,
+    outline: Any,
+    height: float,
+    *,
+    base: float = 0.0,
+    transmittance: float = 0.0,
+    trunk: float = 0.0,
+) -> StaticBody:
+    """A body on any simple outline (N, 2) [m], in either sense; see :class:`StaticBody`.
+
+    The outline may end in its first corner. Raises InspeError where the kind is unknown, the
+    outline has fewer than three corners, crosses itself or has no area, a number is not finite, the
+    height is not above the base, or the transmittance is not 0 … 1.
+    """
+    if kind not in KINDS:
+        raise InspeError(f"body '{kind}': one of {', '.join(KINDS)}{nearest(str(kind), KINDS)}")
+    try:
+        corners = np.array(outline, float)
+        numbers = np.array([height, base, transmittance, trunk], float)
+    except (TypeError, ValueError):
+        raise InspeError(f"{kind}: its outline and heights must be numbers, in metres") from None
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        raise InspeError(f"{kind}: an outline of shape {corners.shape}; (N, 2) for x and y each")
+    if not np.isfinite(corners).all() or not np.isfinite(numbers).all():
+        raise InspeError(f"{kind}: its outline or its heights have a value that is not finite")
+    if len(corners) > 1 and (corners[0] == corners[-1]).all():
+        corners = corners[:-1]
+    corners = corners[(corners != np.roll(corners, 1, 0)).any(1)]
+    if len(corners) < 3:
+        raise InspeError(f"{kind}: an outline has three corners or more that differ")
+    where = "{} at ({:.1f}, {:.1f})".format(kind, *corners.mean(0))
+    shape = Polygon(corners)
+    if not shape.is_valid:
+        raise InspeError(
+            f"{where}: its outline crosses or touches itself; split it into simple outlines"
+        )
+    if not shape.area > 0:
+        raise InspeError(f"{where}: its outline has no area; give a wall a width")
+    if not 0 <= base < height <= HIGHEST:
+        raise InspeError(
+            f"{where}: from {base:g} to {height:g} m above the ground; its height must be above "
+            f"its base, the base 0 or more, and the height at most {HIGHEST:g} m"
+        )
+    if not 0 <= transmittance <= 1:
+        raise InspeError(f"{where}: transmittance {transmittance:g}: 0 (opaque) to 1")
+    if trunk < 0 or (trunk > 0 and base <= 0):
+        raise InspeError(
+            f"{where}: a trunk of {trunk:g} m radius: 0 for none, and under a base above 0"
+        )
+    if not shape.exterior.is_ccw:
+        corners = np.concatenate([corners[:1], corners[:0:-1]])
+    return StaticBody(kind, corners, float(height), float(base), float(transmittance), float(trunk))
+
+
+def upright_box(
+    kind: str,
+    at: Sequence[float] | Float[np.ndarray, "2"],
+    size: Sequence[float] | Float[np.ndarray, "3"],
+    yaw: float = 0.0,
+) -> StaticBody:
+    """A box on the ground: middle (x, y), length, width and height [m], heading ``yaw`` [rad].
+
+    Raises InspeError as :func:`body`.
+    """
+    length, width, height = (float(x) for x in size)
+    along = np.array([np.cos(yaw), np.sin(yaw)]) * length / 2
+    across = np.array([-np.sin(yaw), np.cos(yaw)]) * width / 2
+    corners = [-along - across, along - across, along + across, across - along]
+    return body(kind, np.asarray(at, float) + corners, height)
+
+
+def wall(
+    line: Any, height: float, *, width: float = 0.3, kind: str = "wall"
+) -> tuple[StaticBody, ...]:
+    """A wall or a hedge along a line (N, 2) [m], one body for each straight stretch.
+
+    So its top follows the ground. Raises InspeError as :func:`body`, and where the line has fewer
+    than two points.
+    """
+    points = np.array(line, float)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+        raise InspeError(f"{kind}: a line of shape {points.shape}; two points (x, y) or more")
+    return tuple(
+        body(
+            kind,
+            LineString(ends).buffer(width / 2, cap_style="flat").exterior.coords,
+            height,
+        )
+        for ends in pairwise(points)
+    )
+
+
+def tree(
+    at: Sequence[float] | Float[np.ndarray, "2"],
+    *,
+    radius: float,
+    height: float,
+    base: float,
+    trunk: float = 0.15,
+    transmittance: float = LEAFY,
+) -> StaticBody:
+    """A tree at (x, y) [m]: a crown from ``base`` to ``height`` [m] on a trunk.
+
+    The crown is a prism on an octagon of the area of a disc of ``radius`` [m]; the trunk, too, of
+    the radius ``trunk``. Raises InspeError as :func:`body`.
+    """
+    crown = octagon(at, radius)
+    return body("tree", crown, height, base=base, transmittance=transmittance, trunk=trunk)
+
+
+def pole(
+    at: Sequence[float] | Float[np.ndarray, "2"], *, radius: float, height: float
+) -> StaticBody:
+    """A pole at (x, y) [m], an octagon of the area of a disc. Raises InspeError as :func:`body`."""
+    return body("pole", octagon(at, radius), height)
+
+
+def octagon(at: Any, radius: float) -> Float[np.ndarray, "8 2"]:
+    """The corners of a regular octagon about a point [m], of the area of a disc of ``radius``."""
+    turn = (np.arange(CORNERS) + 0.5) * 2 * np.pi / CORNERS
+    out = radius * np.sqrt(2 * np.pi / (CORNERS * np.sin(2 * np.pi / CORNERS)))
+    return np.asarray(at, float) + out * np.column_stack([np.cos(turn), np.sin(turn)])
+
+
+# ── In a scene ──────────────────────────────────────────────────────────────
+
+
+class ConvexParts(NamedTuple):
+    """P convex prisms that bodies consist of, in world metres.
+
+    ``corners`` are counter-clockwise, the last one repeated up to :data:`CORNERS`. ``bottom`` is
+    −∞ for what stands on the ground. ``body`` is the number of the body.
+    """
+
+    corners: Float[np.ndarray, "P K 2"]
+    bottom: Float[np.ndarray, " P"]
+    top: Float[np.ndarray, " P"]
+    transmittance: Float[np.ndarray, " P"]
+    body: Int[np.ndarray, " P"]
+
+
+def convex_parts(bodies: Sequence[StaticBody], place: Intersection) -> ConvexParts:
+    """The bodies as convex prisms on the ground of a place."""
+    rows: list[tuple[np.ndarray, float, float, float, int]] = []
+    ground = grounds(bodies, place)
+    for k, (one, level) in enumerate(zip(bodies, ground, strict=True)):
+        bottom = level + one.base if one.base > 0 else -np.inf
+        for piece in one.pieces:
+            rows.append((piece, bottom, level + one.height, one.transmittance, k))
+        if one.trunk > 0:
+            rows.append((octagon(one.middle, one.trunk), -np.inf, level + one.base, 0.0, k))
+    corners = [row[0][np.minimum(np.arange(CORNERS), len(row[0]) - 1)] for row in rows]
+    bottom, top, through, number = np.array([row[1:] for row in rows], float).reshape(-1, 4).T
+    return ConvexParts(
+        np.array(corners, float).reshape(-1, CORNERS, 2), bottom, top, through, number.astype(int)
+    )
+
+
+def grounds(bodies: Sequence[StaticBody], place: Intersection) -> Float[np.ndarray, " N"]:
+    """The height of the ground in the middle of each body [m]."""
+    if not bodies:
+        return np.zeros(0)
+    return place.ground(np.array([one.middle for one in bodies]))
+
+
+def _solids(one: StaticBody, ground: float) -> Iterator[tuple[Polygon, float, float]]:
+    """The prisms (outline, bottom, top) of a body whole: on a seam of its pieces is inside it."""
+    yield one.polygon, ground + one.base if one.base > 0 else -np.inf, ground + one.height
+    if one.trunk > 0:
+        yield Polygon(octagon(one.middle, one.trunk)), -np.inf, ground + one.base
+
+
+def inside_bodies(
+    bodies: Sequence[StaticBody], place: Intersection, grid: VoxelGrid
+) -> Bool[np.ndarray, "L Z"]:
+    """Whether the centre of each voxel is inside a body: it is no part of the region then.
+
+    Raises InspeError where a body swallows the region of interest.
+    """
+    found = np.zeros((len(grid.columns), grid.level_count), bool)
+    heights = grid.ground[:, None] + grid.levels  # (L, Z)
+    x, y = grid.columns.T
+    for one, ground in zip(bodies, grounds(bodies, place), strict=True):
+        for shape, bottom, top in _solids(one, float(ground)):
+            west, south, east, north = shape.bounds
+            at = np.flatnonzero((x > west) & (x < east) & (y > south) & (y < north))
+            at = at[shapely.contains_xy(shape, x[at], y[at])]
+            found[at] |= (heights[at] > bottom) & (heights[at] < top)
+            if len(at) > SWALLOWED * len(x):
+                raise InspeError(
+                    f"{one.words} stands on {len(at) / len(x):.0%} of the region of interest of "
+                    f"{place.name}; is it in the same coordinates, and meant in metres?"
+                )
+    if found.all():
+        raise InspeError(f"{place.name}: its bodies leave nothing of the region of interest")
+    return found
+
+
+def body_at(
+    bodies: Sequence[StaticBody], place: Intersection, point: Float[np.ndarray, "3"]
+) -> StaticBody | None:
+    """The body that a point [m] is inside of, if any; on its surface is not inside."""
+    near = [one for one in bodies if shapely.contains_xy(one.polygon, point[0], point[1])]
+    for one, ground in zip(near, grounds(near, place), strict=True):
+        for shape, bottom, top in _solids(one, float(ground)):
+            if bottom < point[2] < top and shapely.contains_xy(shape, point[0], point[1]):
+                return one
+    return None
+
+
+# ── In a file ───────────────────────────────────────────────────────────────
+
+
+def pack_bodies(bodies: Sequence[StaticBody]) -> dict[str, np.ndarray]:
+    """Bodies as plain arrays and one JSON text; nothing if there are none."""
+    if not bodies:
+        return {}
+    return {
+        "statics_kinds": np.array(json.dumps([one.kind for one in bodies])),
+        "statics_lengths": np.array([len(one.outline) for one in bodies], int),
+        "statics_corners": np.concatenate([one.outline for one in bodies]),
+        "statics_numbers": np.array(
+            [[one.height, one.base, one.transmittance, one.trunk] for one in bodies]
+        ),
+    }
+
+
+def unpack_bodies(data: dict[str, np.ndarray]) -> tuple[StaticBody, ...]:
+    """The bodies that :func:`pack_bodies` packed."""
+    if "statics_kinds" not in data:
+        return ()
+    corners = np.split(data["statics_corners"], np.cumsum(data["statics_lengths"])[:-1])
+    kinds = json.loads(str(data["statics_kinds"]))
+    return tuple(
+        StaticBody(kind, outline, *map(float, numbers))
+        for kind, outline, numbers in zip(kinds, corners, data["statics_numbers"], strict=True)
+    )

@@ -1,0 +1,171 @@
+"""Static bodies: outlines that can be meant, convex pieces, voxels inside, and the saved file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import Polygon
+from worlds import crossing, world
+
+import inspe_jax
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.scene import load_scene, save_scene
+from inspe_jax.scene.statics import (
+    CORNERS,
+    body,
+    body_at,
+    convex_parts,
+    octagon,
+    pole,
+    tree,
+    upright_box,
+    wall,
+)
+
+ELL = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 6], [0, 6]], float)
+BOW = [[0, 0], [4, 4], [4, 0], [0, 4]]
+
+
+def comb(teeth: int) -> np.ndarray:
+    """An outline with many reflex corners."""
+    across = np.repeat(np.arange(2 * teeth), 2) + np.tile([0.0, 1.0], 2 * teeth)
+    up = np.repeat(np.tile([5.0, 1.0], teeth), 2)
+    top = np.column_stack([across, up])
+    return np.concatenate([[[0, 0]], top, [[2 * teeth, 0]]])
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        ELL,
+        ELL[::-1],
+        comb(5),
+        np.array(Polygon(ELL).buffer(1.0, quad_segs=6).exterior.coords),
+        ELL + [1873.2, -951.7],
+    ],
+)
+def test_convex_pieces_cover_the_outline_exactly(outline):
+    found = body("building", outline, 9.0)
+    parts = [Polygon(piece) for piece in found.pieces]
+    for piece, part in zip(found.pieces, parts, strict=True):
+        assert len(piece) <= CORNERS
+        assert part.exterior.is_ccw
+        assert part.convex_hull.area == pytest.approx(part.area, abs=1e-9)
+    assert sum(part.area for part in parts) == pytest.approx(Polygon(outline).area)
+    assert shapely.union_all(parts).symmetric_difference(Polygon(outline)).area < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
+        (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
+        (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
+        (lambda: body("building", [[0, 0], [1, 1], [2, 2]], 3), "crosses or touches|has no area"),
+        (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
+        (lambda: body("building", ELL, np.inf), "not finite"),
+        (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
+        (lambda: body("building", "house", 3), "must be numbers"),
+        (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
+        (lambda: body("building", ELL, 2, base=-1), "the base 0 or more"),
+        (lambda: body("building", ELL, 5000), "at most 1000 m"),
+        (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
+        (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
+        (lambda: tree((0, 0), radius=0, height=7, base=3), "three corners or more"),
+        (lambda: wall([[0, 0]], 2), "two points"),
+    ],
+)
+def test_bodies_that_cannot_be_meant(wrong, message):
+    with pytest.raises(InspeError, match=message):
+        wrong()
+
+
+def test_a_body_that_swallows_the_region_or_all_of_it():
+    scene = world(count=0, voxel=2.0)
+    everywhere = octagon((0, 0), 200)
+    with pytest.raises(InspeError, match=r"building at \(0.0, 0.0\) stands on 100% of the region"):
+        scene.with_statics([body("building", everywhere, 10)])
+    halves = [upright_box("building", (x, y), (40, 40, 9)) for x in (-20, 20) for y in (-20, 20)]
+    with pytest.raises(InspeError, match="leave nothing of the region of interest"):
+        scene.with_statics(halves)
+
+
+def test_voxels_inside_are_those_whose_centres_are():
+    """On a slope, the ground under a body's middle is what its heights are above."""
+    scene = world(count=0, slope=0.1, center=(103.0, -47.0, 12.0))
+    house = upright_box("building", (108.0, -40.0), (6.0, 4.0, 2.0), 0.3)
+    bus = tree((98.0, -50.0), radius=2.0, height=6.0, base=2.6, trunk=0.4)
+    scene = scene.with_statics([house, bus])
+    (x, y, z), centers = (scene.voxels.centers - scene.voxels.center).T, scene.voxels.centers
+    x, y = x - 5.0, y - 7.0
+    along, across = np.cos(0.3) * x + np.sin(0.3) * y, np.cos(0.3) * y - np.sin(0.3) * x
+    in_house = (np.abs(along) < 3) & (np.abs(across) < 2) & (z < 0.5 + 2.0)
+    in_crown = shapely.contains_xy(bus.polygon, *centers[:, :2].T) & (z > -0.5 + 2.6)
+    away = np.hypot(*(centers[:, :2] - [98.0, -50.0]).T)
+    inside = scene.inside_statics.ravel()
+    assert (inside[away > 1.0] == (in_house | in_crown)[away > 1.0]).all()
+    assert inside[(away < 0.38) & (z < 2.0)].all()  # the trunk
+    assert not inside[(away > 0.45) & (away < 1.5) & (z < 2.0)].any()  # beneath the crown
+    assert (scene.voxel_weight[inside] == 0).all()
+    assert (scene.voxel_weight[~inside] > 0).all()
+
+
+def test_which_body_a_point_is_in():
+    place = crossing()
+    bodies = [
+        body("building", ELL, 6.0),
+        tree((10, 10), radius=2, height=7, base=3),
+        pole((20, 0), radius=0.1, height=6),
+    ]
+    assert body_at(bodies, place, np.array([1.0, 1.0, 5.9])) is bodies[0]  # on a seam of its pieces
+    assert body_at(bodies, place, np.array([1.0, 1.5, 5.9])) is bodies[0]
+    assert body_at(bodies, place, np.array([1.0, 1.0, 6.1])) is None  # on its roof
+    assert body_at(bodies, place, np.array([4.0, 4.0, 1.0])) is None  # between its wings
+    assert body_at(bodies, place, np.array([11.0, 10.0, 5.0])) is bodies[1]
+    assert body_at(bodies, place, np.array([11.0, 10.0, 2.0])) is None  # beneath the crown
+    assert body_at(bodies, place, np.array([10.1, 10.0, 2.0])) is bodies[1]  # in the trunk
+    assert body_at(bodies, place, np.array([20.05, 0.0, 2.0])) is bodies[2]
+
+
+def test_an_octagon_has_the_area_of_its_disc():
+    assert Polygon(octagon((3, 4), 2.0)).area == pytest.approx(4 * np.pi)
+
+
+def test_saved_with_the_scene_and_part_of_what_it_is(tmp_path):
+    """Without bodies, the digest and the saved arrays are those of before there were any."""
+    scene = replace(world(frames=2, voxel=2.0), intersection=inspe_jax.built_in("four_way"))
+    bodies = [
+        body("building", ELL + [20.0, 20.0], 9.0, base=3.0),
+        tree((-15.0, 15.0), radius=2, height=7, base=3),
+        *wall([[-20, -12], [-15, -12], [-12, -15]], 1.5, kind="hedge"),
+    ]
+    full = scene.with_statics(bodies)
+    files = {}
+    for name, one in (("open", scene), ("full", full)):
+        save_scene(one, tmp_path / f"{name}.npz")
+        with np.load(tmp_path / f"{name}.npz") as data:
+            files[name] = set(data.files), str(data["record"])
+    assert not any("statics" in key for key in files["open"][0])
+    assert '"inspe_jax scene 2"' in files["open"][1]
+    assert '"inspe_jax scene 3"' in files["full"][1]
+    assert load_scene(tmp_path / "open.npz").statics == ()
+    again = load_scene(tmp_path / "full.npz").statics
+    assert [(one.kind, one.height, one.base, one.transmittance, one.trunk) for one in again] == [
+        (one.kind, one.height, one.base, one.transmittance, one.trunk) for one in bodies
+    ]
+    for one, two in zip(bodies, again, strict=True):
+        assert (one.outline == two.outline).all()
+    bare = (scene.voxels, scene.traffic, scene.settings)
+    kept = [digest((*bare, of.statics)) for of in (scene, full, replace(full, statics=again))]
+    assert kept[1] == kept[2] != kept[0]
+    assert digest(scene.with_statics([])) == digest(scene) != digest(full)
+
+
+def test_parts_stand_on_the_ground_or_begin_above_it():
+    parts = convex_parts([tree((30, 0), radius=2, height=7, base=3, trunk=0.2)], crossing(0.1))
+    assert parts.bottom.tolist() == [6.0, -np.inf]
+    assert parts.top.tolist() == [10.0, 6.0]
+    assert parts.transmittance.tolist() == [0.05, 0.0]
+    assert convex_parts([], crossing()).corners.shape == (0, CORNERS, 2)

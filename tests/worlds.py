@@ -15,6 +15,7 @@ from shapely.geometry import box
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import StaticBody, body, octagon, pole, tree, upright_box, wall
 from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.voxels import build_voxels
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
@@ -155,6 +156,25 @@ def world(
     return Scene(voxels, traffic, place)
 
 
+def street_bodies(place: Intersection) -> list[StaticBody]:
+    """Bodies of every kind about the centre of :func:`crossing`, some at odd angles."""
+    at = place.center[:2]
+    ell = np.array([[0, 0], [9, 0], [9, 3], [4, 3], [4, 7], [0, 7]], float)
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    return [
+        body("building", ell @ turn.T + at + [9.0, 8.5], 6.0),
+        body("building", octagon(at + [-13.0, -12.0], 3.0), 4.5, base=2.2),
+        *wall(np.array([[-18.0, 8.6], [-11.0, 8.6], [-9.5, 12.0]]) + at, 1.7, width=0.25),
+        *wall(np.array([[9.0, -8.5], [16.0, -9.5]]) + at, 1.1, width=0.8, kind="hedge"),
+        tree(at + [9.1, -9.6], radius=1.8, height=7.0, base=2.5),
+        tree(at + [-8.6, 10.4], radius=2.2, height=6.0, base=1.8, trunk=0.25, transmittance=0.4),
+        tree(at + [-9.0, -8.0], radius=1.5, height=5.0, base=2.0, transmittance=0.8),
+        pole(at + [7.4, 7.6], radius=0.1, height=6.0),
+        upright_box("furniture", at + [-8.4, 4.0], (3.0, 1.2, 2.5), np.pi / 2),
+        upright_box("parked vehicle", at + [5.5, -12.0], (4.6, 1.8, 1.5), 1.55),
+    ]
+
+
 def with_boxes(scene: Scene, *boxes: tuple[float, float, float, float, float, float]) -> Scene:
     """One frame of given boxes, each (x, y, yaw, length, width, height), on the ground."""
     b = np.array(boxes, float).reshape(-1, 6)
@@ -192,12 +212,37 @@ _FACES = np.array(
 
 
 def triangles(scene: Scene, frame: int, depth: float = 50.0) -> np.ndarray:
-    """The vehicles of a frame as triangles (N, 3, 3), carried ``depth`` metres into the ground."""
-    t, found = scene.traffic, []
+    """The vehicles of a frame and the static bodies as triangles (N, 3, 3), carried ``depth``
+    metres into the ground."""
+    t, found = scene.traffic, [body_triangles(scene, depth)]
     for b in np.flatnonzero(t.valid[frame]):
         (length, width, height), (x, y, z) = t.size[frame, b], t.center[frame, b]
         foot, size = (x, y, z - height / 2 - depth), (length, width, height + depth)
         found.append(box_triangles(foot, size, t.yaw[frame, b]))
+    return np.concatenate(found)
+
+
+def body_triangles(scene: Scene, depth: float = 50.0) -> np.ndarray:
+    """The static bodies as triangles (N, 3, 3): whole outlines, not the pieces of scores."""
+    found = [np.zeros((0, 3, 3))]
+    for one in scene.statics:
+        ground = float(scene.intersection.ground(one.middle[None])[0])
+        bottom = one.base if one.base > 0 else -depth
+        solids = [(one.outline, bottom, one.height)]
+        if one.trunk > 0:
+            solids.append((octagon(one.middle, one.trunk), -depth, one.base))
+        for outline, low, high in solids:
+            a, b = outline, np.roll(outline, -1, 0)
+            a0, b0, a1, b1 = (
+                np.column_stack([p, np.full(len(p), ground + z)])
+                for p, z in ((a, low), (b, low), (a, high), (b, high))
+            )
+            found += [np.stack([a0, b0, b1], 1), np.stack([a0, b1, a1], 1)]
+            cut = shapely.constrained_delaunay_triangles(shapely.Polygon(outline)).geoms
+            flat = np.array([t.exterior.coords[:3] for t in cut])
+            for z in (low, high):
+                level = np.full((*flat.shape[:2], 1), ground + z)
+                found.append(np.concatenate([flat, level], 2))
     return np.concatenate(found)
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
+from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.parallel import Job, parts_of, run
 from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.asked import Asked
@@ -18,6 +19,7 @@ from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.visibility.statics import past_statics_masks
 from inspe_jax.visibility.tiles import Tile
 from inspe_jax.visibility.view_masks import view_masks
 
@@ -39,9 +41,10 @@ def view_from_poses(
     lengths = rays.table.rows.shape + rays.table.nearest.shape
     # Metrics do not change what is seen: without them fewer programs are compiled.
     asked = asked._replace(metrics=())
-    key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, asked)
+    bodies = 0 if tiled.statics is None else len(tiled.statics.top)
+    key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, bodies, asked)
     jobs: list[Job] = [
-        (key, partial(_view, rays, half, part, chunk, asked=asked))
+        (key, partial(_view, rays, half, part, chunk, tiled.statics, asked=asked))
         for part in parts_of(np.asarray(poses), TOGETHER)
     ]
     views, seen = (np.concatenate(found)[: len(poses)] for found in zip(*run(jobs), strict=True))
@@ -54,11 +57,14 @@ def _view(
     half: Float[Array, ""],
     poses: Float[Array, "K 6"],
     chunk: WorkChunk,
+    statics: ConvexPrism | None,
     *,
     asked: Asked,
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
     def view_from(pose: Array) -> tuple[Array, Array]:
         views = view_masks(rays, pose, chunk.tile, half)
+        if statics is not None:
+            views &= past_statics_masks(pose[:3], statics, chunk.tile, views)
         shadows = jax.tree.map(lambda leaf: leaf[0], BITS.shadows(pose[None, :3], chunk.prisms))
 
         def see_tile(part: tuple[Tile, Array, Array]) -> Array:

@@ -169,7 +169,7 @@ class Problem:
             tiled = tiled_scene_of(case.scene)
             if self.objective.weights_by_name["information_gain"] > 0:
                 check_entropy(case.scene, metrics.entropy(tiled.occupancy).sum())
-            arrays = case.scene.voxels.weight, tiled.voxel_occupancy
+            arrays = case.scene.voxel_weight, tiled.voxel_occupancy
             found.append(
                 SceneArrays(about_center(case.scene), *(on_device(x, float) for x in arrays))
             )
@@ -336,7 +336,8 @@ def take(arrays: tuple[SceneArrays, ...], drawn: Drawn) -> tuple[SceneArrays, ..
         columns, heights, ground = (
             x[at] for x in (centered.columns, centered.heights, centered.ground)
         )
-        place = CenteredScene(columns, heights, ground, prisms)
+        inside = None if centered.inside is None else centered.inside[at]
+        place = CenteredScene(columns, heights, ground, prisms, inside, centered.statics)
         parts.append(SceneArrays(place, weight, occupancy))
     return tuple(parts)
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
@@ -279,22 +279,27 @@ def _by_region(
 ) -> dict[str, Float[Array | np.ndarray, ""]]:
     """The mean of a value per column over each region that the scene has."""
     place, label = np.asarray(tiled.tiles.place), scene.voxels.region
+    weight = 1.0 if scene.inside_statics is None else 1.0 - scene.inside_statics.mean(1)
     there = [region for region in Region if (label == region).any()]
     if not isinstance(columns, jax.core.Tracer):
         share = np.asarray(columns)[place]
-        return {region.key: share[label == region].mean() for region in there}
-    belongs = np.zeros((len(Region), len(columns)), bool)
+        if scene.inside_statics is None:
+            return {region.key: share[label == region].mean() for region in there}
+        each = np.array([(label == region) * weight for region in there])
+        means = (each @ share) / np.maximum(each.sum(1), 1e-9)
+        return {region.key: mean for region, mean in zip(there, means, strict=True)}
+    belongs = np.zeros((len(Region), len(columns)), float)
     for region in there:
-        belongs[region, place[label == region]] = True
+        belongs[region, place] = (label == region) * weight
     means = _means(columns, belongs)
     return {region.key: means[region] for region in there}
 
 
 @jax.jit
-def _means(x: Float[Array, " n"], rows: Bool[Array, "R n"]) -> Float[Array, " R"]:
-    """The mean of ``x`` over the true entries of each row; 0 where there are none."""
+def _means(x: Float[Array, " n"], rows: Float[Array, "R n"]) -> Float[Array, " R"]:
+    """The mean of ``x`` weighted by each row; 0 where a row has no weight."""
     counted = rows.astype(x.dtype)
-    return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1.0)
+    return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1e-6)
 
 
 def _array(x: Array) -> Any:

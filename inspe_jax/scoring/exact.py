@@ -23,6 +23,7 @@ from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy_terms, resolved, tile_terms
+from inspe_jax.scoring.past_statics import past_statics, sights_past_statics
 from inspe_jax.scoring.reading import Bits, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.summary import MetricValues, summarise
@@ -82,10 +83,11 @@ def in_view_of(
     sensors: SensorArray,
     half: float | Array,
 ) -> UInt[Array | np.ndarray, "S N C"]:
-    """Masks of what each sensor has in view. ``half`` is half a voxel's edge [m]."""
+    """Masks of what each sensor has in view, past static bodies. ``half`` of a voxel's edge [m]."""
     tile = tiled.tiles.tile
     if isinstance(poses, jax.core.Tracer):
-        return _traced_views(tile, poses, sensors, half)
+        seen = _traced_views(tile, poses, sensors, half)
+        return seen & past_statics(tiled, seen, poses[:, :3])
     jobs: list[Job] = []
     present = np.flatnonzero(sensors.kind < len(sensors.kinds))
     for s in present:
@@ -101,7 +103,7 @@ def in_view_of(
     order = slice(None) if tiled.device_tiles is None else device_order(views.shape[1])
     for s, view in zip(present, run(jobs), strict=True):
         views[s, order] = view
-    return views
+    return views & past_statics(tiled, views, poses[:, :3])
 
 
 def _traced_views(
@@ -184,6 +186,7 @@ def sight_shares(
     """
     sights = count_all(tiled, views, sensors, None, asked).sights
     assert sights is not None  # asked.counts_sight
+    sights = sights_past_statics(tiled, sights, views, sensors)
     shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[:count]]
     return np.stack(shares) / tiled.frame_count
 
@@ -264,7 +267,7 @@ def _summarise(
     by_level = bitmask.count_levels(covered[0].reshape(slabs, -1).T, -(-levels // slabs))
     return summarise(
         tiled,
-        columns.astype(float) / levels,
+        tiled.tiles.column_shares(columns.astype(float)),
         by_level.reshape(-1),
         _entropy_terms(tiled, views, counts.sights, reliability, failures),
         counts,
@@ -289,6 +292,8 @@ def _terms(
     work = partial(_tile_terms, metrics=asked.metrics, whole=tiles.slabs == 1)
     if not any(metric.sight for metric in asked.metrics):
         sights = None
+    if sights is not None:
+        sights = sights_past_statics(tiled, sights, views, poses[:, :3])
 
     def of(some: slice) -> tuple:
         seen = None if sights is None else sights[:, some]

@@ -98,7 +98,8 @@ class Evidence(NamedTuple):
     in each frame (:func:`~inspe_jax.scoring.metrics.occlusion_terms`). ``remaining`` and
     ``entropy`` are H(Ω|P) and H(Ω) in nats (:func:`~inspe_jax.scoring.metrics.entropy_terms`).
     ``terms`` holds the further terms of the registry's metrics by name, one row for each tile.
-    ``levels`` is the number of a column's levels, ``slabs`` that of the tiles over a column.
+    ``levels`` is the number of a column's levels, of each where static bodies stand in some;
+    ``slabs`` that of the tiles over a column.
     ``width`` [m] is that with which margins are read.
     """
 
@@ -110,7 +111,7 @@ class Evidence(NamedTuple):
     entropy: Float[Array, ""]
     terms: dict[str, Any]
     failures: Groups | None
-    levels: int
+    levels: int | Float[Array, " L"]
     slabs: int
     width: Width
 
@@ -120,6 +121,11 @@ class Evidence(NamedTuple):
         each = found.reshape(self.slabs, -1, *found.shape[1:]).sum(0)
         each = jnp.moveaxis(each, 0, -2)
         return each.reshape(*each.shape[:-2], -1)
+
+    def level_means(self, name: str) -> Float[Array, "... L"]:
+        """The same as means over each column's levels."""
+        found = self.columns(name)
+        return found / jnp.broadcast_to(jnp.asarray(self.levels, found.dtype), found.shape)
 
 
 @dataclass(frozen=True)

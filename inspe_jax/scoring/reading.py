@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
+from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import (
     Groups,
@@ -43,6 +44,7 @@ from inspe_jax.visibility.shadows import (
     shadow_bounds,
     soft_sight,
 )
+from inspe_jax.visibility.statics import past_statics_chance
 from inspe_jax.visibility.tiles import Tile, solid_in
 
 TOGETHER = 20
@@ -392,6 +394,32 @@ class Numbers:
 
         each = jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses
         return jax.lax.map(view, each)
+
+    def past_statics(
+        self,
+        tile: Tile,
+        sensors: Float[Array, "S 3"],
+        statics: ConvexPrism | None,
+        views: Float[Array, "S Z C"],
+    ) -> Float[Array, "S Z C"] | None:
+        """The chance that static bodies leave each voxel in line of sight; None without bodies.
+
+        Of a sensor that has nothing of the tile in view it is 0.
+        """
+        if statics is None:
+            return None
+
+        def look(row: tuple[Array, Array]) -> Array:
+            sensor, view = row
+            past = partial(past_statics_chance, statics=statics, tile=tile)
+            return jax.lax.cond(
+                (view > 0).any(),
+                lambda sensor: past(sensor, width=self.softness.shadow),
+                lambda _: jnp.zeros_like(view),
+                sensor,
+            )
+
+        return jax.lax.map(look, (sensors, views))
 
     def frames(self, tile: Tile, prisms: Prism) -> Frames:
         """Frames of a tile, with the masks of its solid voxels found from the prisms."""

@@ -56,6 +56,8 @@ def read_softly(
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SIGHTS))
     def read_tile(tile: Tile, last: Array) -> tuple[Array, Array, Array, Counts, dict[str, Any]]:
         f = numbers.views(tile, poses, sensors, voxel / 2)
+        past = numbers.past_statics(tile, positions, tiled.statics, f)
+        f = f if past is None else f * past
         parts = []
         for chunk in tiled.chunks:
             shadows = numbers.shadows(positions, chunk.prisms)
@@ -65,6 +67,7 @@ def read_softly(
         counts, sights = join_frames(parts), None
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights, SIGHTS)
+            sights = sights if past is None else sights * past.swapaxes(1, 2)
         of_sensors = f, sights, tiled.frame_count, poses, sensors
         at = TileEvidence(numbers, tile, *of_sensors, last, tiled.tiles.slabs == 1)
         visible = f if asked.visibility == "in_view" else at.visible
@@ -86,7 +89,7 @@ def read_softly(
     tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])
     return summarise(
         tiled,
-        columns.sum(1) / tiles.level_count,
+        tiles.column_shares(columns.sum(1)),
         by_level.sum(1).reshape(-1),
         metrics.entropy_terms(resolved[tile, :, tiled.level, column].T, tiled.occupancy),
         counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),

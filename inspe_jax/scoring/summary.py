@@ -11,6 +11,8 @@ from inspe_jax.core.numerics import Groups, Width
 from inspe_jax.scoring.metric import Evidence, Metric
 from inspe_jax.scoring.reading import Counts
 from inspe_jax.scoring.tiled_scene import TiledScene
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.tiles import Tiles
 
 
 class MetricValues(NamedTuple):
@@ -60,15 +62,25 @@ def summarise(
     """
     slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
     seen = counts.columns.reshape(slabs, -1).sum(0)
-    there = tiled.tiles.tile.there.reshape(slabs, -1)[0] != 0
+    own_levels = tiled.tiles.column_levels
     frames, whole = (jnp.asarray(x, float).T for x in (counts.seen, counts.original))
     evidence = Evidence(
-        shares, tiled.weight, frames, whole, *entropy, terms, failures, levels, slabs, width
+        shares, tiled.weight, frames, whole, *entropy, terms, failures, own_levels, slabs, width
     )
     return MetricValues(
         {metric.name: metric.value(evidence) for metric in metrics},
         column_coverage=shares[0],
-        level_coverage=by_level[:levels].astype(float) / there.astype(float).sum(),
+        level_coverage=by_level[:levels].astype(float) / _columns_of_levels(tiled.tiles),
         entropy=entropy[1],
-        seen_share=seen.astype(float) / (tiled.frame_count * levels),
+        seen_share=seen.astype(float) / (tiled.frame_count * own_levels),
     )
+
+
+def _columns_of_levels(tiles: Tiles) -> Num[Array, "*Z"]:
+    """How many columns each level has: one number, unless bodies stand in some."""
+    there = tiles.tile.there.reshape(tiles.slabs, -1)
+    if not tiles.gaps:
+        return (there[0] != 0).astype(float).sum()
+    height = tiles.tile.heights.shape[1]
+    counts = bitmask.count_levels(there.T, height).reshape(-1)[: tiles.level_count]
+    return jnp.maximum(counts.astype(float), 1.0)

@@ -212,7 +212,7 @@ ROWS = (
         "redundancy",
         "R",
         "share of voxels that two units or more see, behind traffic",
-        lambda found: redundancy(found.columns("redundancy") / found.levels, found.weight),
+        lambda found: redundancy(found.level_means("redundancy"), found.weight),
         seen_twice,
     ),
 )

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core import sharding
 from inspe_jax.core.arrays import on_device, wide_bucket
+from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.parallel import cores, untraced
 from inspe_jax.scene.scene import Scene
@@ -86,7 +87,9 @@ class TiledScene:
     ``occupancy`` (U,) is p̂ of the voxels that may have entropy, padded with 0 at the end.
     ``column`` and ``level`` (U,) say which voxels these are: the column's number among the tiles'
     columns, and the level in its slab. ``device_tiles`` are the tiles in :func:`device_order`,
-    divided among the devices; None where there is one device.
+    divided among the devices; None where there is one device. ``statics`` are the convex prisms of
+    bodies that stand in every frame; None if there are none. A column of which some voxels are
+    inside a body has the share of its weight that the others are of it.
     """
 
     tiles: Tiles
@@ -97,6 +100,7 @@ class TiledScene:
     level: Int[Array, " U"]
     frame_count: int = field(metadata={"static": True})
     device_tiles: Tile | None = None
+    statics: ConvexPrism | None = None
 
     @property
     def voxel_occupancy(self) -> Float[np.ndarray, " V"]:
@@ -194,15 +198,19 @@ def _tile_scene(scene: Scene) -> TiledScene:
     spare = wide_bucket(len(column), ENTROPIC, MANY_ENTROPIC) - len(column)
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
+    weight, inside = scene.voxels.column_weight, scene.inside_statics
+    if inside is not None:
+        weight = weight * (1.0 - inside.mean(1))
     return TiledScene(
         tiles,
         tuple(chunks),
-        _column_weight(tiles, scene.voxels.column_weight),
+        _column_weight(tiles, weight),
         on_device(occupancy, float),
         on_device(column),
         on_device(level),
         total,
         _on_devices(tiles.tile) if sharding.divides(len(tiles.tile.there)) else None,
+        centered.statics,
     )
 
 
@@ -242,14 +250,22 @@ def tiled_sample(sample: SceneArrays) -> TiledScene:
     Samples of one size give tiled scenes of one shape.
     """
     tiles = tiles_of(sample.centered)
-    weight = np.asarray(sample.weight[:: tiles.level_count])
+    weight = np.asarray(_mean_weight(sample, tiles.level_count))
     return _in_one_chunk(sample, tiles, _column_weight(tiles, weight))
 
 
 def sample_in_one_tile(sample: SceneArrays) -> TiledScene:
     """The :class:`TiledScene` of a sample in one tile, without masks; traced or not."""
     tiles = one_tile(sample.centered)
-    return _in_one_chunk(sample, tiles, sample.weight[:: tiles.level_count], masks=False)
+    weight = _mean_weight(sample, tiles.level_count)
+    return _in_one_chunk(sample, tiles, weight, masks=False)
+
+
+def _mean_weight(sample: SceneArrays, levels: int) -> Float[Any, " L"]:
+    """The mean weight of each column's voxels; those inside a static body have none."""
+    if sample.centered.inside is None:
+        return sample.weight[::levels]
+    return sample.weight.reshape(-1, levels).mean(1)
 
 
 def _in_one_chunk(
@@ -273,6 +289,7 @@ def _in_one_chunk(
         on_device(column.reshape(-1)),
         on_device(np.tile(level % height, len(column))),
         len(prisms.top),
+        statics=sample.centered.statics,
     )
 
 

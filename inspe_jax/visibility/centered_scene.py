@@ -5,15 +5,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.arrays import bucket, on_device, on_host
-from inspe_jax.core.geometry import Prism
+from inspe_jax.core.convex import ConvexPrism, sides
+from inspe_jax.core.geometry import FAR, Prism
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import convex_parts
 from inspe_jax.sensing.layout import Layout
 
 PRISMS = 16
 """Least number of places for prisms in a frame."""
+PARTS = 32
+"""Least number of places for the convex prisms of static bodies."""
 
 
 class CenteredScene(NamedTuple):
@@ -21,12 +25,16 @@ class CenteredScene(NamedTuple):
 
     ``columns`` (L, 2) are x and y of the columns, ``heights`` (L, Z) those of the voxel centres
     and ``ground`` (L,) that of the ground [m], ``prisms`` (T, B) the road users in T frames.
+    ``statics`` (P,) are the convex prisms of static bodies, and ``inside`` (L, Z) says which voxels
+    are inside one; None where there is nothing of it.
     """
 
     columns: Float[Array, "L 2"]
     heights: Float[Array, "L Z"]
     ground: Float[Array, " L"]
     prisms: Prism
+    inside: Bool[Array, "L Z"] | None = None
+    statics: ConvexPrism | None = None
 
     @property
     def centers(self) -> Float[Array, "V 3"]:
@@ -59,6 +67,38 @@ def about_center(scene: Scene) -> CenteredScene:
             top=on_device(padded(traffic.center[..., 2] + traffic.size[..., 2] / 2 - z), float),
             valid=on_device(padded(traffic.valid)),
         ),
+        inside=None if scene.inside_statics is None else on_device(scene.inside_statics),
+        statics=_statics_about_center(scene),
+    )
+
+
+def _statics_about_center(scene: Scene) -> ConvexPrism | None:
+    """The convex prisms of a scene's bodies relative to its centre; None if it has none.
+
+    They end in some that are not valid, so that scenes of similar size have arrays of one shape.
+    """
+    if not scene.statics:
+        return None
+    parts, (x, y, z) = convex_parts(scene.statics, scene.intersection), scene.voxels.center
+    corners = parts.corners - [x, y]
+    count = len(corners)
+    normal, offset = sides(corners)
+
+    def padded(values: np.ndarray) -> Array:
+        spare = bucket(count, PARTS) - count
+        return on_device(np.pad(values, [(0, spare)] + [(0, 0)] * (values.ndim - 1)))
+
+    def numbers(values: np.ndarray) -> Array:
+        return padded(values.astype(float))
+
+    return ConvexPrism(
+        corners=numbers(corners),
+        normal=numbers(normal),
+        offset=numbers(offset),
+        bottom=numbers(np.maximum(parts.bottom - z, -FAR)),
+        top=numbers(parts.top - z),
+        clear=numbers(parts.transmittance),
+        valid=padded(np.ones(count, bool)),
     )
 
 

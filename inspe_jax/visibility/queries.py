@@ -9,44 +9,66 @@ import operator
 
 import jax
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Array, Bool, UInt
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import body_at
 from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import (
+    CenteredScene,
+    about_center,
+    poses_about_center,
+)
 from inspe_jax.visibility.shadows import sight_masks
-from inspe_jax.visibility.tiles import tiles_of
+from inspe_jax.visibility.statics import past_statics_of_sensor
+from inspe_jax.visibility.tiles import Tiles, tiles_of
 from inspe_jax.visibility.view_masks import in_view_masks
 
 
 def in_view(scene: Scene, layout: Layout) -> Bool[np.ndarray, "S V"]:
     """Whether some ray of each sensor passes through each voxel; traffic does not matter.
 
+    A ray ends at a static body: a voxel behind one, by the line to its centre, is not in view.
     Raises InspeError as :func:`check_layout` does.
     """
     check_layout(scene, layout)
-    tiles, poses = tiles_of(about_center(scene)), poses_about_center(scene, layout)
+    centered, poses = about_center(scene), poses_about_center(scene, layout)
+    tiles = tiles_of(centered)
     half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
     for grid, index in layout.groups():
         for s in index:
-            found[s] = tiles.by_voxel(np.asarray(in_view_masks(grid, poses[s], tiles.tile, half)))
+            view = in_view_masks(grid, poses[s], tiles.tile, half)
+            found[s] = tiles.by_voxel(_past_statics(centered, tiles, poses[s, :3], view))
     return found
 
 
-def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:
-    """Whether no vehicle of one frame cuts the line from each sensor to each voxel's centre.
+def _past_statics(
+    centered: CenteredScene, tiles: Tiles, sensor: np.ndarray, view: UInt[Array, "N C"]
+) -> UInt[np.ndarray, "N C"]:
+    """What static bodies leave of the voxels ``view``."""
+    if centered.statics is None:
+        return np.asarray(view)
+    return np.asarray(view & past_statics_of_sensor(sensor, centered.statics, tiles.tile, view))
 
-    The rays and the reach do not matter. A voxel inside a vehicle is not in line of sight. Raises
-    InspeError where there is no such frame, and as :func:`check_layout` does.
+
+def line_of_sight(scene: Scene, layout: Layout, frame: int) -> Bool[np.ndarray, "S V"]:
+    """Whether nothing cuts the line from each sensor to each voxel's centre in one frame: no
+    vehicle, and no static body of which less than half of the light passes through.
+
+    The rays and the reach do not matter. A voxel inside a vehicle or a body is not in line of
+    sight. Raises InspeError where there is no such frame, and as :func:`check_layout` does.
     """
     check_layout(scene, layout)
     frame = check_frame(scene, frame)
     centered = about_center(scene)
     tiles, poses = tiles_of(centered), poses_about_center(scene, layout)
     prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], centered.prisms)
-    clear = [tiles.by_voxel(sight_masks(pose[:3], prisms, tiles.tile)[:, 0]) for pose in poses]
+    clear = []
+    for at in poses[:, :3]:
+        sight = sight_masks(at, prisms, tiles.tile)[:, 0]
+        clear.append(tiles.by_voxel(_past_statics(centered, tiles, at, sight)))
     return np.stack(clear)
 
 
@@ -59,7 +81,8 @@ def check_frame(scene: Scene, frame: int) -> int:
 
 
 def check_layout(scene: Scene, layout: Layout) -> None:
-    """Raise InspeError where a pose is not finite, or a sensor is in the ground or out of reach.
+    """Raise InspeError where a pose is not finite, or a sensor is in the ground, in a static body
+    or out of reach.
 
     Traced poses have no values to check and pass.
     """
@@ -82,4 +105,10 @@ def check_layout(scene: Scene, layout: Layout) -> None:
             raise InspeError(
                 f"{where} is in the ground: its height is {pose[2]:.2f} m and the ground's "
                 f"{ground:.2f} m"
+            )
+        inside = body_at(scene.statics, scene.intersection, pose[:3])
+        if inside is not None:
+            raise InspeError(
+                f"{where}, {pose[2] - ground:.1f} m up, is inside a body of {scene.name}, the "
+                f"{inside.words}; move it out, above or beneath, or take the body away"
             )

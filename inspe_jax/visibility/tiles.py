@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
+from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt
 
 from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.geometry import NEVER, Prism, top_over
@@ -59,12 +59,14 @@ class Tiles:
 
     Where there are more levels than bits in a word, the columns are cut into slabs of levels. The
     tiles of the lowest slab come first. ``place`` (L,) is the number of each of the scene's columns
-    among the columns of a slab's tiles; None where it is not needed.
+    among the columns of a slab's tiles; None where it is not needed. ``gaps``: some voxels are
+    inside a static body, and so are not there.
     """
 
     tile: Tile
     place: Int[Array | np.ndarray, " L"] | None
     level_count: int = field(metadata={"static": True})
+    gaps: bool = field(metadata={"static": True}, default=False)
 
     @property
     def slabs(self) -> int:
@@ -76,6 +78,21 @@ class Tiles:
         """Whether no slab of levels is above each tile."""
         number = len(self.tile.there)
         return np.arange(number) >= number - number // self.slabs
+
+    @property
+    def column_levels(self) -> int | Num[Array, " MC"]:
+        """How many levels the columns of a slab's tiles have; of each, 1 at least, where bodies
+        stand in some."""
+        if not self.gaps:
+            return self.level_count
+        there = bitmask.count(self.tile.there).reshape(self.slabs, -1).sum(0)
+        return jnp.maximum(there, 1).astype(float)
+
+    def column_shares(self, found: Float[Array, "R MC"]) -> Float[Array, "R MC"]:
+        """Numbers of each column's voxels as shares of those that it has."""
+        if not self.gaps:
+            return found / self.level_count
+        return found / self.column_levels[None]  # type: ignore[index]  # it is an array
 
     def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
         """Masks of the tiles' columns as flags in the scene's order of voxels."""
@@ -114,7 +131,10 @@ def tiles_of(scene: CenteredScene) -> Tiles:
     slabs = len(slab)
     xy = columns[index].swapaxes(1, 2)  # (N, 2, C)
     z = heights[index][:, :, slab].transpose(2, 0, 3, 1)  # (slabs, N, Z, C)
-    there = bitmask.pack(exists[:, None, None] & real[None, :, :, None])[..., 0]  # (slabs, N, C)
+    there = exists[:, None, None] & real[None, :, :, None]  # (slabs, N, C, Z)
+    if scene.inside is not None:
+        there = there & ~np.asarray(scene.inside)[index][:, :, slab].transpose(2, 0, 1, 3)
+    there = bitmask.pack(there)[..., 0]  # (slabs, N, C)
     middle = (xy.min(2) + xy.max(2)) / 2
     away = np.hypot(*(xy - middle[:, :, None]).swapaxes(0, 1)).max(1)
 
@@ -134,7 +154,7 @@ def tiles_of(scene: CenteredScene) -> Tiles:
         low=stacked(z.min((2, 3))),
         high=stacked(z.max((2, 3))),
     )
-    return Tiles(tile, place, heights.shape[1])
+    return Tiles(tile, place, heights.shape[1], scene.inside is not None)
 
 
 def _halved(
@@ -165,10 +185,13 @@ def one_tile(scene: CenteredScene) -> Tiles:
         return jnp.broadcast_to(x, (slabs, *x.shape))
 
     there = jnp.broadcast_to(jnp.asarray(bitmask.pack(exists)), (slabs, len(columns)))
+    if scene.inside is not None:
+        free = ~jnp.asarray(scene.inside)[:, slab].transpose(2, 1, 0)  # (Z, slabs, L)
+        there = there & pack_levels(free, there.dtype)
     ends = z.min((1, 2)), z.max((1, 2))
     ground = repeated(scene.ground)
     tile = Tile(repeated(columns.T), z, ground, there, repeated(middle), repeated(away), *ends)
-    return Tiles(tile, np.arange(len(columns)), heights.shape[1])
+    return Tiles(tile, np.arange(len(columns)), heights.shape[1], scene.inside is not None)
 
 
 def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "slabs Z"]]:

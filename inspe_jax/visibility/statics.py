@@ -1,0 +1,157 @@
+"""Line of sight past static bodies: found once for all frames, as bodies do not move.
+
+A body is convex prisms (:mod:`inspe_jax.core.convex`). It hides a voxel where the line from the
+sensor to the voxel's centre meets one of them. Read exactly, a prism hides if less than
+:data:`HALF` of the light passes through it. Read softly, what all prisms let through is multiplied.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, UInt
+
+from inspe_jax.core.convex import ConvexPrism, prism_margins
+from inspe_jax.core.geometry import Prism
+from inspe_jax.core.numerics import Width, certain_beyond, exact, step
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.shadows import may_shade, shadow_bounds
+from inspe_jax.visibility.tiles import Tile, pack_levels, unless_empty
+
+HALF = 0.5
+"""Read exactly, a crown hides what is behind it if its transmittance is less than this."""
+
+
+def _marked(
+    sensor: Float[Array, "3"], statics: ConvexPrism, tile: Tile, wider: Any = 0.0
+) -> UInt[Array, "W 1"]:
+    """Marks of the valid prisms whose shadow may touch a tile, by the circles around them.
+
+    The shadow is taken ``wider`` by so much [m].
+    """
+    low, high = statics.corners.min(1), statics.corners.max(1)
+    middle = (low + high) / 2
+    away = statics.corners - middle[:, None]
+    radius = jnp.hypot(away[..., 0], away[..., 1]).max(1)
+    around = Prism(
+        center=middle,
+        yaw=jnp.zeros_like(radius),
+        half=jnp.stack([radius, jnp.zeros_like(radius)], -1),
+        top=statics.top,
+        valid=statics.valid,
+    )
+    bounds = shadow_bounds(sensor, jax.tree.map(lambda leaf: leaf[None], around), wider)
+    return bitmask.marks(may_shade(sensor, bounds, tile) & statics.valid[:, None])
+
+
+def past_statics_masks(
+    sensor: Float[Array, "3"],
+    statics: ConvexPrism,
+    tiles: Tile,
+    views: UInt[Array, "N C"],
+) -> UInt[Array, "N C"]:
+    """Masks of the voxels of N tiles that no body hides from a sensor.
+
+    ``views`` are masks of what the sensor has in view; a tile of which it has nothing is left out,
+    and has no such voxels.
+    """
+    statics = statics._replace(valid=statics.valid & (statics.clear < HALF))
+
+    @unless_empty
+    def of_tile(tile: Tile) -> UInt[Array, " C"]:
+        def hide(hidden: Array, index: Int[Array, "1"], some: Array) -> Array:
+            prism = jax.tree.map(lambda leaf: leaf[index[0]], statics)
+            beside, below, above = prism_margins(prism, sensor, tile.columns, tile.heights)
+            blocked = (beside > 0)[None] & (below > 0) & (above > 0)
+            mask = pack_levels(blocked, tile.there.dtype)
+            return hidden | jnp.where(some, mask, jnp.zeros_like(mask))
+
+        marked = _marked(sensor, statics, tile)
+        return tile.there & ~bitmask.fold_marked(marked, hide, jnp.zeros_like(tile.there))
+
+    def unless_unseen(part: tuple[Tile, Array]) -> UInt[Array, " C"]:
+        tile, view = part
+        nothing = jnp.zeros_like(tile.there)
+        return jax.lax.cond((view != 0).any(), of_tile, lambda _: nothing, tile)
+
+    return jax.lax.map(unless_unseen, (tiles, views))
+
+
+past_statics_of_sensor = jax.jit(past_statics_masks)
+"""The same, compiled for one sensor."""
+
+
+def _hidden(
+    sensor: Float[Array, "3"],
+    prism: ConvexPrism,
+    columns: Float[Array, "2 C"],
+    heights: Float[Array, "Z C"],
+    width: Width,
+) -> Float[Array, "Z C"]:
+    """The chance that one prism hides each voxel, read with ``width`` [m]."""
+    beside, below, above = prism_margins(prism, sensor, columns, heights)
+    hides = step(beside, width)[None] * step(below, width) * step(above, width)
+    opaque = step(HALF - prism.clear) if exact(width) else 1.0 - prism.clear
+    return hides * opaque
+
+
+def past_statics_chance(
+    sensor: Float[Array, "3"], statics: ConvexPrism, tile: Tile, width: Width
+) -> Float[Array, "Z C"]:
+    """The chance that bodies leave the sight line from a sensor to each voxel of a tile clear.
+
+    It is ∏ (1 − p·(1 − transmittance)) over all prisms, with p the product of the three margins
+    read with ``width`` [m]. A prism that narrowly misses counts too. Only the sensor has a
+    gradient.
+    """
+    fixed = jax.lax.stop_gradient(sensor)
+    marked = _marked(fixed, statics, tile, certain_beyond(width))
+    return _clear(sensor, statics, marked, tile.columns, tile.heights, width)
+
+
+@jax.custom_vjp
+def _clear(
+    sensor: Float[Array, "3"],
+    statics: ConvexPrism,
+    marked: UInt[Array, "W 1"],
+    columns: Float[Array, "2 C"],
+    heights: Float[Array, "Z C"],
+    width: Width,
+) -> Float[Array, "Z C"]:
+    """The product over the marked prisms, one after another: as many steps as are marked."""
+
+    def add(clear: Array, index: Int[Array, "1"], some: Array) -> Array:
+        prism = jax.tree.map(lambda leaf: leaf[index[0]], statics)
+        left = 1.0 - _hidden(sensor, prism, columns, heights, width)
+        return clear * jnp.where(some, left, 1.0)
+
+    return bitmask.fold_marked(marked, add, jnp.ones_like(heights))
+
+
+def _clear_forward(*given: Any) -> tuple[Array, tuple]:
+    clear = _clear(*given)
+    return clear, (clear, *given)
+
+
+def _clear_backward(kept: tuple, wanted: Float[Array, "Z C"]) -> tuple:
+    """The gradient prism by prism, found again: nothing of each is kept.
+
+    ∂∏(1 − pᵢ) = −Σ ∂pᵢ · ∏/(1 − pᵢ). Where a prism hides for certain, pᵢ = 1, its own slope is 0,
+    and so is what the others add.
+    """
+    clear, sensor, statics, marked, columns, heights, width = kept
+
+    def add(slope: Array, index: Int[Array, "1"], some: Array) -> Array:
+        prism = jax.tree.map(lambda leaf: leaf[index[0]], statics)
+        of = partial(_hidden, prism=prism, columns=columns, heights=heights, width=width)
+        hidden, back = jax.vjp(of, sensor)
+        left = 1.0 - hidden
+        others = jnp.where(clear > 0, clear / jnp.where(left > 0, left, 1.0), 0.0)
+        return slope - jnp.where(some, back(wanted * others)[0], 0.0)
+
+    slope = bitmask.fold_marked(marked, add, jnp.zeros_like(sensor))
+    return slope, None, None, None, None, None
+
+
+_clear.defvjp(_clear_forward, _clear_backward)

@@ -1,0 +1,94 @@
+"""Sight line against a convex outline: shapely's answer, and the rectangle's own form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from shapely.geometry import LineString, MultiPoint, Polygon
+
+from inspe_jax.core.convex import SEAM, ConvexPrism, above_bottom, convex_cut, sides
+from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut
+
+ROOM = 8
+LINES = 400
+
+
+def outlines(seed: int, count: int) -> np.ndarray:
+    """Convex outlines with three to eight corners, padded as those of scores are."""
+    rng, found = np.random.default_rng(seed), []
+    while len(found) < count:
+        hull = MultiPoint(rng.normal(size=(rng.integers(4, 12), 2)) * 3).convex_hull
+        corners = np.array(hull.exterior.coords)[-1:0:-1]  # counter-clockwise
+        if len(corners) <= ROOM:
+            found.append(corners[np.minimum(np.arange(ROOM), len(corners) - 1)])
+    return np.array(found)
+
+
+def prisms(corners: np.ndarray) -> ConvexPrism:
+    each = np.zeros(len(corners))
+    return ConvexPrism(corners, *sides(corners), each, each, each, each == 0)
+
+
+cuts = jax.jit(jax.vmap(convex_cut, (0, None)))
+rectangle_cut = jax.jit(plan_cut)
+
+
+def test_a_line_meets_what_shapely_says_and_there():
+    shapes, rng = outlines(1, 25), np.random.default_rng(2)
+    ends = rng.uniform(-9, 9, (LINES, 4))
+    line = Line(*(jnp.asarray(x, jnp.float32) for x in ends.T))
+    found = jax.tree.map(np.asarray, cuts(prisms(shapes), line))
+    for shape, beside, enters, leaves in zip(shapes, *found, strict=True):
+        polygon = Polygon(shape)
+        assert polygon.exterior.is_ccw
+        for k, (x, y, ex, ey) in enumerate(ends):
+            segment = LineString([(x, y), (x + ex, y + ey)])
+            part = segment.intersection(polygon)
+            away = segment.distance(polygon)
+            assert (beside[k] > SEAM + 1e-5) <= (part.length > 0)
+            if away > 1e-4:
+                assert -away * 1.001 - 1e-4 <= beside[k] < 0
+            if part.length > 1e-3:
+                assert beside[k] > 0
+                assert leaves[k] - enters[k] == pytest.approx(
+                    part.length / segment.length, abs=1e-4
+                )
+                middle = (enters[k] + leaves[k]) / 2 * segment.length
+                at = segment.interpolate(middle)
+                assert at.distance(part.centroid) < 1e-3
+
+
+def test_a_rectangle_in_both_forms():
+    half = np.array([2.5, 0.9])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    ends = np.random.default_rng(3).uniform(-9, 9, (LINES, 4))
+    line = Line(*(jnp.asarray(x, jnp.float32) for x in ends.T))
+    padded = corners[np.minimum(np.arange(ROOM), 3)][None]
+    general = jax.tree.map(lambda x: np.asarray(x)[0], cuts(prisms(padded), line))
+    own = jax.tree.map(np.asarray, rectangle_cut(line, tuple(jnp.asarray(half, jnp.float32))))
+    assert general.beside == pytest.approx(own.beside + SEAM, abs=1e-5)
+    assert general.enters == pytest.approx(own.enters, abs=1e-4)
+    assert general.leaves == pytest.approx(own.leaves, abs=1e-4)
+
+
+def test_sides_of_corners_that_are_repeated_are_those_of_the_next():
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)
+    padded = square[[0, 1, 2, 3, 3, 3, 3, 3]][None]
+    normal, offset = sides(padded)
+    assert normal[0].tolist() == [[0, -1], [1, 0], [0, 1], *[[-1, 0]] * 5]
+    assert offset[0].tolist() == [0, 2, 2, 0, 0, 0, 0, 0]
+
+
+def test_a_line_passes_above_a_bottom_as_it_passes_below_a_top_upside_down():
+    rng = np.random.default_rng(4)
+    t = np.sort(rng.uniform(size=(2, 50)), 0)
+    cut, (top, drop) = Cut(t[0], t[0], t[1]), rng.normal(size=(2, 50))
+    np.testing.assert_allclose(above_bottom(cut, top, -drop), below_top(cut, top, drop), atol=1e-6)
+
+
+def test_straight_down_the_sides_decide():
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)[[0, 1, 2, 3, 3, 3, 3, 3]][None]
+    line = Line(*(jnp.full(LINES, x, jnp.float32) for x in (0.5, 1.0, 0.0, 0.0)))
+    found = jax.tree.map(np.asarray, cuts(prisms(square), line))
+    assert found.beside[0, 0] == pytest.approx(0.5, abs=1e-3)
+    assert (found.enters[0, 0], found.leaves[0, 0]) == (0.0, 1.0)

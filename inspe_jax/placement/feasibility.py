@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.coordinates import nearest_turn
 from inspe_jax.placement.site import Site
+from inspe_jax.scene.statics import body_at
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit
 
 TOLERANCE = 1e-3
@@ -56,6 +57,9 @@ def faults(layout: Layout, given: Layout, site: Site, constraints: Constraints) 
             over = site.over_lane(poses[s, :2])
             for wrong in _sensor(layout.sensors[s], hung[s], over, constraints, heights):
                 yield Fault((s,), f"sensor {names[s]} {wrong}")
+            inside = body_at(site.bodies, site.place, poses[s, :3])
+            if inside is not None:
+                yield Fault((s,), f"sensor {names[s]} is inside a body, the {inside.words}")
         for a, b in combinations(members, 2):
             dx, dy, dz, *_ = np.abs(poses[a] - poses[b])
             for apart, limit, how in (
@@ -81,6 +85,11 @@ def _foot(
         yield f"is {moved:.2f} m from where it was, at most {constraints.move:g} m"
     if away > site.radius + TOLERANCE:
         yield f"is {away:.2f} m from the centre, at most {site.radius:g} m"
+    near = site.body_near(foot, within=TOLERANCE)
+    if near is not None:
+        how = f"within {UNIT_PLAN:g} m of" if near.height > site.lowest else "inside"
+        yield f"({foot[0]:.2f}, {foot[1]:.2f}) is {how} a body, the {near.words}"
+        return
     areas, poles = PLACES[constraints.places_of(unit.name)]
     if not site.carries(foot, areas=areas, poles=poles, within=TOLERANCE):
         what = " and no ".join(["mounting area"] * areas + ["pole"] * poles)

@@ -15,6 +15,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.polygons import merge
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import StaticBody
+from inspe_jax.sensing.layout import UNIT_PLAN
 
 POLE_HEIGHTS = (3.0, 12.0)
 """Lowest and highest height of a sensor on a pole [m above the ground]."""
@@ -66,7 +68,9 @@ class Site:
 
     ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective
     depth [m]. ``camera_height`` and ``lidar_height`` [m] and ``camera_pitch`` [rad]
-    are None if the rule chooses them.
+    are None if the rule chooses them. ``bodies`` stand in every frame: no unit stands in one, nor
+    within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of one that reaches to ``lowest`` [m above
+    the ground], the lowest height of a sensor, so that no sensor can be inside.
     """
 
     place: Intersection
@@ -75,6 +79,8 @@ class Site:
     camera_height: float | None = None
     lidar_height: float | None = None
     camera_pitch: float | None = None
+    bodies: tuple[StaticBody, ...] = ()
+    lowest: float = POLE_HEIGHTS[0]
 
     @property
     def center(self) -> Float[np.ndarray, "2"]:
@@ -151,7 +157,25 @@ class Site:
         """The mounting area within the radius, off lanes and crosswalks, with its rim."""
         crosswalks = self.place.regions.get(Region.CROSSWALK, Polygon())
         near = Point(self.center).buffer(self.radius, quad_segs=64)
-        return self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
+        open_ = self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
+        return open_.difference(self.taken) if self.bodies else open_
+
+    @cached_property
+    def taken(self) -> BaseGeometry:
+        """The ground on which static bodies let no unit stand."""
+        return unary_union([self.room_of(one) for one in self.bodies])
+
+    def room_of(self, one: StaticBody) -> BaseGeometry:
+        """The ground on which one body lets no unit stand."""
+        return one.polygon.buffer(UNIT_PLAN if one.height > self.lowest else 0.0)
+
+    def body_near(self, foot: Float[np.ndarray, "2"], within: float = 0.0) -> StaticBody | None:
+        """The first body that lets no unit stand at ``foot`` (x, y), deeper than ``within`` [m]."""
+        for one in self.bodies:
+            room, at = self.room_of(one), Point(foot)
+            if room.contains(at) and room.boundary.distance(at) > within:
+                return one
+        return None
 
     @cached_property
     def ground(self) -> BaseGeometry:
@@ -233,11 +257,12 @@ class Site:
 
     @cached_property
     def poles(self) -> Float[np.ndarray, "P 2"]:
-        """Feet of the existing poles within the radius and off the lanes [m]."""
+        """Feet of the existing poles within the radius, off the lanes and free of bodies [m]."""
         feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
         keep = [
             np.hypot(*(foot - self.center)) <= self.radius
             and not self.lanes.intersects(Point(foot))
+            and not (self.bodies and self.taken.intersects(Point(foot)))
             for foot in feet
         ]
         return feet[np.array(keep, bool)]

@@ -50,7 +50,9 @@ class Space:
         self.place = scene.intersection
         if self.constraints.area is not None:
             self.place = replace(self.place, mounting=self.constraints.area)
-        self.site = Site(self.place, float(scene.voxels.radius), depth=0.0)
+        bodies, lowest = scene.statics, self.constraints.heights[0]
+        radius = float(scene.voxels.radius)
+        self.site = Site(self.place, radius, depth=0.0, bodies=bodies, lowest=lowest)
         self._unit = np.array([sensor.unit for sensor in layout.sensors])
         self._feet = np.array([unit.base[:2] for unit in layout.units]) - self.center[:2]
         self._set_limits()

@@ -218,7 +218,8 @@ def strategy(
         )
     pitch = None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg))
     depth = chosen.camera.grid.reach
-    site = Site(place, scene.voxels.radius, depth, camera_height, lidar_height, pitch)
+    heights = camera_height, lidar_height, pitch
+    site = Site(place, scene.voxels.radius, depth, *heights, bodies=scene.statics)
     views: list[tuple[View, Spec]] = []
     for rule, spec in ((row.cameras, chosen.camera), (row.lidars, chosen.lidar)):
         views += [(view, spec) for view in rule(site)] if rule else []

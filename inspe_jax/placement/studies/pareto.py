@@ -94,7 +94,7 @@ def starting_layout(scene: Scene, counts: Mapping[str, int]) -> Layout:
     if not wanted:
         raise InspeError("a mix needs at least one sensor")
     wanted.sort(key=lambda row: row[1].aimed)
-    site = Site(scene.intersection, scene.voxels.radius, depth=30.0)
+    site = Site(scene.intersection, scene.voxels.radius, depth=30.0, bodies=scene.statics)
     feet = np.concatenate([site.corners, site.roadsides])
     posts = [f"corner {i + 1}" for i in range(len(site.corners))]
     posts += [f"roadside {i + 1}" for i in range(len(site.roadsides))]

@@ -26,10 +26,10 @@ from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.embedded.camera import SHADOWED
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import LIGHTS
+from inspe_jax.simulation.embedded.materials import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
 from inspe_jax.simulation.embedded.shapes import VARIANTS
-from inspe_jax.simulation.embedded.static_world import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.simulation.embedded.sunlit import SunlitPoints
 from inspe_jax.simulation.recorder import LAYERS, Recording
 from inspe_jax.visibility import raycast

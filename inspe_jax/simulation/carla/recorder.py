@@ -59,6 +59,8 @@ class CarlaRecorder:
         self.layout = conditions.layout(layout)
         self.poses = np.asarray(self.layout.poses, float)
         self.notes = notes_of(self.layout, self.recording)
+        if scene.statics:
+            self.notes += ("CARLA's town has bodies of its own: the scene's do not stand in it",)
 
     def __enter__(self) -> Self:
         with plain_errors(self.server), ExitStack() as stack:

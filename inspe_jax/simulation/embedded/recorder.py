@@ -47,7 +47,7 @@ class EmbeddedRecorder:
         poses = np.asarray(layout.poses, float)
         self.layout = layout
         self.static_world = build_static_world(
-            scene.intersection, scene.voxels.radius, _masts(layout, poses)
+            scene.intersection, scene.voxels.radius, _masts(layout, poses), scene.statics
         )
         self.static_caster = Caster(self.static_world.triangles)
         shading = Shading(conditions, self.static_world.poles - self.static_world.center)

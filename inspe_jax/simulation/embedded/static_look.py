@@ -3,19 +3,35 @@
 import numpy as np
 
 from inspe_jax.scene.regions import Region
-from inspe_jax.simulation.embedded.static_world import (
+from inspe_jax.simulation.embedded.materials import (
     BUILDING,
     CROWN,
+    FURNITURE,
     GROUND,
     KERB,
+    PARKED,
+    PARKED_CAR,
+    PARKED_TRUCK,
     POLE,
     ROOF,
     TRUNK,
-    StaticWorld,
+    WALL,
 )
+from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
 
-_OF_MATERIAL = {KERB: 2, BUILDING: 3, ROOF: 3, TRUNK: 9, CROWN: 9, POLE: 6}
+_OF_MATERIAL = {
+    KERB: 2,
+    BUILDING: 3,
+    ROOF: 3,
+    TRUNK: 9,
+    CROWN: 9,
+    POLE: 6,
+    WALL: 4,
+    FURNITURE: 20,
+    PARKED_CAR: 14,
+    PARKED_TRUCK: 15,
+}
 OF_LABEL = {
     Region.DRIVEWAY: 1,
     Region.JUNCTION: 1,
@@ -46,6 +62,13 @@ def static_look(
     albedo[material == ROOF] = [0.16, 0.12, 0.11]
     albedo[material == TRUNK] = [0.11, 0.075, 0.05]
     albedo[material == POLE] = [0.28, 0.29, 0.30]
+    rough = material == WALL
+    stone = 0.7 + 0.6 * noise(point[rough][:, :2] * 3.1 + point[rough][:, 2:] * 4.3)
+    albedo[rough] = np.array([0.34, 0.31, 0.27]) * stone[:, None]
+    box = material == FURNITURE
+    albedo[box] = _FURNITURE[body[box] % len(_FURNITURE)]
+    parked = np.isin(material, PARKED)
+    albedo[parked] = static_world.colour[face[parked]]
     crown = material == CROWN
     leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
     tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
@@ -55,6 +78,7 @@ def static_look(
     return albedo, semantic
 
 
+_FURNITURE = np.array([[0.18, 0.20, 0.20], [0.12, 0.17, 0.13], [0.30, 0.30, 0.29]])
 _WALLS = np.array(
     [
         [0.42, 0.36, 0.30],

@@ -1,12 +1,13 @@
 """The static world: ground, kerbs, buildings, trees and poles, as triangles with a material.
 
-Buildings and trees stand outside the radius of the region of interest, so that they block no line
-of sight inside it. The scores, too, know no obstacles there but vehicles. Inside the radius there
-are only low kerbs and thin poles.
+The static bodies of a scene stand where scores have them. Besides, there is what makes pictures
+look like a place: buildings and trees outside the radius of the region of interest, where they
+block no line of sight inside it, as scores know nothing of them; and inside the radius low kerbs
+and thin poles. All this keeps clear of the bodies.
 """
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,18 @@ from shapely.ops import unary_union
 
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import StaticBody
+from inspe_jax.simulation.embedded.materials import (
+    BUILDING,
+    CROWN,
+    GROUND,
+    KERB,
+    POLE,
+    ROOF,
+    TRUNK,
+)
+from inspe_jax.simulation.embedded.static_bodies import body_parts
 from inspe_jax.simulation.embedded.surface import Surface, lay_surface
-
-MATERIALS = ("ground", "kerb", "building", "roof", "trunk", "crown", "pole")
-GROUND, KERB, BUILDING, ROOF, TRUNK, CROWN, POLE = range(len(MATERIALS))
 
 HORIZON = 400.0
 """The ground reaches this far from the centre [m]."""
@@ -42,8 +51,9 @@ BUILDINGS, TREES = 44, 60
 @dataclass(frozen=True, eq=False)
 class StaticWorld:
     """Triangles relative to ``center`` [m], and for each its material, an index into
-    :data:`MATERIALS`. ``body`` numbers the buildings and the trees. ``poles`` are the tops of the
-    poles in the world [m].
+    :data:`~inspe_jax.simulation.embedded.materials.MATERIALS`. ``body`` numbers the buildings and
+    the trees. ``poles`` are the tops of the poles in the world [m]. ``colour`` is the linear albedo
+    of the faces of parked vehicles, 0 for others.
     """
 
     center: Float[np.ndarray, "3"]
@@ -52,18 +62,21 @@ class StaticWorld:
     body: Int[np.ndarray, " F"]
     surface: Surface
     poles: Float[np.ndarray, "P 3"]
+    colour: Float[np.ndarray, "F 3"]
 
 
 def build_static_world(
     intersection: Intersection,
     radius: float,
     masts: Float[np.ndarray, "U 4"],
+    bodies: Sequence[StaticBody] = (),
 ) -> StaticWorld:
     """The static world of an intersection, out to :data:`HORIZON`.
 
     ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
-    over the carriageway get no mast, as they hang on wires. Buildings and trees stand at random
-    places, which depend only on the intersection's name.
+    over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene.
+    Other buildings and trees stand at random places, which depend only on the intersection's name
+    and on where bodies leave room.
     """
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     center = np.asarray(intersection.center, float)
@@ -73,6 +86,8 @@ def build_static_world(
     feet = [(*p, POLE_HEIGHT) for p in intersection.poles]
     feet = [p for p in feet if np.hypot(*(p[:2] - center[:2])) <= radius + MAPPED]
     feet = [p for p in feet if all(np.hypot(*(np.array(p[:2]) - m[:2])) > 0.5 for m in masts)]
+    own = unary_union([one.polygon for one in bodies])
+    feet = [p for p in feet if not bodies or Point(p[:2]).distance(own) > 0.5]
     posts = np.array([*masts, *feet], float).reshape(-1, 4)
     parts: list[tuple[np.ndarray, int, int]] = [
         (_terrain(intersection, radius), GROUND, 0),
@@ -80,6 +95,8 @@ def build_static_world(
         *((_tube(p[:3], POLE_RADIUS, p[3]), POLE, 0) for p in posts),
     ]
     taken = open_.buffer(CLEAR)
+    if bodies:
+        taken = unary_union([taken, own.buffer(CLEAR)])
     for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
         walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
         parts += [(walls, BUILDING, k), (roof, ROOF, k)]
@@ -88,6 +105,11 @@ def build_static_world(
         parts.append((_tube(foot, 0.18, 0.45 * height), TRUNK, k))
         parts.append((_crown(foot, height, rng), CROWN, k))
     tops = posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:]
+    colours = [np.zeros((sum(len(part) for part, _, _ in parts), 3))]
+    for k, one in enumerate(bodies):
+        for part in body_parts(one, intersection):
+            parts.append((part.triangles, part.material, k))
+            colours.append(np.zeros((len(part.triangles), 3)) + part.colour)
     sizes = [len(part) for part, _, _ in parts]
     return StaticWorld(
         center=center,
@@ -96,6 +118,7 @@ def build_static_world(
         body=np.repeat([b for _, _, b in parts], sizes),
         surface=lay_surface(intersection, radius + MAPPED),
         poles=tops,
+        colour=np.concatenate(colours).astype(np.float32),
     )
 
 

@@ -12,9 +12,10 @@ from jaxtyping import Float, Int
 
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import parts
+from inspe_jax.simulation.embedded.materials import GROUND
 from inspe_jax.simulation.embedded.shading import FAR, Shading
 from inspe_jax.simulation.embedded.static_look import static_look
-from inspe_jax.simulation.embedded.static_world import GROUND, StaticWorld
+from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.surface import GRASS, noise
 
 DARKER = 0.45

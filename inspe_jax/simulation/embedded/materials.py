@@ -1,0 +1,11 @@
+"""What the triangles of the static world are made of."""
+
+MATERIALS = (
+    *("ground", "kerb", "building", "roof", "trunk", "crown", "pole"),
+    *("wall", "furniture", "parked car", "parked truck"),
+)
+"""A face of the static world has an index into this as its material. That of a parked vehicle has
+a colour of its own."""
+GROUND, KERB, BUILDING, ROOF, TRUNK, CROWN, POLE = range(7)
+WALL, FURNITURE, PARKED_CAR, PARKED_TRUCK = range(7, len(MATERIALS))
+PARKED = (PARKED_CAR, PARKED_TRUCK)

@@ -1,0 +1,172 @@
+"""The static bodies of a scene as triangles: the same outlines and heights that scores take.
+
+Buildings, walls, poles and furniture fill their prisms. Hedges are prisms of leaves. The crown of a
+tree is rounded, and fills some nine tenths of its prism; as much light passes between its leaves as
+the body says. A parked vehicle has the shape of a road user of its size, within its box.
+"""
+
+import zlib
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from shapely.geometry import Polygon
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.statics import StaticBody, octagon
+from inspe_jax.simulation.embedded.materials import (
+    BUILDING,
+    CROWN,
+    FURNITURE,
+    PARKED_CAR,
+    PARKED_TRUCK,
+    POLE,
+    ROOF,
+    TRUNK,
+    WALL,
+)
+from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
+
+FOUNDATION = 0.5
+"""What stands on the ground begins this far below the lowest ground at its corners [m]."""
+LARGEST_CAR = 6.5
+"""A parked vehicle that is longer than this has the shape of a truck [m]."""
+RINGS = ((0.0, 0.80), (0.15, 0.97), (0.4, 1.0), (0.65, 0.97), (0.85, 0.85), (1.0, 0.55))
+"""The rings of a crown: height as a share of the crown's, and size as a share of its outline's."""
+_BETWEEN = 3  # points of a ring to each side of the crown's outline
+
+
+class Part(NamedTuple):
+    """Triangles of one material in world metres, and their colours where they have own ones."""
+
+    triangles: Float[np.ndarray, "F 3 3"]
+    material: int
+    colour: float | Float[np.ndarray, "F 3"] = 0.0
+
+
+def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
+    """The triangles of one body on the ground of a place."""
+    level = float(place.ground(one.middle[None])[0])
+    # Its look depends on its own place alone: other bodies do not change it.
+    rng = np.random.default_rng(zlib.crc32(np.round(one.outline, 3).tobytes()))
+    yield from _LOOKS[one.kind](one, place, level, rng)
+
+
+def _prism(
+    outline: Float[np.ndarray, "N 2"], bottom: float, top: float
+) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"]]:
+    """The sides, the top and the bottom of a prism."""
+    low = np.column_stack([outline, np.full(len(outline), bottom)])
+    high = low + [0.0, 0.0, top - bottom]
+    a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
+    cut = shapely.constrained_delaunay_triangles(Polygon(outline)).geoms
+    flat = np.array([t.exterior.coords[:3] for t in cut])
+
+    def lid(z: float) -> np.ndarray:
+        return np.concatenate([flat, np.full((*flat.shape[:2], 1), z)], 2)
+
+    sides = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return sides, lid(top), lid(bottom)
+
+
+def _bottom(one: StaticBody, place: Intersection, level: float) -> float:
+    """Where a body begins [m]; below the ground if it stands on it."""
+    return level + one.base if one.base > 0 else _foot(one.outline, place)
+
+
+def _foot(outline: Float[np.ndarray, "N 2"], place: Intersection) -> float:
+    """Below the lowest ground at the corners of what stands on it [m]."""
+    return float(place.ground(outline).min()) - FOUNDATION
+
+
+def _solid(side: int, top: int) -> Callable[..., Iterator[Part]]:
+    """The look of a prism with sides and a top of two materials."""
+
+    def look(
+        one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
+    ) -> Iterator[Part]:
+        ends = _bottom(one, place, level), level + one.height
+        sides, lid, floor = _prism(one.outline, *ends)
+        yield Part(_thinned(sides, one, rng), side)
+        yield Part(_thinned(lid, one, rng), top)
+        if one.base > 0:
+            yield Part(_thinned(floor, one, rng), side)
+        yield from _trunk(one, place, level)
+
+    return look
+
+
+def _trunk(one: StaticBody, place: Intersection, level: float) -> Iterator[Part]:
+    if one.trunk > 0:
+        outline = octagon(one.middle, one.trunk)
+        sides, lid, _ = _prism(outline, _foot(outline, place), level + one.base)
+        yield Part(np.concatenate([sides, lid]), TRUNK)
+
+
+def _thinned(
+    faces: Float[np.ndarray, "F 3 3"], one: StaticBody, rng: np.random.Generator
+) -> Float[np.ndarray, "f 3 3"]:
+    """Faces without those that light passes: a ray meets two, so a share of √transmittance."""
+    if one.transmittance == 0:
+        return faces
+    return faces[rng.uniform(size=len(faces)) >= np.sqrt(one.transmittance)]
+
+
+def _tree(
+    one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
+) -> Iterator[Part]:
+    """A crown of rings like the outline, smaller at both ends, with leaves left out."""
+    bottom = _bottom(one, place, level)
+    tall = level + one.height - bottom
+    share = np.arange(_BETWEEN)[:, None] / _BETWEEN
+    ahead = np.roll(one.outline, -1, 0)[:, None]
+    outline = (one.outline[:, None] * (1 - share) + ahead * share).reshape(-1, 2)
+    rings = []
+    for up, wide in RINGS:
+        # Lumps go inwards only: the crown stays within its prism.
+        size = wide * (1 - rng.uniform(0, 0.1, (len(outline), 1)))
+        ring = one.middle + size * (outline - one.middle)
+        rings.append(np.column_stack([ring, np.full(len(ring), bottom + up * tall)]))
+    ball = np.array(rings)
+    next_ = np.roll(ball, -1, 1)
+    a, b, c, d = ball[:-1], next_[:-1], next_[1:], ball[1:]
+    faces = [np.stack(t, 2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
+    for ring, middle in ((ball[0], bottom), (ball[-1], bottom + tall)):
+        tip = np.broadcast_to([*one.middle, middle], ring.shape)
+        faces.append(np.stack([ring, np.roll(ring, -1, 0), tip], 1))
+    yield Part(_thinned(np.concatenate(faces), one, rng), CROWN)
+    yield from _trunk(one, place, level)
+
+
+def _parked(
+    one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
+) -> Iterator[Part]:
+    """The shape of a vehicle that fits, in a colour of its own; a plain box on other outlines."""
+    if len(one.outline) != 4 or one.base > 0:
+        yield from _solid(FURNITURE, FURNITURE)(one, place, level, rng)
+        return
+    (ahead, across), up = np.diff(one.outline[:3], axis=0), one.height
+    size = np.array([np.hypot(*ahead), np.hypot(*across), up])
+    kind = "truck" if size[0] > LARGEST_CAR else "car"
+    shape, colours = shape_of(kind, int(rng.choice(fitting(kind, size)))), paint(kind, rng)
+    turn = rotation(np.array([0.0, 0.0, np.arctan2(ahead[1], ahead[0])]), np)
+    at = np.array([*one.middle, level + up / 2])
+    corners = (shape.vertices * size) @ turn.T + at
+    table = np.array([colours[part] for part in PARTS])
+    material = PARKED_TRUCK if kind == "truck" else PARKED_CAR
+    yield Part(corners[shape.faces], material, table[shape.part])
+
+
+_LOOKS: dict[str, Callable[..., Iterator[Part]]] = {
+    "building": _solid(BUILDING, ROOF),
+    "wall": _solid(WALL, WALL),
+    "hedge": _solid(CROWN, CROWN),
+    "tree": _tree,
+    "pole": _solid(POLE, POLE),
+    "furniture": _solid(FURNITURE, FURNITURE),
+    "parked vehicle": _parked,
+}
+"""How each of :data:`~inspe_jax.scene.statics.KINDS` looks."""

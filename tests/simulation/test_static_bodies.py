@@ -1,0 +1,124 @@
+"""Static bodies in recordings: they hide what they hide in scores, by Embree on triangles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, body_triangles, place_sensors, street_bodies, world
+
+from inspe_jax.scene.statics import tree, upright_box
+from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.materials import GROUND, KERB, MATERIALS
+from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+from inspe_jax.simulation.embedded.static_world import build_static_world
+from inspe_jax.simulation.recorder import Recording
+
+pytest.importorskip("embreex.rtcore_scene")
+SENSORS = [(0.0, 0.0, 5.5), (11.0, 12.0, 7.0), (-13.0, 9.6, 1.2), (9.6, -8.6, 1.4)]
+NO_MASTS = np.zeros((0, 4))
+
+
+@pytest.fixture(scope="module")
+def street():
+    scene = world(count=0, slope=0.03, center=(40.0, -20.0, 3.0))
+    return scene.with_statics(street_bodies(scene.intersection))
+
+
+def static(scene):
+    return build_static_world(scene.intersection, 20.0, NO_MASTS, scene.statics)
+
+
+def raised(found, *materials):
+    """The triangles of a static world that are of some materials; all but ground and kerbs."""
+    wanted = materials or set(MATERIALS) - {"ground", "kerb"}
+    return found.triangles[np.isin(found.material, [MATERIALS.index(name) for name in wanted])]
+
+
+def within(triangles, reach):
+    """Without the houses and trees that stand around the region of interest."""
+    return triangles[(np.abs(triangles[..., :2]) < reach).all((1, 2))]
+
+
+def hidden(triangles, scene):
+    """Whether triangles hide each voxel that is outside bodies from each of the sensors (S, V)."""
+    caster, found = Caster(np.asarray(triangles, np.float32)), []
+    centers = (scene.voxels.centers - scene.voxels.center)[~scene.inside_statics.ravel()]
+    ground = scene.intersection.ground(np.array(SENSORS)[:, :2] + scene.voxels.center[:2])
+    for (x, y, up), level in zip(SENSORS, ground - scene.voxels.center[2], strict=True):
+        to = centers - [x, y, up + level]
+        far = np.linalg.norm(to, axis=1)
+        found.append(caster.meets(np.array([[x, y, up + level]]), to / far[:, None], far))
+    return np.array(found)
+
+
+def only(scene, *kinds):
+    return replace(scene, statics=tuple(one for one in scene.statics if one.kind in kinds))
+
+
+def test_what_is_solid_hides_the_same_in_recordings_and_scores(street):
+    """Buildings, walls, hedges, poles and furniture, but for voxels at their edges."""
+    some = only(street, "building", "wall", "hedge", "pole", "furniture")
+    ours = hidden(within(raised(static(some)), 21), some)
+    score = hidden(body_triangles(some) - some.voxels.center, some)
+    assert 0.05 < score.mean() < 0.6
+    assert (ours != score).mean() < 2e-4
+
+
+@pytest.mark.parametrize(("kind", "least"), [("tree", 0.7), ("parked vehicle", 0.5)])
+def test_what_has_a_shape_stays_within_its_body_and_fills_most_of_it(street, kind, least):
+    some = only(street, kind)
+    some = replace(some, statics=tuple(replace(one, transmittance=0.0) for one in some.statics))
+    ours = hidden(within(raised(static(some)), 21), some)
+    score = hidden(body_triangles(some) - some.voxels.center, some)
+    assert (ours & ~score).mean() < 2e-4
+    assert ours.sum() > least * score.sum()
+
+
+def test_so_much_light_passes_between_leaves_as_the_crown_lets_through():
+    """The mean of many crowns, by rays through their middle from all sides."""
+    place = world(count=0).intersection
+    for share in (0.05, 0.4):
+        passed = []
+        for k in range(40):
+            crown = tree((9.0 + 0.1 * k, 9), radius=2, height=7, base=2.5, transmittance=share)
+            found = build_static_world(place, 20.0, NO_MASTS, [crown])
+            turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+            out = np.column_stack([np.cos(turn), np.sin(turn), np.full(60, 0.1)])
+            middle = np.array([*crown.middle, 4.8])
+            passed.append(~Caster(raised(found, "crown")).meets(middle + 4 * out, -out, 8.0))
+        assert np.mean(passed) == pytest.approx(share, abs=0.03)
+
+
+def test_other_things_stay_where_they_were_and_keep_clear(street):
+    place = street.intersection
+    bare = build_static_world(place, 20.0, NO_MASTS)
+    far = upright_box("building", np.array([300.0, 300.0]) + place.center[:2], (5, 5, 5))
+    beside = build_static_world(place, 20.0, NO_MASTS, [far])
+    assert (beside.triangles[: len(bare.triangles)] == bare.triangles).all()
+    at = raised(bare, "building")[0].mean(0)[:2]
+    wall = upright_box("wall", at + place.center[:2], (3, 3, 2))
+    taken = build_static_world(place, 20.0, NO_MASTS, [wall])
+    others = np.isin(taken.material, [GROUND, KERB, MATERIALS.index("wall")], invert=True)
+    away = np.hypot(*np.moveaxis(taken.triangles[others][..., :2] - at, -1, 0))
+    assert away.min() > 3.0
+
+
+def test_bodies_are_in_pictures_and_scans(street):
+    layout = place_sensors(
+        (LIDAR, [40.0, -20.0, 9.0, 0.0, 0.0, 0.0]),
+        (CAMERA, [38.0, -21.0, 9.0, 0.0, -0.2, np.arctan2(-11.0, 7.5)]),
+    )
+    recording = Recording(layers=("semantic",), image_scale=0.25)
+    with_, without = (
+        EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations
+        for scene in (street, street.with_statics([]))
+    )
+    (image,), (empty,) = with_[1].images, without[1].images
+    assert (empty.semantic != 14).all()
+    assert (image.semantic == 14).sum() > 50  # the parked car
+    assert (image.semantic == 9).sum() > 1.5 * (empty.semantic == 9).sum()  # crowns and hedges
+    changed = (image.rgb != empty.rgb).any(-1)
+    assert changed[image.semantic == 14].all()
+    (scan,), (bare,) = with_[0].scans, without[0].scans
+    high = [(points.points[:, 2] > -5.0).sum() for points in (scan, bare)]
+    assert high[0] > 1.2 * high[1]

@@ -105,6 +105,14 @@ def scene(
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the traffic; 0 if not given.")] = None,
+    statics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="none|street",
+            help="Bodies that stand in every frame and hide what is behind them: none (if not "
+            "given), or street, made-up parked vehicles, trees, walls, posts and bus shelters.",
+        ),
+    ] = None,
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
     ] = None,
@@ -155,6 +163,7 @@ def scene(
             mix=mix,
             traffic=traffic,
             seed=seed,
+            statics=statics,
         ).items()
         if value is not None
     }

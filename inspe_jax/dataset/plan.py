@@ -9,7 +9,8 @@ its own: scenarios, splits and names here, jobs and searches there. The file::
       - {map: Town05.xodr, junction: 53, radius: 60}
     layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
     settings:                        # one value or a list; every combination is a scenario
-      density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed
+      density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed,
+                                     #   statics (none, or street for made-up street furniture)
       light: [midday, night]         # of the sensors: light, weather
       seed: [0, 1, 2]
       seconds: 20                    # length of a scenario
@@ -72,6 +73,7 @@ from inspe_jax.study.settings import (
     combinations,
     conditioned,
     defaults_of,
+    without_later,
 )
 from inspe_jax.study.sources import (
     LayoutSource,
@@ -128,12 +130,13 @@ class ScenarioPlan:
     @cached_property
     def scene(self) -> str:
         """A short text that identifies the scene."""
-        return digest([self.source.anywhere, self.build])[:16]
+        return digest([self.source.anywhere, without_later(self.build)])[:16]
 
     @cached_property
     def key(self) -> str:
         """A short text that identifies the scenario: by its content, not by its name."""
-        return digest([self.source.anywhere, self.layout, self.settings, self.recording])[:16]
+        settings = without_later(self.settings)
+        return digest([self.source.anywhere, self.layout, settings, self.recording])[:16]
 
     @cached_property
     def traffic_key(self) -> str:
@@ -343,7 +346,7 @@ def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
     """The same plans with names that say what varies, and that are valid names of folders."""
     varied: dict[tuple[str, str], set[Any]] = defaultdict(set)
     for plan in plans:
-        for key in ("radius", "voxel", "mix", "traffic", "seconds"):
+        for key in ("radius", "voxel", "mix", "traffic", "statics", "seconds"):
             varied[plan.source.name, key].add(plan.settings[key])
     names = []
     for plan in plans:

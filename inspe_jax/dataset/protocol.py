@@ -35,6 +35,7 @@ from inspe_jax.sensing.layout import parse_layout
 from inspe_jax.simulation.backends import BACKENDS
 from inspe_jax.study.settings import (
     CONDITIONS,
+    LATER,
     WORLD,
     Count,
     Line,
@@ -42,6 +43,7 @@ from inspe_jax.study.settings import (
     Text,
     check_settings,
     conditioned,
+    without_later,
 )
 from inspe_jax.study.sources import (
     LayoutSource,
@@ -135,7 +137,7 @@ def protocol_of(
             "town": source.built_in or str(source.map or source.file).partition(".")[0],
         },
         "scene": {key: value for key, value in scene.items() if value is not None},
-        "settings": {key: plan.settings[key] for key in SETTINGS},
+        "settings": without_later({key: plan.settings[key] for key in SETTINGS}),
         "recording": {
             "backend": backend,
             "rate_hz": plan.recording.rate,
@@ -246,13 +248,14 @@ def _settings(
     given: dict[str, Any], source: SceneSource, rate: float, where: str
 ) -> dict[str, Any]:
     """The settings of a protocol. For a saved scene, most of them are taken from its file."""
+    given = LATER | given
     for key in SETTINGS:
         if key not in given:
             raise InspeError(f"{where}: {key}: missing key")
     kept: dict[str, Any] = {}
     if source.file is not None:
         saved = dict(load_scene(source.file).settings)
-        kept = {key: saved.get(key, "") for key in WORLD}
+        kept = {key: saved.get(key, LATER.get(key, "")) for key in WORLD}
     entry = check_model(Settings, {k: v for k, v in given.items() if k not in kept}, where)
     several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
     twice = next((key for key, values in several.items() if len(values) != 1), None)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.arrays import on_device, on_host
+from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.placement.candidate_views import view_from_poses
@@ -132,6 +133,11 @@ class Problem:
                 raise InspeError(
                     f"{case.scene.name} is of the profile {case.scene.profile.name} and "
                     f"{first.name} of {first.profile.name}: scenes searched together are of one"
+                )
+            if digest(case.scene.statics) != digest(first.statics):
+                raise InspeError(
+                    f"{case.scene.name} and {first.name} have other static bodies: scenes searched "
+                    "together are of one place; give both the same with Scene.with_statics"
                 )
         check_layout(first, layout)
         self.price = self.objective.price(layout)

@@ -1,5 +1,6 @@
 """Tables of scenes, layouts, devices, profiles and junctions for people."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ def scene_table(scene: Scene) -> RenderableType:
         f"{grid.words}",
         "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
         "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
+        "static bodies": _bodies(scene),
         "settings": ", ".join(f"{key} {value}" for key, value in scene.settings),
         "notes": "\n".join(place.notes),
     }
@@ -45,6 +47,14 @@ def scene_table(scene: Scene) -> RenderableType:
             part = f"{count / len(grid.columns):.1%}"
             regions.add_row(region.key, f"{WEIGHTS[region]:g}", f"{count:,}", part)
     return Group(facts, "", regions)
+
+
+def _bodies(scene: Scene) -> str:
+    """How many static bodies of each kind there are; empty if there are none."""
+    counts = Counter(one.kind for one in scene.statics)
+    inside = scene.inside_statics
+    share = "" if inside is None else f"; {inside.mean():.1%} of the voxels are inside"
+    return ", ".join(f"{kind} {count}" for kind, count in counts.items()) + share
 
 
 def layout_table(layout: Layout) -> RenderableType:

@@ -24,6 +24,7 @@ from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, inside_bodies, pack_bodies, unpack_bodies
+from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall
 from inspe_jax.scene.traffic.registry import traffic_model
@@ -59,7 +60,8 @@ class Scene:
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
     ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
-    traffic, seed. ``statics`` are the bodies that stand in every frame (:meth:`with_statics`).
+    traffic, seed, and statics if there are made-up ones. ``statics`` are the bodies that stand in
+    every frame (:meth:`with_statics`).
     """
 
     voxels: VoxelGrid
@@ -130,6 +132,7 @@ def build_scene(
     mix: str | None = None,
     traffic: str | os.PathLike[str] = "waypoints",
     seed: int = 0,
+    statics: str = "none",
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """Voxelise an intersection and fill it with traffic.
@@ -143,13 +146,15 @@ def build_scene(
 
     ``traffic`` is ``waypoints``, the paper's model; ``sumo``, for an intersection that was read
     from a map; another name of :data:`~inspe_jax.scene.traffic.registry.TRAFFIC_MODELS`; or a log
-    of CARLA's recorder (.log), which has its own density and mix. ``progress`` is called with
-    (steps done, steps).
+    of CARLA's recorder (.log), which has its own density and mix. ``statics`` is ``none``, or
+    ``street`` for made-up street furniture (:mod:`inspe_jax.scene.street`); bodies of one's own are
+    for :meth:`Scene.with_statics`. ``progress`` is called with (steps done, steps).
 
     Raises InspeError if a value is out of range, and as the model of the traffic does.
     """
     given = dict(radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix)
     own = profile_of(profile).of_scene(**given)
+    check_statics(statics)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
     voxels = build_voxels(intersection, **lengths)
@@ -172,7 +177,10 @@ def build_scene(
         )
         settings |= dict(density=str(density), frames=str(frames), step=f"{step:g}")
         settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
-    return Scene(voxels, found, intersection, tuple(settings.items()))
+    if statics != "none":
+        settings |= dict(statics=statics)
+    scene = Scene(voxels, found, intersection, tuple(settings.items()))
+    return scene.with_statics(statics_of(statics, intersection, radius, found))
 
 
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:

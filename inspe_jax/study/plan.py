@@ -18,7 +18,8 @@ The form of the file. Paths are relative to it; every setting is one value or a 
       far: {like: paper-camera, depth_m: 60}
     settings:
       density: [low, medium, high]   # for scenes: profile, radius, voxel, spacing, density, frames,
-                                     #   step, mix, traffic (waypoints or sumo), seed
+                                     #   step, mix, traffic (waypoints or sumo), seed,
+                                     #   statics (none or street)
       light: [midday, night]         # for sensors: light, weather
       weather: [clear, "rain:10"]
       weights:                       # for scores: weights, occlusion_reference, visibility
@@ -58,6 +59,7 @@ from inspe_jax.study.settings import (
     conditioned,
     defaults_of,
     one_of,
+    without_later,
 )
 from inspe_jax.study.sources import (
     LayoutSource,
@@ -76,7 +78,7 @@ SCORE_ONLY = "none"
 """The method that scores a layout as it is, without a search."""
 BUILD_SETTINGS = (
     *("profile", "radius", "voxel", "spacing", "density", "frames", "step", "mix", "traffic"),
-    "seed",
+    *("seed", "statics"),
 )
 """Settings that a scene is built with."""
 SCORE_SETTINGS = ("weights", "occlusion_reference", "visibility")
@@ -101,12 +103,13 @@ class StudyJob:
     @cached_property
     def key(self) -> str:
         """A short text that identifies the job: a digest of all that its result depends on."""
-        return digest([self.source.anywhere, self.layout, self.settings])[:16]
+        return digest([self.source.anywhere, self.layout, without_later(self.settings)])[:16]
 
     @cached_property
     def scene(self) -> str:
         """A short text that identifies its scene."""
-        return digest([self.source.anywhere, {k: self.settings[k] for k in BUILD_SETTINGS}])[:16]
+        build = without_later({k: self.settings[k] for k in BUILD_SETTINGS})
+        return digest([self.source.anywhere, build])[:16]
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,19 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import STRICT
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, density_count
+from inspe_jax.scene.street import check_statics
 from inspe_jax.scene.traffic.frames import MIXES
 from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
 from inspe_jax.sensing.conditions import FAIR, Conditions
 
 T = TypeVar("T")
 
-WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed")
+WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed", "statics")
 """Settings of a scene, without the number of frames and the time between them."""
 CONDITIONS = ("light", "weather")
+LATER = {"statics": "none"}
+"""Settings that earlier versions did not have, and their defaults. At its default, such a setting
+is in no digest and no file, which so are those of before."""
 
 
 def _listed(value: Any) -> Any:
@@ -49,6 +53,7 @@ class WorldSettings(Strict):
     mix: Several[str] = []
     traffic: Several[str] = []
     seed: Several[Count] = []
+    statics: Several[str] = []
 
 
 def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str, list[Any]]:
@@ -56,6 +61,11 @@ def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str
     own = {key: row.default for key, row in inspect.signature(build_scene).parameters.items()}
     own |= profile_of(profile).of_scene() | dict(profile=profile) | FAIR.record
     return {key: [own[key]] for key in keys}
+
+
+def without_later(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings without those of :data:`LATER` that have their default."""
+    return {key: value for key, value in settings.items() if LATER.get(key, ...) != value}
 
 
 def combinations(
@@ -89,6 +99,7 @@ CHECKS: dict[str, Callable[[Any], Any]] = {
     "density": density_count,
     "mix": one_of(MIXES),
     "traffic": one_of(TRAFFIC_MODELS),
+    "statics": check_statics,
     "light": Conditions.of,
     "weather": lambda value: Conditions.of("midday", value),
 }

@@ -17,7 +17,7 @@ from inspe_jax.scene.scene import load_scene
 from inspe_jax.sensing.catalogue import spec_of
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.study.settings import Length, Line, Strict, Text, check_names, check_settings
+from inspe_jax.study.settings import LATER, Length, Line, Strict, Text, check_names, check_settings
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def scene_settings(
         raise InspeError(
             f"{where}: a saved scene keeps the settings it was built with; leave out {given}"
         )
-    kept = {"profile": BEFORE_PROFILES} | dict(load_scene(source.file).settings)
+    kept = {"profile": BEFORE_PROFILES} | LATER | dict(load_scene(source.file).settings)
     return {**whole} | {key: [kept.get(key, "")] for key in own}
 
 

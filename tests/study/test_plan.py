@@ -92,7 +92,10 @@ def test_what_a_job_is_called_depends_on_all_that_its_result_does(read):
         assert {job.key for job in read(same).jobs} == keys
     half = {job.key for job in read(STUDY.replace("paper-lidar-32", "paper-lidar-64")).jobs}
     assert len(half & keys) == len(keys) / 2
-    for setting in ("seed: 1", "frames: 99", "mix: largest", "visibility: line_of_sight"):
+    for setting in (
+        *("seed: 1", "frames: 99", "mix: largest", "visibility: line_of_sight"),
+        "statics: street",
+    ):
         other = {job.key for job in read(STUDY + f"  {setting}\n").jobs}
         assert not other & keys
 

@@ -1,0 +1,315 @@
+"""Street furniture made up for any place: what stands along the streets of a town.
+
+Vehicles park along kerbs, trees stand in rows at the back of sidewalks, walls and hedges behind
+them; lamp posts and signal posts stand at the kerb, bus shelters and switch boxes at the back.
+Nothing stands where traffic drives or people walk, on crosswalks, or near existing poles, which are
+for sensors. Where there is no room for a thing, it is left out.
+"""
+
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from shapely.geometry import LineString, Point
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import StaticBody, pole, tree, upright_box
+from inspe_jax.scene.traffic.frames import TrafficFrames
+from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
+
+STATICS = ("none", "street")
+"""The static bodies that a scene may be built with."""
+
+BEYOND = 10.0
+"""Bodies stand up to this far outside the region of interest [m]."""
+LANE_GAP = 0.05
+"""Least distance of a body from the edge of a lane [m]: kerbs are there, and lanes are wider than
+vehicles."""
+WALKED = 0.8
+"""Nothing stands this near to the middle of a footpath [m]: people keep 0.5 m to its right, and are
+0.3 m wide on either side."""
+HEADROOM = 2.4
+"""Nothing hangs lower over footpaths [m]; 2.5 m is the usual clearance (RASt 06), less a twig."""
+OVER_LANES = 4.5
+"""Nothing hangs lower over lanes [m]: trucks are up to 4 m high, the clearance is 4.5 m."""
+FROM_CROSSING = 5.0
+"""Nobody parks this near to a crosswalk or a junction [m] (German StVO § 12), and no tree, shelter
+or hedge stands there."""
+FROM_POLES = 2.5
+"""Nothing stands this near to an existing pole [m]: sensors on it reach 2 m far."""
+MEDIAN = 8.0
+"""Nobody parks between two carriageways that are less than this apart [m]."""
+APART = 0.3
+"""Bodies are at least so far apart on the ground [m]."""
+PARKED: tuple[tuple[float, tuple[float, float, float]], ...] = (
+    (0.20, (3.6, 1.64, 1.50)),
+    (0.35, (4.1, 1.76, 1.48)),
+    (0.25, (4.6, 1.83, 1.46)),
+    (0.12, (4.7, 1.89, 1.70)),
+    (0.08, (5.3, 1.99, 2.10)),
+)
+"""Shares and sizes of parked vehicles [m]: city car, small car, saloon or estate, SUV and van, of
+the proportions of common models. Where the first choice does not fit, a narrower one may."""
+
+
+def statics_of(
+    name: str, place: Intersection, radius: float, traffic: TrafficFrames
+) -> tuple[StaticBody, ...]:
+    """The static bodies of a name of :data:`STATICS`, without those that traffic touches.
+
+    They do not depend on the seed of the traffic: a place stays what it is. Raises InspeError where
+    the name is another.
+    """
+    check_statics(name)
+    if name == "none":
+        return ()
+    return untouched(street_bodies(place, radius), traffic)
+
+
+def check_statics(name: str) -> None:
+    """Raise InspeError where ``name`` is none of :data:`STATICS`."""
+    if name not in STATICS:
+        raise InspeError(
+            f"statics '{name}': one of {', '.join(STATICS)}{nearest(str(name), STATICS)}"
+        )
+
+
+def street_bodies(place: Intersection, radius: float, seed: int = 0) -> tuple[StaticBody, ...]:
+    """Street furniture of an intersection out to :data:`BEYOND` its region of interest.
+
+    Where nobody walks, as at a motorway's ramp, there are lamp posts only. The same seed gives the
+    same bodies for the same place, whatever its traffic.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(place.name.encode())])
+    room = _Room.of(place, radius)
+    town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)
+    for fill in (_lamps,) if room.walked.is_empty else town:
+        for one in fill(room, rng):
+            room.add(one)
+    return tuple(room.bodies)
+
+
+def untouched(bodies: tuple[StaticBody, ...], traffic: TrafficFrames) -> tuple[StaticBody, ...]:
+    """The bodies that no road user touches in any frame: recorded traffic may use any ground."""
+    on = traffic.valid
+    if not bodies or not on.any():
+        return bodies
+    center, yaw, half = traffic.center[on], traffic.yaw[on], traffic.size[on] / 2
+    along = np.stack([np.cos(yaw), np.sin(yaw)], -1) * half[:, :1]
+    across = np.stack([-np.sin(yaw), np.cos(yaw)], -1) * half[:, 1:2]
+    ring = [center[:, :2] + i * along + j * across for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    tree_of = shapely.STRtree(shapely.polygons(np.stack(ring, 1)))
+    return tuple(one for one in bodies if not len(tree_of.query(_footprint(one), "intersects")))
+
+
+def _footprint(one: StaticBody) -> BaseGeometry:
+    """The ground that a body takes: a tree's is that of its trunk."""
+    return Point(one.middle).buffer(one.trunk) if one.base > 0 else one.polygon
+
+
+class _Spot(NamedTuple):
+    """A place along a line: the point, and unit vectors along the line and away from the lanes."""
+
+    at: Float[np.ndarray, "2"]
+    along: Float[np.ndarray, "2"]
+    out: Float[np.ndarray, "2"]
+
+    @property
+    def yaw(self) -> float:
+        return float(np.arctan2(self.along[1], self.along[0]))
+
+    def moved(self, out: float, along: float = 0.0) -> Float[np.ndarray, "2"]:
+        return self.at + out * self.out + along * self.along
+
+
+@dataclass(eq=False)
+class _Room:
+    """Where there is room for bodies, and those that stand already."""
+
+    place: Intersection
+    area: BaseGeometry
+    lanes: BaseGeometry
+    walked: BaseGeometry
+    crossings: BaseGeometry
+    poles: BaseGeometry
+    ground: BaseGeometry
+    bodies: list[StaticBody]
+
+    @classmethod
+    def of(cls, place: Intersection, radius: float) -> "_Room":
+        area = Point(place.center[:2]).buffer(radius + BEYOND)
+        routes = with_walkways(place, radius).routes
+        lines = [(r.user, r.width, LineString(r.waypoints[:, :2])) for r in routes
+                 if len(r.waypoints) > 1]  # fmt: skip
+        lanes = unary_union(
+            [
+                line.buffer(width / 2, cap_style="flat", join_style="mitre")
+                for user, width, line in lines
+                if user == "vehicle"
+            ]
+        )
+        walked = unary_union([line.buffer(WALKED) for user, _, line in lines if user != "vehicle"])
+        some = (Region.CROSSWALK, Region.JUNCTION)
+        crossings = unary_union([place.regions[r] for r in some if r in place.regions])
+        feet = np.asarray(place.poles, float).reshape(-1, 3)[:, :2]
+        poles = unary_union([Point(foot).buffer(FROM_POLES) for foot in feet])
+        ground = unary_union(list(place.regions.values())).intersection(area.buffer(5.0))
+        near = area.buffer(5.0)
+        return cls(place, area, lanes.intersection(near), walked.intersection(near),
+                   crossings.intersection(near), poles, ground, [])  # fmt: skip
+
+    def add(self, one: StaticBody) -> None:
+        self.bodies.append(one)
+
+    def takes(self, one: StaticBody, from_crossings: float = 0.3) -> bool:
+        """Whether a body may stand where it is."""
+        foot = _footprint(one)
+        hangs = one.polygon
+        return (
+            self.area.contains(hangs)
+            and foot.distance(self.lanes) >= LANE_GAP - 1e-6
+            and not foot.intersects(self.walked)
+            and (self.crossings.is_empty or hangs.distance(self.crossings) >= from_crossings)
+            and not hangs.intersects(self.poles)
+            and (one.base >= OVER_LANES or hangs.distance(self.lanes) >= LANE_GAP - 1e-6)
+            and (one.base >= HEADROOM or not hangs.intersects(self.walked))
+            and all(foot.distance(_footprint(other)) >= APART for other in self.bodies)
+            and all(
+                one.trunk == 0 or other.trunk == 0 or not hangs.intersects(other.polygon)
+                for other in self.bodies
+            )
+        )
+
+    def along(self, line: BaseGeometry, step: Callable[[], float]) -> Iterator[_Spot]:
+        """Spots along the parts of a line, ``step()`` metres apart, within the area."""
+        for part in shapely.get_parts(shapely.line_merge(line)):
+            if part.geom_type not in ("LineString", "LinearRing") or part.length < 2.0:
+                continue
+            way = step() / 2
+            while way < part.length - 1.0:
+                ends = [np.array(part.interpolate(way + d).coords[0]) for d in (-0.5, 0.5)]
+                at, along = np.array(part.interpolate(way).coords[0]), ends[1] - ends[0]
+                way += step()
+                size = np.hypot(*along)
+                if size < 0.8:  # a corner
+                    continue
+                along = along / size
+                out = np.array([-along[1], along[0]])
+                probe = [Point(at + side * 0.3 * out) for side in (1, -1)]
+                yield _Spot(at, along, out if probe[0].distance(self.lanes) > probe[1].distance(
+                    self.lanes) else -out)  # fmt: skip
+
+    @property
+    def kerb(self) -> BaseGeometry:
+        """The edge of the lanes where something else than a lane begins."""
+        return self.lanes.boundary.intersection(self.area)
+
+    @property
+    def back(self) -> BaseGeometry:
+        """The outer edge of the regions: the back of sidewalks."""
+        return self.ground.boundary.intersection(self.area)
+
+
+def _first(room: _Room, tries: Iterator[StaticBody], away: float) -> StaticBody | None:
+    return next((one for one in tries if room.takes(one, away)), None)
+
+
+def _signals(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """A signal post at either kerb of each arm, where drivers stop, unless a pole is there."""
+    for arm in room.place.arms:
+        ahead = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
+        across = np.array([-ahead[1], ahead[0]])
+        for side in (-1, 1):
+            foot = np.array(arm.mouth) + 4.2 * ahead + side * (arm.width / 2 + 0.4) * across
+            post = pole(foot, radius=0.07, height=3.4)
+            if room.takes(post):
+                yield post
+
+
+def _lamps(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """Lamp posts at the kerb, some 25 m apart."""
+    for spot in room.along(room.kerb, lambda: float(rng.uniform(22, 28))):
+        post = pole(spot.moved(0.5), radius=0.09, height=8.0)
+        if room.takes(post):
+            yield post
+
+
+def _shelters(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """A bus shelter on up to two sides, at the back of the sidewalk, open in no direction."""
+    found: list[StaticBody] = []
+    spots = list(room.along(room.back, lambda: float(rng.uniform(3, 6))))
+    for k in rng.permutation(len(spots)):
+        spot = spots[k]
+        tries = (
+            upright_box("furniture", spot.moved(out), (4.0, 1.3, 2.4), spot.yaw)
+            for out in (-0.7, 0.0, 0.3)
+        )
+        one = _first(room, tries, 3 * FROM_CROSSING)
+        if one is not None and all(one.polygon.distance(o.polygon) > 40 for o in found):
+            found.append(one)
+            yield one
+        if len(found) == 2:
+            return
+
+
+def _parked(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """Vehicles along the kerb, in rows with gaps: some 60 % of the places are taken."""
+    shares = np.array([share for share, _ in PARKED])
+    for spot in room.along(room.kerb, lambda: float(rng.uniform(5.4, 6.4))):
+        if rng.uniform() > 0.6:
+            continue
+        first = PARKED[int(rng.choice(len(PARKED), p=shares / shares.sum()))][1]
+        sizes = [first, *(size for _, size in reversed(PARKED) if size[1] < first[1])]
+        turn = spot.yaw + np.pi * bool(rng.uniform() < 0.2)
+        across = LineString([spot.moved(0.3), spot.moved(MEDIAN)])
+        if across.intersects(room.lanes):
+            continue
+        tries = (
+            upright_box("parked vehicle", spot.moved(LANE_GAP + size[1] / 2), size, turn)
+            for size in sizes
+        )
+        one = _first(room, tries, FROM_CROSSING)
+        if one is not None:
+            yield one
+
+
+def _trees(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """Rows of trees at the back of sidewalks, 9 to 12 m apart, each row of one size."""
+    for part in shapely.get_parts(shapely.line_merge(room.back)):
+        radius, height, base = rng.uniform([1.5, 5.5, 2.5], [2.2, 8.0, 3.0])
+        for spot in room.along(part, lambda: float(rng.uniform(9, 12))):
+            wide = radius * rng.uniform(0.9, 1.1)
+            tries = (
+                tree(spot.moved(out), radius=wide, height=height, base=base, trunk=0.14)
+                for out in (-0.3, 0.3)
+            )
+            one = _first(room, tries, FROM_CROSSING)
+            if one is not None:
+                yield one
+
+
+def _boxes(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """Switch boxes at the back of sidewalks, some 35 m apart."""
+    for spot in room.along(room.back, lambda: float(rng.uniform(28, 42))):
+        box = upright_box("furniture", spot.moved(-0.25), (1.1, 0.4, 1.3), spot.yaw)
+        if room.takes(box):
+            yield box
+
+
+def _walls(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+    """Walls and hedges behind sidewalks, in stretches with gaps."""
+    for spot in room.along(room.back, lambda: float(rng.uniform(9, 16))):
+        kind, width, height = ("hedge", 0.7, 1.5) if rng.uniform() < 0.5 else ("wall", 0.25, 1.8)
+        long, height = float(rng.uniform(5, 8)), height * float(rng.uniform(0.8, 1.15))
+        out = spot.moved(0.2 + width / 2)
+        one = upright_box(kind, out, (long, width, height), spot.yaw)
+        if room.takes(one, FROM_CROSSING):
+            yield one

@@ -1,18 +1,23 @@
 """Sight line against an upright prism on any convex outline, which may begin above the ground.
 
-The general form of :func:`~inspe_jax.core.geometry.plan_cut`, which is for rectangles. There are
-three margins in metres: how deep the line cuts in sideways, how far it passes below the top, and
-how far above the bottom. The line meets the prism exactly where all three are positive. They are
-read exactly or softly; ``tests/core/test_convex.py`` compares a rectangle in both forms.
+The general form of :mod:`inspe_jax.core.geometry`, which is for rectangles, and as there it has two
+forms, which ``tests/core/test_convex.py`` compares:
+
+- :func:`convex_shadow`, for exact scores: the heights between which a prism hides a column, in
+  u = 1/t, without a division for each sight line.
+- :func:`prism_margins`, for soft scores, three margins in metres: how deep the line cuts in
+  sideways, how far it passes below the top, and how far above the bottom. The line meets the prism
+  exactly where all three are positive.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from inspe_jax.core.geometry import FAR, Cut, Line, below_top
+from inspe_jax.core.geometry import FAR, NEVER, Cut, Line, below_top
 from inspe_jax.core.numerics import nonzero
 
 SEAM = 5e-5
@@ -54,6 +59,55 @@ def sides(
         step[none, k], length[none, k] = step[none, after], length[none, after]
     normal = np.stack([step[..., 1], -step[..., 0]], -1) / np.maximum(length, 1e-12)[..., None]
     return normal, np.einsum("pkd,pkd->pk", normal, corners)
+
+
+class ConvexTerms(NamedTuple):
+    """What :func:`convex_shadow` needs of one sensor and prisms, made by :func:`convex_terms`.
+
+    ``x`` and ``y`` are the normal of each side over the sensor's distance inside it [1/m], negative
+    if the sensor is outside (``outside``). ``rise`` and ``sink`` are the heights of top and bottom
+    above the sensor [m].
+    """
+
+    x: Float[Array, "*b K"]
+    y: Float[Array, "*b K"]
+    outside: Bool[Array, "*b K"]
+    rise: Float[Array, "*b"]
+    sink: Float[Array, "*b"]
+
+
+def convex_terms(sensor: Float[Array, "3"], prism: ConvexPrism) -> ConvexTerms:
+    """The terms of a sensor's sight lines against prisms, with the divisions done once for all."""
+    x, y = prism.normal[..., 0], prism.normal[..., 1]
+    inside = nonzero(prism.offset + SEAM - x * sensor[0] - y * sensor[1])
+    return ConvexTerms(
+        x / inside, y / inside, inside < 0, prism.top - sensor[2], prism.bottom - sensor[2]
+    )
+
+
+def convex_shadow(
+    terms: ConvexTerms, dx: Float[Array, " C"], dy: Float[Array, " C"], sensor_z: Float[Array, ""]
+) -> tuple[Float[Array, "B C"], Float[Array, "B C"]]:
+    """Heights [m] between which B prisms hide each column: from the first up to the second.
+
+    (dx, dy) is column minus sensor [m]. Along the line, a side is crossed at t = 1/u, with u linear
+    in the column: from outside it is an entry, from inside an exit. The prism is met where the last
+    entry comes before the first exit, and before the column; else the second height is
+    :data:`~inspe_jax.core.geometry.NEVER`. It is that of
+    :func:`~inspe_jax.core.geometry.shadow_ceiling`. The first is the height at which the line
+    touches the bottom, where it is highest in the prism.
+    """
+    terms = jax.tree.map(lambda leaf: leaf[..., None], terms)  # (B, K, 1), (B, 1)
+    dx, dy = dx[None], dy[None]
+    entry, exit_ = jnp.full_like(dx, FAR), jnp.ones_like(dx)
+    for k in range(terms.x.shape[1]):
+        u = terms.x[:, k] * dx + terms.y[:, k] * dy
+        outside = terms.outside[:, k]
+        entry = jnp.minimum(entry, jnp.where(outside, u, FAR))
+        exit_ = jnp.maximum(exit_, jnp.where(outside, 1.0, u))
+    ceiling = sensor_z + terms.rise * jnp.where(terms.rise < 0, exit_, entry)
+    floor = sensor_z + terms.sink * jnp.where(terms.sink > 0, exit_, entry)
+    return floor, jnp.where(exit_ < entry, ceiling, NEVER)
 
 
 def convex_cut(prism: ConvexPrism, line: Line) -> Cut:

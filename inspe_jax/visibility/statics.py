@@ -5,28 +5,32 @@ sensor to the voxel's centre meets one of them. Read exactly, a prism hides if l
 :data:`HALF` of the light passes through it. Read softly, what all prisms let through is multiplied.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
-from inspe_jax.core.convex import ConvexPrism, prism_margins
-from inspe_jax.core.geometry import Prism
+from inspe_jax.core.convex import ConvexPrism, convex_shadow, convex_terms, prism_margins
+from inspe_jax.core.geometry import FAR, NEVER, Prism
 from inspe_jax.core.numerics import Width, certain_beyond, exact, step
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.shadows import may_shade, shadow_bounds
 from inspe_jax.visibility.tiles import Tile, pack_levels, unless_empty
 
+TOGETHER = 16
+"""Prisms that are read exactly at once; a divisor of
+:data:`~inspe_jax.visibility.centered_scene.PARTS`."""
 HALF = 0.5
 """Read exactly, a crown hides what is behind it if its transmittance is less than this."""
 
 
-def _marked(
+def _may_hide(
     sensor: Float[Array, "3"], statics: ConvexPrism, tile: Tile, wider: Any = 0.0
-) -> UInt[Array, "W 1"]:
-    """Marks of the valid prisms whose shadow may touch a tile, by the circles around them.
+) -> Bool[Array, " P"]:
+    """Which valid prisms may hide some of a tile, by the circles around them.
 
     The shadow is taken ``wider`` by so much [m].
     """
@@ -42,7 +46,7 @@ def _marked(
         valid=statics.valid,
     )
     bounds = shadow_bounds(sensor, jax.tree.map(lambda leaf: leaf[None], around), wider)
-    return bitmask.marks(may_shade(sensor, bounds, tile) & statics.valid[:, None])
+    return may_shade(sensor, bounds, tile)[:, 0] & statics.valid
 
 
 def past_statics_masks(
@@ -54,21 +58,35 @@ def past_statics_masks(
     """Masks of the voxels of N tiles that no body hides from a sensor.
 
     ``views`` are masks of what the sensor has in view; a tile of which it has nothing is left out,
-    and has no such voxels.
+    and has no such voxels. What stands on the ground hides all below its shadow's ceiling: of many
+    prisms the highest ceiling decides. What begins above the ground hides levels in between.
     """
-    statics = statics._replace(valid=statics.valid & (statics.clear < HALF))
+    hides = statics.valid & (statics.clear < HALF)
+    stands = statics.bottom <= -FAR / 2
+    terms = convex_terms(sensor, statics)
 
     @unless_empty
     def of_tile(tile: Tile) -> UInt[Array, " C"]:
-        def hide(hidden: Array, index: Int[Array, "1"], some: Array) -> Array:
-            prism = jax.tree.map(lambda leaf: leaf[index[0]], statics)
-            beside, below, above = prism_margins(prism, sensor, tile.columns, tile.heights)
-            blocked = (beside > 0)[None] & (below > 0) & (above > 0)
-            mask = pack_levels(blocked, tile.there.dtype)
-            return hidden | jnp.where(some, mask, jnp.zeros_like(mask))
+        dx, dy = tile.columns[0] - sensor[0], tile.columns[1] - sensor[1]
+        near = _may_hide(sensor, statics, tile) & hides
 
-        marked = _marked(sensor, statics, tile)
-        return tile.there & ~bitmask.fold_marked(marked, hide, jnp.zeros_like(tile.there))
+        def shadows(index: Int[Array, " B"], some: Bool[Array, " B"]) -> tuple[Array, Array]:
+            of = jax.tree.map(lambda leaf: leaf[index], terms)
+            floor, ceiling = convex_shadow(of, dx, dy, sensor[2])  # (B, C)
+            return floor, jnp.where(some[:, None], ceiling, NEVER)
+
+        def lift(ceiling: Array, index: Array, some: Array) -> Array:
+            return jnp.maximum(ceiling, shadows(index, some)[1].max(0))
+
+        def hide(hidden: Array, index: Array, some: Array) -> Array:
+            floor, ceiling = shadows(index, some)
+            z = tile.heights[:, None]  # (Z, 1, C)
+            between = ((z > floor[None]) & (z < ceiling[None])).any(1)
+            return hidden | pack_levels(between, tile.there.dtype)
+
+        ceiling = _fold(near & stands, lift, jnp.full_like(dx, NEVER))
+        hidden = _fold(near & ~stands, hide, jnp.zeros_like(tile.there))
+        return pack_levels(tile.heights > ceiling[None], tile.there.dtype) & tile.there & ~hidden
 
     def unless_unseen(part: tuple[Tile, Array]) -> UInt[Array, " C"]:
         tile, view = part
@@ -76,6 +94,18 @@ def past_statics_masks(
         return jax.lax.cond((view != 0).any(), of_tile, lambda _: nothing, tile)
 
     return jax.lax.map(unless_unseen, (tiles, views))
+
+
+def _fold(flags: Bool[Array, " P"], add: Callable[..., Array], start: Array) -> Array:
+    """``total = add(total, indices, some)`` over the flagged prisms, :data:`TOGETHER` at once."""
+    order, number = jnp.argsort(~flags, stable=True), flags.sum()
+
+    def step(i: Array, total: Array) -> Array:
+        first = i * TOGETHER
+        index = jax.lax.dynamic_slice_in_dim(order, first, TOGETHER)
+        return add(total, index, first + jnp.arange(TOGETHER) < number)
+
+    return jax.lax.fori_loop(0, -(-number // TOGETHER), step, start)
 
 
 past_statics_of_sensor = jax.jit(past_statics_masks)
@@ -106,7 +136,7 @@ def past_statics_chance(
     gradient.
     """
     fixed = jax.lax.stop_gradient(sensor)
-    marked = _marked(fixed, statics, tile, certain_beyond(width))
+    marked = bitmask.marks(_may_hide(fixed, statics, tile, certain_beyond(width))[:, None])
     return _clear(sensor, statics, marked, tile.columns, tile.heights, width)
 
 

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, MultiPoint, Polygon
 
-from inspe_jax.core.convex import SEAM, ConvexPrism, above_bottom, convex_cut, sides
-from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut
+from inspe_jax.core.convex import (
+    SEAM,
+    ConvexPrism,
+    above_bottom,
+    convex_cut,
+    convex_shadow,
+    convex_terms,
+    prism_margins,
+    sides,
+)
+from inspe_jax.core.geometry import FAR, Cut, Line, below_top, plan_cut
 
 ROOM = 8
 LINES = 400
@@ -69,6 +78,35 @@ def test_a_rectangle_in_both_forms():
     assert general.beside == pytest.approx(own.beside + SEAM, abs=1e-5)
     assert general.enters == pytest.approx(own.enters, abs=1e-4)
     assert general.leaves == pytest.approx(own.leaves, abs=1e-4)
+
+
+@jax.jit
+def both_forms(prism, sensor, columns, heights):
+    """What is hidden by the exact form (P, Z, C), and by the margins; and how near to an edge."""
+    terms = convex_terms(sensor, prism)
+    to = columns - sensor[:2, None]
+    floor, ceiling = convex_shadow(terms, to[0], to[1], sensor[2])
+    z = heights[None]
+    exact = (z > floor[:, None]) & (z < ceiling[:, None])
+    beside, below, above = jax.vmap(lambda one: prism_margins(one, sensor, columns, heights))(prism)
+    margins = jnp.minimum(jnp.minimum(beside[:, None], below), above)
+    return exact, margins > 0, jnp.abs(margins)
+
+
+def test_both_forms_hide_the_same():
+    """But for lines within 1 mm of an edge, from sensors inside, above, beneath and beside."""
+    rng, count = np.random.default_rng(5), 40
+    bottom = np.where(np.arange(count) % 2, rng.uniform(0, 3, count), -FAR)
+    top = np.maximum(bottom, 0) + rng.uniform(0.5, 4, count)
+    prism = prisms(outlines(6, count))._replace(bottom=bottom, top=top)
+    prism = jax.tree.map(lambda x: jnp.asarray(x, None if x.dtype == bool else jnp.float32), prism)
+    columns = jnp.asarray(rng.uniform(-9, 9, (2, 200)), jnp.float32)
+    heights = jnp.asarray(np.broadcast_to(np.arange(8)[:, None] * 0.6, (8, 200)), jnp.float32)
+    for sensor in ([0.3, 0.2, 6.0], [7.0, -2.0, 5.0], [-8.0, 3.0, 1.1], [0.5, -0.4, 0.7]):
+        given = jnp.asarray(sensor, jnp.float32), columns, heights
+        exact, soft, near = map(np.asarray, both_forms(prism, *given))
+        assert 0.05 < exact.mean() < 0.9
+        assert (exact == soft)[near > 1e-3].all()
 
 
 def test_sides_of_corners_that_are_repeated_are_those_of_the_next():

@@ -156,9 +156,15 @@ def test_soft_reading_becomes_the_exact_one():
     crowns = [tree((x, 0), radius=2, height=8, base=1, transmittance=0.4) for x in (6.0, 12.0)]
     at = about_center(world(count=0).with_statics(crowns))
     tiles = tiles_of(at)
-    each = [jax.tree.map(lambda leaf, k=k: leaf[k], tiles.tile) for k in range(len(tiles.last))]
+    each = [
+        jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], tiles.tile)
+        for k in range(len(tiles.last))
+    ]
     found = np.concatenate(
-        [chance(jnp.array([0.0, 0.0, 4.0]), at.statics, tile, 0.01).T for tile in each]
+        [
+            np.asarray(chance(np.array([0.0, 0.0, 4.0], np.float32), at.statics, tile, 0.01)).T
+            for tile in each
+        ]
     )[np.asarray(tiles.place)]
     for x, level, value in ((3.25, 7, 1.0), (9.25, 7, 0.4), (16.25, 7, 0.16)):
         (row,) = np.flatnonzero((scene.voxels.columns == [x, 0.25]).all(1))
@@ -171,12 +177,12 @@ def test_gradient_past_the_corner_of_a_house():
     with double_precision():
         scene = street(radius=10.0, voxel=2.0)
         at = about_center(scene)
-        tile = jax.tree.map(lambda leaf: leaf[0], tiles_of(at).tile)
+        tile = jax.tree.map(lambda leaf: np.asarray(leaf)[0], tiles_of(at).tile)
         for sensor in ([14.13, 3.37, 5.0], [-16.21, 11.43, 2.4], [8.17, -13.29, 4.0]):
-            given = at.statics, tile, jnp.array(0.7)
-            slope = np.asarray(slope_of_chance(jnp.array(sensor), *given))
+            given = at.statics, tile, np.array(0.7)
+            slope = np.asarray(slope_of_chance(np.array(sensor), *given))
             ends = [
-                float(chance(jnp.array(sensor + step), *given).sum())
+                float(np.asarray(chance(sensor + step, *given)).sum())
                 for step in 1e-5 * np.concatenate([np.eye(3), -np.eye(3)])
             ]
             differences = (np.array(ends[:3]) - ends[3:]) / 2e-5

@@ -115,7 +115,7 @@ def _footprint(one: StaticBody) -> BaseGeometry:
     return Point(one.middle).buffer(one.trunk) if one.base > 0 else one.polygon
 
 
-class _Spot(NamedTuple):
+class Spot(NamedTuple):
     """A place along a line: the point, and unit vectors along the line and away from the lanes."""
 
     at: Float[np.ndarray, "2"]
@@ -124,9 +124,11 @@ class _Spot(NamedTuple):
 
     @property
     def yaw(self) -> float:
+        """The direction of the line [rad]."""
         return float(np.arctan2(self.along[1], self.along[0]))
 
     def moved(self, out: float, along: float = 0.0) -> Float[np.ndarray, "2"]:
+        """The point so far away from the lanes and along the line [m]."""
         return self.at + out * self.out + along * self.along
 
 
@@ -188,7 +190,7 @@ class _Room:
             )
         )
 
-    def along(self, line: BaseGeometry, step: Callable[[], float]) -> Iterator[_Spot]:
+    def along(self, line: BaseGeometry, step: Callable[[], float]) -> Iterator[Spot]:
         """Spots along the parts of a line, ``step()`` metres apart, within the area."""
         for part in shapely.get_parts(shapely.line_merge(line)):
             if part.geom_type not in ("LineString", "LinearRing") or part.length < 2.0:
@@ -204,7 +206,7 @@ class _Room:
                 along = along / size
                 out = np.array([-along[1], along[0]])
                 probe = [Point(at + side * 0.3 * out) for side in (1, -1)]
-                yield _Spot(at, along, out if probe[0].distance(self.lanes) > probe[1].distance(
+                yield Spot(at, along, out if probe[0].distance(self.lanes) > probe[1].distance(
                     self.lanes) else -out)  # fmt: skip
 
     @property
@@ -216,6 +218,12 @@ class _Room:
     def back(self) -> BaseGeometry:
         """The outer edge of the regions: the back of sidewalks."""
         return self.ground.boundary.intersection(self.area)
+
+
+def room_along(place: Intersection, radius: float, step: float) -> list[Spot]:
+    """Spots along the backs of a place's sidewalks, ``step`` metres apart."""
+    room = _Room.of(place, radius)
+    return list(room.along(room.back, lambda: step))
 
 
 def _first(room: _Room, tries: Iterator[StaticBody], away: float) -> StaticBody | None:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import convex_parts
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.layout import Layout
 
@@ -24,16 +25,53 @@ TIE = 1e-9
 def in_view(scene: Scene, layout: Layout, walk: str = "bresenham") -> Bool[np.ndarray, "S V"]:
     """Which voxels some ray of each sensor passes through, by walking every ray.
 
-    ``walk`` is ``bresenham`` or ``exact``. Raises InspeError where it is another.
+    ``walk`` is ``bresenham`` or ``exact``; with the latter, rays end where they meet a static body
+    of which less than half of the light passes through. Raises InspeError where it is another, or
+    where there are bodies and it is ``bresenham``.
     """
     if walk not in WALKS:
         raise InspeError(f"walk '{walk}': one of {', '.join(WALKS)}")
+    if scene.statics and walk != "exact":
+        raise InspeError(f"{scene.name} has static bodies: only the walk 'exact' ends at them")
     seen = np.zeros((len(layout), scene.voxels.count), bool)
     for s in range(len(layout)):
         origin, directions, reach = layout.rays(s)
         for part in np.array_split(directions, max(1, len(directions) // 20_000)):
-            WALKS[walk](scene.voxels, origin, part, reach, seen[s])
+            end = reach if not scene.statics else ray_ends(scene, origin, part, reach)
+            WALKS[walk](scene.voxels, origin, part, end, seen[s])
+    if scene.inside_statics is not None:
+        seen &= ~scene.inside_statics.ravel()
     return seen
+
+
+def ray_ends(
+    scene: Scene,
+    origin: Float[np.ndarray, "3"],
+    directions: Float[np.ndarray, "R 3"],
+    reach: float,
+) -> Float[np.ndarray, " R"]:
+    """How far each ray comes [m]: to the first static body in its way, or to its reach."""
+    ends = np.full(len(directions), float(reach))
+    parts = convex_parts(scene.statics, scene.intersection)
+    for corners, bottom, top, through, _ in zip(*parts, strict=True):
+        if through >= 0.5:
+            continue
+        sides = np.roll(corners, -1, 0) - corners
+        normals = np.column_stack([sides[:, 1], -sides[:, 0], np.zeros(len(sides))])
+        planes = [*zip(normals, np.einsum("kd,kd->k", normals[:, :2], corners), strict=True)]
+        planes.append((np.array([0.0, 0.0, 1.0]), top))
+        if np.isfinite(bottom):
+            planes.append((np.array([0.0, 0.0, -1.0]), -bottom))
+        enters, leaves = np.zeros(len(ends)), np.full(len(ends), np.inf)
+        for normal, offset in planes:
+            inside, along = offset - normal @ origin, directions @ normal
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = inside / along
+            enters = np.where(along < 0, np.maximum(enters, t), enters)
+            leaves = np.where(along > 0, np.minimum(leaves, t), leaves)
+            leaves = np.where((along == 0) & (inside < 0), -np.inf, leaves)
+        ends = np.where(enters < leaves, np.minimum(ends, enters), ends)
+    return ends
 
 
 def exact(

@@ -17,7 +17,7 @@ from inspe_jax.core.convex import ConvexPrism, convex_shadow, convex_terms, pris
 from inspe_jax.core.geometry import FAR, NEVER, Prism
 from inspe_jax.core.numerics import Width, certain_beyond, exact, step
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.shadows import may_shade, shadow_bounds
+from inspe_jax.visibility.shadows import ShadowBounds, may_shade, shadow_bounds
 from inspe_jax.visibility.tiles import Tile, pack_levels, unless_empty
 
 TOGETHER = 16
@@ -27,12 +27,10 @@ HALF = 0.5
 """Read exactly, a crown hides what is behind it if its transmittance is less than this."""
 
 
-def _may_hide(
-    sensor: Float[Array, "3"], statics: ConvexPrism, tile: Tile, wider: Any = 0.0
-) -> Bool[Array, " P"]:
-    """Which valid prisms may hide some of a tile, by the circles around them.
+def _bounds(sensor: Float[Array, "3"], statics: ConvexPrism, wider: Any = 0.0) -> ShadowBounds:
+    """The bounds of one sensor's shadows of the circles around prisms, the same for all tiles.
 
-    The shadow is taken ``wider`` by so much [m].
+    Shadows are taken ``wider`` by so much [m].
     """
     low, high = statics.corners.min(1), statics.corners.max(1)
     middle = (low + high) / 2
@@ -45,8 +43,7 @@ def _may_hide(
         top=statics.top,
         valid=statics.valid,
     )
-    bounds = shadow_bounds(sensor, jax.tree.map(lambda leaf: leaf[None], around), wider)
-    return may_shade(sensor, bounds, tile)[:, 0] & statics.valid
+    return shadow_bounds(sensor, jax.tree.map(lambda leaf: leaf[None], around), wider)
 
 
 def past_statics_masks(
@@ -63,12 +60,16 @@ def past_statics_masks(
     """
     hides = statics.valid & (statics.clear < HALF)
     stands = statics.bottom <= -FAR / 2
-    terms = convex_terms(sensor, statics)
+    terms, bounds = convex_terms(sensor, statics), _bounds(sensor, statics)
 
     @unless_empty
     def of_tile(tile: Tile) -> UInt[Array, " C"]:
         dx, dy = tile.columns[0] - sensor[0], tile.columns[1] - sensor[1]
-        near = _may_hide(sensor, statics, tile) & hides
+        near = may_shade(sensor, bounds, tile)[:, 0] & hides
+        # Those that stand first, then those that begin above the ground, then all others.
+        order = jnp.argsort(jnp.where(near, jnp.where(stands, 0, 1), 2), stable=True)
+        order = jnp.pad(order, (0, TOGETHER))
+        ends = (near & stands).sum(), near.sum()
 
         def shadows(index: Int[Array, " B"], some: Bool[Array, " B"]) -> tuple[Array, Array]:
             of = jax.tree.map(lambda leaf: leaf[index], terms)
@@ -84,8 +85,8 @@ def past_statics_masks(
             between = ((z > floor[None]) & (z < ceiling[None])).any(1)
             return hidden | pack_levels(between, tile.there.dtype)
 
-        ceiling = _fold(near & stands, lift, jnp.full_like(dx, NEVER))
-        hidden = _fold(near & ~stands, hide, jnp.zeros_like(tile.there))
+        ceiling = _fold(order, 0, ends[0], lift, jnp.full_like(dx, NEVER))
+        hidden = _fold(order, ends[0], ends[1], hide, jnp.zeros_like(tile.there))
         return pack_levels(tile.heights > ceiling[None], tile.there.dtype) & tile.there & ~hidden
 
     def unless_unseen(part: tuple[Tile, Array]) -> UInt[Array, " C"]:
@@ -96,16 +97,24 @@ def past_statics_masks(
     return jax.lax.map(unless_unseen, (tiles, views))
 
 
-def _fold(flags: Bool[Array, " P"], add: Callable[..., Array], start: Array) -> Array:
-    """``total = add(total, indices, some)`` over the flagged prisms, :data:`TOGETHER` at once."""
-    order, number = jnp.argsort(~flags, stable=True), flags.sum()
+def _fold(
+    order: Int[Array, " P+"],
+    begin: Int[Array, ""] | int,
+    end: Int[Array, ""],
+    add: Callable[..., Array],
+    start: Array,
+) -> Array:
+    """``total = add(total, indices, some)`` over a stretch of ``order``, :data:`TOGETHER` at once.
+
+    ``some`` is false for what is beyond the ``end``; ``order`` is longer by that many.
+    """
 
     def step(i: Array, total: Array) -> Array:
-        first = i * TOGETHER
+        first = begin + i * TOGETHER
         index = jax.lax.dynamic_slice_in_dim(order, first, TOGETHER)
-        return add(total, index, first + jnp.arange(TOGETHER) < number)
+        return add(total, index, first + jnp.arange(TOGETHER) < end)
 
-    return jax.lax.fori_loop(0, -(-number // TOGETHER), step, start)
+    return jax.lax.fori_loop(0, -(-(end - begin) // TOGETHER), step, start)
 
 
 past_statics_of_sensor = jax.jit(past_statics_masks)
@@ -136,7 +145,8 @@ def past_statics_chance(
     gradient.
     """
     fixed = jax.lax.stop_gradient(sensor)
-    marked = bitmask.marks(_may_hide(fixed, statics, tile, certain_beyond(width))[:, None])
+    near = may_shade(fixed, _bounds(fixed, statics, certain_beyond(width)), tile)
+    marked = bitmask.marks(near & statics.valid[:, None])
     return _clear(sensor, statics, marked, tile.columns, tile.heights, width)
 
 

@@ -19,6 +19,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scene.statics import body, pole, tree, upright_box
 from inspe_jax.scoring.viewshed import viewshed
+from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
 from inspe_jax.visibility.statics import past_statics_chance, past_statics_of_sensor
@@ -70,6 +71,26 @@ def test_line_of_sight_agrees_with_embree(slope, center):
     open_ = scene.with_statics([])
     assert (line_of_sight(open_, layout, 0) & ~line_of_sight(scene, layout, 0)).mean() > 0.1
     assert not (line_of_sight(scene, layout, 0) & ~line_of_sight(open_, layout, 0)).any()
+
+
+def test_in_view_agrees_with_rays_that_end_at_bodies():
+    """C of all sensors within 0.006, and 98.5 % of the voxels of each but the first.
+
+    By rays, a voxel is in view if one comes to it; here, if one would and the line to its centre is
+    clear. They differ where the edge of a shadow crosses a voxel, of which some part is in view
+    then: at 0.5 m, in 0.1 to 1 % of the voxels, and in 3.5 % for a sensor 1 m above a roof.
+    """
+    scene = street()
+    layout = layout_in(scene)
+    ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
+    weight = scene.voxel_weight
+    both = [weight @ found.any(0) / weight.sum() for found in (ours, walked)]
+    assert both[0] == pytest.approx(both[1], abs=6e-3)
+    assert (ours == walked).mean(1)[1:].min() > 0.985
+    assert (ours == walked).mean(1)[0] > 0.96
+    assert (ours & ~walked).mean() < 2e-3
+    with pytest.raises(InspeError, match="only the walk 'exact' ends at them"):
+        raycast.in_view(scene, layout)
 
 
 def test_behind_a_house_by_hand():

@@ -1,0 +1,127 @@
+"""Claim: static bodies matter to placements, and cost an exact score at most half as much again.
+
+1. P_sm of the nine placements on the built-in four-way and on a junction of a CARLA town map, where
+   the maps are beside the checkout: in the open, and with street furniture, which is parked
+   vehicles, trees, walls, posts and shelters. Poles stand clear of it, and so may move a little.
+2. The time of an exact score on the default four-way with 60 houses, 2 m behind the regions, and
+   100 trees along the backs of sidewalks, against the same scene without, by turns in one process.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+from common import MAPS, METRICS, arguments, write_results
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from shapely.geometry import Point
+
+import inspe_jax
+from inspe_jax import Scene
+from inspe_jax.scene.maps.registry import read_map
+from inspe_jax.scene.statics import StaticBody, body, tree, upright_box
+from inspe_jax.scene.street import room_along
+
+console = Console()
+
+TOWN, JUNCTION, RADIUS = "Town10HD.xodr", 189, 50.0
+HOUSES, TREES = 60, 100
+ROUNDS = 15
+"""Timed scores of each scene."""
+
+
+def placements(scenes: dict[str, tuple[Scene, Scene]], names: list[str]) -> list[dict[str, Any]]:
+    """The metrics of placements, in the open and between bodies."""
+    rows = []
+    for place, pair in scenes.items():
+        for name in track(names, place, console=console, transient=True):
+            row: dict[str, Any] = dict(scene=place, placement=name)
+            for statics, scene in zip(("none", "street"), pair, strict=True):
+                found = inspe_jax.evaluate(scene, inspe_jax.strategy(scene, name))
+                row |= {f"{key}_{statics}": found.value(key) for key in METRICS}
+            rows.append(row)
+    return rows
+
+
+def town_bodies(scene: Scene) -> list[StaticBody]:
+    """:data:`HOUSES` houses, every second one L-shaped, and :data:`TREES` trees."""
+    rng = np.random.default_rng(0)
+    houses: list[StaticBody] = []
+    for spot in room_along(scene.intersection, RADIUS, 5.0)[:HOUSES]:
+        size = rng.uniform([3.5, 8.0], [4.6, 12.0])
+        house = upright_box(
+            "building", spot.moved(2 + size[1] / 2), (*size, rng.uniform(6, 18)), spot.yaw
+        )
+        if len(houses) % 2:
+            a, b, c, d = house.outline
+            ell = [a, b, c, (c + d) / 2, (a + c) / 2, (a + d) / 2]
+            house = body("building", ell, house.height)
+        houses.append(house)
+    trees = [
+        tree(spot.moved(-0.3), radius=1.8, height=7, base=2.5)
+        for spot in room_along(scene.intersection, RADIUS, 3.0)[:TREES]
+    ]
+    return [*houses, *trees]
+
+
+def cost(name: str, rounds: int) -> dict[str, Any]:
+    """Seconds of an exact score without and with bodies, and the median of their ratios."""
+    scene = inspe_jax.build_scene(inspe_jax.built_in("four_way"))
+    layout = inspe_jax.strategy(scene, name)
+    feet = [Point(pose[:2]) for pose in np.asarray(layout.poses)]
+    bodies = [
+        one for one in town_bodies(scene) if not any(one.polygon.contains(foot) for foot in feet)
+    ]
+    pair, taken = (scene, scene.with_statics(bodies)), np.zeros((2, rounds + 1))
+    for k in range(rounds + 1):
+        for which, of in enumerate(pair):
+            begin = time.perf_counter()
+            inspe_jax.evaluate(of, layout)
+            taken[which, k] = time.perf_counter() - begin
+    bare, full = taken[:, 1:]  # the first compiles
+    return dict(
+        placement=name,
+        bodies=len(bodies),
+        seconds_none=float(np.median(bare)),
+        seconds_bodies=float(np.median(full)),
+        ratio=float(np.median(full / bare)),
+    )
+
+
+def main() -> None:
+    """Score, time, print and write."""
+    options = arguments(__doc__)
+    quick = options.quick
+    size: dict[str, Any] = dict(radius=20, voxel=0.5, frames=5) if quick else {}
+    places = {"four_way": inspe_jax.built_in("four_way")}
+    if not quick and (MAPS / TOWN).is_file():
+        places[f"{TOWN} {JUNCTION}"] = read_map(MAPS / TOWN, junction=JUNCTION, radius=RADIUS)
+    scenes = {
+        name: (
+            inspe_jax.build_scene(place, seed=options.seed, **size),
+            inspe_jax.build_scene(place, seed=options.seed, statics="street", **size),
+        )
+        for name, place in places.items()
+    }
+    names = ["Cam-d1", "L-d2"] if quick else list(inspe_jax.STRATEGIES)
+    rows = placements(scenes, names)
+    table = Table("scene", "placement", "C", "", "O", "", "P_sm", "", title="None and street")
+    for row in rows:
+        numbers = [row[f"{key}_{of}"] for key in ("coverage", "occlusion", "surrogate")
+                   for of in ("none", "street")]  # fmt: skip
+        table.add_row(row["scene"], row["placement"], *(f"{number:.3f}" for number in numbers))
+    console.print(table)
+    stem = options.out / ("statics_quick" if quick else "statics")
+    bodies = {name: len(street.statics) for name, (_, street) in scenes.items()}
+    write_results(stem.with_suffix(".csv"), rows, dict(seed=options.seed, bodies=bodies))
+    if not quick:
+        times = [cost(name, ROUNDS) for name in ("Cam-d1/L-d1", "L-d2")]
+        for row in times:
+            console.print(row)
+        write_results(options.out / "statics_cost.csv", times, dict(rounds=ROUNDS))
+    console.print(f"wrote {stem}.csv", highlight=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -2,6 +2,7 @@
 
 import pickle
 from collections import Counter
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -265,3 +266,26 @@ def test_every_kind_has_frames(cached):
     stored = cached.split("train")[1]
     found = [stored.frames_with(k, None).tolist() for k in range(len(KINDS))]
     assert found == [[0, 1, 2, 3], [0, 1, 2, 3], [], []]
+
+
+def test_targets_say_how_many_pixels_show_a_road_user(tmp_path):
+    """As recorded, in pixels of the batch's pictures; 0 for a camera that was dropped."""
+    frames = [frame_of(n) for n in (0, 1)]
+    counted = []
+    for station in frames[0].stations:
+        (image,) = station.images
+        pixels = np.arange(4) * 100 + station.number
+        seen = replace(image, pixels=pixels, share=np.ones(4))
+        counted.append((pixels, replace(station, images=(seen,))))
+    frames[0] = replace(frames[0], stations=tuple(station for _, station in counted))
+    write_scenario(tmp_path / "set" / "train" / "a", frames)
+    half = (HEIGHT // 2, WIDTH // 2)
+    found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=half, workers=1)
+    batch = Loader(found, batch=2, shuffle=False)[0]
+    expected = np.stack([pixels for pixels, _ in counted], -1) / 4
+    np.testing.assert_array_equal(batch.targets.pixels[0, :4], expected)
+    assert (batch.targets.pixels[1, :4] == -1).all()  # the set does not say
+    dropped = Loader(found, batch=2, shuffle=False, augment=Augment(drop=0.9))[0]
+    present = dropped.cameras.present[0]
+    assert present.sum() == 1
+    np.testing.assert_array_equal(dropped.targets.pixels[0, :4], expected * present)

@@ -20,6 +20,7 @@ def targets(lidars: int = 2) -> Targets:
         kind=np.array([[1, 0, 3, 0], [0] * 4], np.int32),
         track=np.array([[7, 8, 9, 0], [0] * 4], np.int32),
         returns=returns[..., :lidars],
+        pixels=np.zeros((2, 4, 0), np.float32),
         mask=np.array([[True, True, True, False], [False] * 4]),
     )
 

@@ -194,7 +194,7 @@ def road_users() -> Targets:
     kind[0, :4] = range(4)
     mask = np.zeros((2, 6), bool)
     mask[0, :5] = mask[1, 0] = True
-    return Targets(boxes, kind, kind, np.zeros((2, 6, 0), np.int32), mask)
+    return Targets(boxes, kind, kind, np.zeros((2, 6, 0), np.int32), np.zeros((2, 6, 0)), mask)
 
 
 def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():

@@ -63,6 +63,7 @@ def batch(cameras: bool = True, points: str | None = "padded", pose=LEVEL) -> Ba
         kind=np.array([[0, 0, 3]] * 2, np.int32),
         track=np.zeros((2, 3), np.int32),
         returns=np.zeros((2, 3, 2), np.int32),
+        pixels=np.zeros((2, 3, 2), np.float32),
         mask=np.array([[True] * 3, [False] * 3]),
     )
     return Batch(

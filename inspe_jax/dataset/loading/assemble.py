@@ -67,7 +67,7 @@ class Assembly:
             cameras=_no_cameras(size, self.cameras, *pixels)
             if "camera" in self.sensors and self.cameras and pixels
             else None,
-            targets=_no_targets(size, self.most_boxes, self.lidars),
+            targets=_no_targets(size, self.most_boxes, self.lidars, self.cameras),
             scenario=np.zeros(size, np.int32),
             number=np.zeros(size, np.int32),
             transform=_identities(size),
@@ -93,12 +93,12 @@ class Assembly:
         found.transform[b] = moved.matrix
         if found.lidars is not None:
             self._fill_lidars(found.lidars, b, stored, t, moved, present, draw)
+        kept = np.ones(record.cameras, bool)
         if found.cameras is not None:
-            kept = np.ones(record.cameras, bool)
             if self.augment is not None:
                 kept = self.augment.kept(record.cameras, draw)
             _fill_cameras(found.cameras, b, stored, t, moved, kept)
-        self._fill_targets(found.targets, b, stored, t, moved, present)
+        self._fill_targets(found.targets, b, stored, t, moved, present, kept)
 
     def _no_lidars(self, size: int) -> Lidars:
         lidars, points, pillars = self.lidars, None, None
@@ -162,6 +162,7 @@ class Assembly:
         t: int,
         moved: Similarity,
         present: Bool[np.ndarray, " S"],
+        kept: Bool[np.ndarray, " C"],
     ) -> None:
         index, own = stored.index, stored.boxes(t)
         boxes = np.array(index["boxes"][own])
@@ -177,6 +178,8 @@ class Assembly:
         for name in ("kind", "track"):
             getattr(found, name)[b, :count] = index[name][own][chosen]
         found.returns[b, :count, : len(present)] = index["returns"][own][chosen] * present
+        pixels = np.where(kept, index["pixels"][own][chosen], 0)
+        found.pixels[b, :count, : len(kept)] = pixels
         found.mask[b, :count] = True
 
 
@@ -213,12 +216,13 @@ def _no_cameras(size: int, cameras: int, height: int, width: int) -> Cameras:
     )
 
 
-def _no_targets(size: int, boxes: int, lidars: int) -> Targets:
+def _no_targets(size: int, boxes: int, lidars: int, cameras: int) -> Targets:
     return Targets(
         boxes=np.zeros((size, boxes, 9), np.float32),
         kind=np.zeros((size, boxes), np.int32),
         track=np.zeros((size, boxes), np.int32),
         returns=np.zeros((size, boxes, lidars), np.int32),
+        pixels=np.zeros((size, boxes, cameras), np.float32),
         mask=np.zeros((size, boxes), bool),
     )
 

@@ -63,13 +63,16 @@ class Targets(NamedTuple):
     y [m/s]. ``kind`` is the index in :data:`~inspe_jax.simulation.frame.KINDS`, ``track`` the
     number of the road user in its scenario, and ``returns`` how many returns each LiDAR has of it
     (if the set does not say: how many points in its box): 0 for a LiDAR that is not present, and
-    all of them, also those that padding or pillars have no place for.
+    all of them, also those that padding or pillars have no place for. ``pixels`` is how many pixels
+    of each picture show it, counted where the picture was recorded and scaled to this size: 0 for a
+    camera that is not present, and −1 if the set does not say.
     """
 
     boxes: Float32[np.ndarray, "B M 9"]
     kind: Int32[np.ndarray, "B M"]
     track: Int32[np.ndarray, "B M"]
     returns: Int32[np.ndarray, "B M S"]
+    pixels: Float32[np.ndarray, "B M C"]
     mask: Bool[np.ndarray, "B M"]
 
 

@@ -29,7 +29,7 @@ from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
 from inspe_jax.dataset.loading.stored import RECORD, StoredScenario
 
 CACHE = "cache.json"
-FORMAT = "inspe_jax cache 1"
+FORMAT = "inspe_jax cache 2"
 LOCK = f".{CACHE}.lock"
 
 PICTURES = (300, 400)

@@ -87,6 +87,7 @@ def _write(scenario: Scenario, part: Path, source: str, pictures: tuple[int, int
                 next(rows).append(np.stack(pixels)[None])
                 index.add_cameras(images, pictures or (1, 1))
             index.add_boxes(number, frame.boxes, scans)
+            index.add_pixels(len(frame.boxes), images, pictures or (1, 1))
     finally:
         for each in stored:
             each.close()
@@ -184,6 +185,7 @@ class _Index:
         self.kinds: list[int] = []
         self.tracks: list[int] = []
         self.returns: list[np.ndarray] = []
+        self.pixels: list[np.ndarray] = []
         self._end = self.most_points = 0
 
     def sensors(self, frame: Frame) -> tuple[list[Scan], list[Image]]:
@@ -237,6 +239,15 @@ class _Index:
         self.returns.append(returns_of(scans, boxes).T)  # (B, S)
         self.box_starts.append(len(self.boxes))
 
+    def add_pixels(self, boxes: int, images: Sequence[Image], size: tuple[int, int]) -> None:
+        """Note how many pixels of a picture of this size show each road user of a frame."""
+        found = np.full((boxes, self.cameras), -1.0)
+        for c, image in enumerate(images):
+            if image.pixels is not None:
+                height, width = np.asarray(image.rgb).shape[:2]
+                found[:, c] = np.asarray(image.pixels) * (size[0] * size[1] / (height * width))
+        self.pixels.append(found)
+
     def all_boxes(self) -> Float[np.ndarray, "N 9"]:
         """The boxes of all frames."""
         return np.array(self.boxes).reshape(-1, 9)
@@ -259,6 +270,7 @@ class _Index:
             "kind": np.array(self.kinds, np.int32),
             "track": np.array(self.tracks, np.int32),
             "returns": np.concatenate(self.returns).astype(np.int32),
+            "pixels": np.concatenate(self.pixels).astype(np.float32),
         }
         for key in STATIC:
             if (found[key] == found[key][:1]).all():

@@ -23,7 +23,7 @@ RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.npy", "p
 INDEX_KEYS = (
     *("number", "starts", "steps", "lidar_pose", "lidar_unit"),
     *("camera_pose", "intrinsic", "camera_unit"),
-    *("box_starts", "boxes", "kind", "track", "returns"),
+    *("box_starts", "boxes", "kind", "track", "returns", "pixels"),
 )
 
 STATIC = ("lidar_pose", "camera_pose", "intrinsic")
@@ -97,7 +97,7 @@ class StoredScenario:
         ends; ``steps`` (T, S, 4); ``lidar_pose`` (T, S, 4, 4) and ``camera_pose`` (T, C, 4, 4) in
         the world; ``lidar_unit`` (S,), ``camera_unit`` (C,); ``intrinsic`` (T, C, 3, 3);
         ``box_starts`` (T + 1,), ``boxes`` (N, 9), ``kind`` (N,), ``track`` (N,), ``returns``
-        (N, S).
+        (N, S), ``pixels`` (N, C).
         """
         path = self.path / INDEX
         try:

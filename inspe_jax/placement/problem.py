@@ -287,6 +287,8 @@ class Problem:
             free = metrics.counted_by_occlusion(
                 ~solid, solid, self.options["occlusion_reference"]
             ).astype(float)
+            if part.centered.inside is not None:
+                free *= ~np.asarray(part.centered.inside).ravel()
             weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
             entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
             frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts

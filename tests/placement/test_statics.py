@@ -1,5 +1,6 @@
 """Units and sensors keep out of static bodies: strategies, random layouts, and what is reported."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from shapely.geometry import Point
@@ -7,10 +8,14 @@ from worlds import LIDAR, place_sensors
 
 import inspe_jax
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.statics import body_at, tree, upright_box
+from inspe_jax.scoring.tiled_scene import tiled_scene_without_masks
 from inspe_jax.sensing.layout import UNIT_PLAN
+from inspe_jax.visibility.centered_scene import poses_about_center
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +77,31 @@ def test_what_stands_in_a_body_is_named(planted):
     assert not any(
         "inside a body" in wrong for wrong in space.violations(inspe_jax.strategy(planted, "L-c"))
     )
+
+
+@pytest.mark.slow
+def test_samples_of_searches_know_the_bodies(planted):
+    """Of all columns and frames, a sample has the exact score, sensor by sensor too, and the soft
+    one with its gradient."""
+    layout = inspe_jax.strategy(planted, "L-d1")
+    problem = Problem(planted, layout)
+    x, _ = problem.space.start(layout)
+    sample = problem.sample(np.random.default_rng(0), columns=10**6, frames=10**6)
+    exact = problem.exact(x)
+    bare = Problem(planted.with_statics([]), layout).exact_of(problem.space.layout(x))
+    assert exact < bare - 0.005
+    assert problem.rough(x[None], sample)[0] == pytest.approx(exact, abs=1e-6)
+    poses, score = (
+        poses_about_center(planted, problem.space.layout(x)),
+        SampleScore(problem, sample),
+    )
+    rows = {s: score.view(problem, s, poses[s][None])[0] for s in range(len(layout))}
+    assert score.value(rows) == pytest.approx(exact, abs=1e-6)
+    softness = jnp.asarray(0.5, float)
+    each = [
+        problem.slope(poses, on, softness)
+        for on in (sample.arrays, (tiled_scene_without_masks(planted),))
+    ]
+    assert each[0][0] == pytest.approx(each[1][0], abs=2e-6)
+    np.testing.assert_allclose(each[0][1], each[1][1], atol=1e-5)
+    assert np.abs(each[0][1]).max() > 1e-3

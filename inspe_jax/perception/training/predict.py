@@ -31,7 +31,7 @@ def loader_of(name: str, cache: Cache, split: str, grid: BevGrid, **how: Any) ->
 
 
 class Predictor:
-    """A detector that is compiled once, for frames of one shape."""
+    """A detector that is compiled once, for frames of one shape, whatever its weights."""
 
     def __init__(self, detector: Detector, agents: Agents, grid: BevGrid) -> None:
         self.detector, self.agents, self.grid = detector, agents, grid

@@ -122,7 +122,7 @@ def _train(
         augment=AUGMENT if settings.augment else None,
         workers=workers,
     )
-    step = _compiled(settings, grid)
+    step, predictor = _compiled(settings, grid), Predictor(detector, agents, grid)
     late, mean_ap = None, _last_map(run)
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
         inputs = _placed((inputs_of(batch, agents), batch.targets))
@@ -138,7 +138,8 @@ def _train(
         late = total if late is None else 0.95 * late + 0.05 * total
         if number % settings.every == 0 or number == settings.steps:
             run.keep(number, (detector, moments))
-            mean_ap = _validate(cache, run, detector, number)
+            predictor.detector = detector
+            mean_ap = _validate(cache, run, predictor, number)
         if progress:
             progress(Report(settings.model, number, settings.steps, late, mean_ap))
 
@@ -182,7 +183,7 @@ def _last_map(run: Run) -> float | None:
     return rows[-1]["mean_ap"] if rows else None
 
 
-def _validate(cache: Cache, run: Run, detector: Detector, step: int) -> float | None:
+def _validate(cache: Cache, run: Run, predictor: Predictor, step: int) -> float | None:
     """The mAP on the split ``validate``, if there is one, as a row of the run."""
     content = run.content
     if not content.settings.validate_frames or "validate" not in cache.splits:
@@ -190,7 +191,6 @@ def _validate(cache: Cache, run: Run, detector: Detector, step: int) -> float | 
     loader = loader_of(
         content.settings.model, cache, "validate", content.grid, batch=1, shuffle=False
     )
-    predictor = Predictor(detector, content.agents, content.grid)
     found = predictor.evaluate(loader, content.settings.validate_frames)
     classes = dict(zip(KINDS, found.class_ap.tolist(), strict=True))
     run.write(VALIDATION, {"step": step, "mean_ap": found.mean_ap, **classes})

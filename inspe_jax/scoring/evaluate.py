@@ -128,6 +128,9 @@ def evaluate(
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
+    The scene's static bodies hide voxels in every frame, from every metric. Read exactly, a tree's
+    crown hides if its transmittance is below 0.5; read softly, transmittances are multiplied.
+
     ``weights`` of the metrics in P_sm are given by name, or as three numbers for C, O and IG.
     ``metrics`` are the names of those to compute besides the usual ones and those with weight.
     ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and

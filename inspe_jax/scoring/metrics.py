@@ -32,7 +32,9 @@ def coverage(covered: Float[Array, "... L"], weight: Float[Array, " L"]) -> Floa
     """C = Σ w_i f(V_i) / Σ w_i: the weighted share of voxels that some sensor ray passes through.
 
     ``covered`` is f of all sensors together, for each of L voxels, or its mean over each of L
-    columns. ``weight`` is the weight w of their regions.
+    columns. ``weight`` is the weight w of their regions. Traffic does not matter, but a ray that
+    ends at a static body passes through no voxel behind it: f is 0 where a body cuts the line to
+    the voxel's centre. Voxels inside bodies count nowhere.
     """
     return weighted_mean(covered, weight)
 

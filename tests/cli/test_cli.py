@@ -175,6 +175,18 @@ def test_scene_from_a_built_in_is_saved_and_listed(inspe, files):
     assert "roundabout" in inspe("scene", "--list")[1]
 
 
+def test_a_scene_with_street_furniture_is_saved_and_scored(inspe, files):
+    arguments = ("--radius", 30, "--voxel", 1, "--spacing", 2, "--density", "low", "--frames", 2)
+    status, text, _ = inspe(
+        "scene", "four_way", *arguments, "--statics", "street", "--out", "f.npz"
+    )
+    assert status == 0
+    assert re.search(r"static bodies .*parked vehicle \d+, .*tree \d+", " ".join(text.split()))
+    assert "statics street" in " ".join(text.split())
+    assert "static bodies" in inspe("scene", "f.npz")[1]
+    assert len(load_scene(files / "f.npz").statics) > 20
+
+
 def test_a_scene_without_traffic_is_built(inspe, files):
     arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
     assert inspe("scene", "four_way", *arguments)[0] == 0
@@ -437,6 +449,8 @@ BAD = [
     (("score", "array.npz"), "not a scene saved by this package"),
     (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
+    (("scene", "four_way", "--statics", "stret"), "one of none, street; did you mean street?"),
+    (("scene", "s.npz", "--statics", "street"), "leave out --statics"),
     (("scene", "four_way", "--junction", 3), "--junction and --center are only for maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),

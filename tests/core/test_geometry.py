@@ -1,3 +1,5 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,29 +19,36 @@ from inspe_jax.core.geometry import (
     solid_top,
 )
 
+singles = partial(np.array, dtype=np.float32)
+compiled_margin, compiled_rotation = jax.jit(ray_cube_margin), jax.jit(rotation)
+
 
 def prism(x=10.0, y=0.0, yaw=0.0, length=4.0, width=2.0, top=1.5, valid=True):
     return Prism(
-        jnp.array([x, y]),
-        jnp.array(yaw),
-        jnp.array([length / 2, width / 2]),
-        jnp.array(top),
-        jnp.array(valid),
+        singles([x, y]),
+        singles(yaw),
+        singles([length / 2, width / 2]),
+        singles(top),
+        np.array(valid),
+    )
+
+
+@partial(jax.jit, static_argnums=3)
+def compiled_ceiling(sensor, column, prism, ignore_self_occlusion):
+    d, seen = column - sensor[:2], shadow_terms(sensor, prism)
+    return shadow_ceiling(
+        seen, d[:1], d[1:], sensor[2], ignore_self_occlusion=ignore_self_occlusion
     )
 
 
 def ceiling(sensor, column, ignore_self_occlusion=False, **shape):
-    s, c = jnp.array(sensor), jnp.array(column)
-    d = c - s[:2]
-    seen = shadow_terms(s, prism(**shape))
-    return float(
-        shadow_ceiling(seen, d[:1], d[1:], s[2], ignore_self_occlusion=ignore_self_occlusion)[0]
-    )
+    at = singles(sensor), singles(column)
+    return float(compiled_ceiling(*at, prism(**shape), ignore_self_occlusion)[0])
 
 
 def test_rotation_follows_the_conventions():
     """Yaw turns x to y, pitch lifts the nose, roll turns y to z; all are orthonormal."""
-    turn = lambda *angles: np.asarray(rotation(jnp.radians(jnp.array(angles))))  # noqa: E731
+    turn = lambda *angles: np.asarray(compiled_rotation(singles(np.radians(angles))))  # noqa: E731
     np.testing.assert_allclose(turn(0.0, 0.0, 90.0) @ [1, 0, 0], [0, 1, 0], atol=1e-6)
     np.testing.assert_allclose(turn(0.0, 30.0, 0.0) @ [1, 0, 0], [3**0.5 / 2, 0, 0.5], atol=1e-6)
     np.testing.assert_allclose(turn(90.0, 0.0, 0.0) @ [0, 1, 0], [0, 0, 1], atol=1e-6)
@@ -66,8 +75,8 @@ def test_rotation_follows_the_conventions():
     ],
 )
 def test_ray_cube_margin_by_hand(direction, offset, reach, margin):
-    d, o = (tuple(jnp.array([float(v)]) for v in vector) for vector in (direction, offset))
-    assert float(ray_cube_margin(d, reach, o, 0.5)[0]) == pytest.approx(margin, abs=1e-5)
+    d, o = (tuple(singles([v]) for v in vector) for vector in (direction, offset))
+    assert float(compiled_margin(d, float(reach), o, 0.5)[0]) == pytest.approx(margin, abs=1e-5)
 
 
 def test_shadow_of_a_car_seen_from_above():
@@ -126,14 +135,14 @@ def test_a_sensor_in_the_plane_of_a_side_sees_as_from_either_side_of_it(x):
 
 def test_solid_top_is_the_highest_prism_that_stands_there():
     prisms = Prism(
-        center=jnp.array([[0.0, 0.0], [0.5, 0.0], [9.0, 9.0]]),
-        yaw=jnp.array([0.0, jnp.pi / 2, 0.0]),
-        half=jnp.array([[2.0, 1.0], [2.0, 1.0], [1.0, 1.0]]),
-        top=jnp.array([1.5, 3.0, 2.0]),
-        valid=jnp.array([True, True, False]),
+        center=singles([[0.0, 0.0], [0.5, 0.0], [9.0, 9.0]]),
+        yaw=singles([0.0, np.pi / 2, 0.0]),
+        half=singles([[2.0, 1.0], [2.0, 1.0], [1.0, 1.0]]),
+        top=singles([1.5, 3.0, 2.0]),
+        valid=np.array([True, True, False]),
     )
-    columns = jnp.array([[0.0, 0.0], [-1.0, 0.0], [0.5, 1.9], [9.0, 9.0], [5.0, 5.0]])
-    assert solid_top(columns, prisms).tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]
+    columns = singles([[0.0, 0.0], [-1.0, 0.0], [0.5, 1.9], [9.0, 9.0], [5.0, 5.0]])
+    assert jax.jit(solid_top)(columns, prisms).tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]
 
 
 def test_the_ceiling_follows_from_the_plan_view_cut():

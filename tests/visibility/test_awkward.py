@@ -52,15 +52,13 @@ def test_in_view_by_masks_is_in_view_by_margins(name):
         for pitch, yaw in ANGLES
     ]
     layout = place_sensors(*((DEVICES[name], pose) for pose in poses))
-    field, ray = view_margins(
-        poses_about_center(scene, layout),
-        about_center(scene).centers,
-        layout.groups(),
-        scene.voxels.size / 2,
-    )
+    groups, half = layout.groups(), scene.voxels.size / 2
+    margins = jax.jit(lambda poses, ground: view_margins(poses, ground.centers, groups, half))
+    at = poses_about_center(scene, layout), about_center(scene)
+    field, ray = map(np.asarray, margins(*at))
     masks = in_view(scene, layout)
     assert masks.any()
-    differ = masks != np.asarray((field > 0) & (ray > 0))
+    differ = masks != ((field > 0) & (ray > 0))
     assert differ.sum() <= 2
     if differ.any():
         walked = raycast.in_view(scene, layout, "exact")
@@ -78,9 +76,10 @@ def test_line_of_sight_by_masks_is_that_of_all_ceilings(voxel):
     places += [(0.0, 0.0, 1.0), (-5.0, -2.75, 1.2), (2.0, -3.0, voxel / 4), (0.3, 8.0, 6.0)]
     layout = place_sensors(*((LIDAR, [*place, 0.0, 0.0, 0.0]) for place in places))
     ground = about_center(scene)
-    prisms = jax.tree.map(lambda leaf: leaf[0], ground.prisms)
-    ceilings = shadow_ceilings(poses_about_center(scene, layout)[:, :3], prisms, ground.columns)
-    clear = np.asarray(ground.heights[None] > ceilings[:, :, None]).reshape(len(places), -1)
+    prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[0], ground.prisms)
+    sensors = poses_about_center(scene, layout)[:, :3]
+    ceilings = np.asarray(jax.jit(shadow_ceilings)(sensors, prisms, ground.columns))
+    clear = (np.asarray(ground.heights) > ceilings[:, :, None]).reshape(len(places), -1)
     masks = line_of_sight(scene, layout, 0)
     assert 0 < masks.mean() < 1
     np.testing.assert_array_equal(masks, clear)

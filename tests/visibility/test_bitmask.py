@@ -1,11 +1,29 @@
 """Bit masks against plain sets of flags."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from inspe_jax.core.numerics import Groups
 from inspe_jax.visibility import bitmask
+
+union_of = jax.jit(bitmask.without_one)
+tally_of = jax.jit(bitmask.count_levels, static_argnums=1)
+counts_of = jax.jit(bitmask.count)
+
+
+@jax.jit
+def visits(flags):
+    """The marks of each row of T, in the order of visits, with -1 where there is none left."""
+    number, rows = flags.shape
+    return bitmask.fold_marked(
+        bitmask.marks(flags),
+        lambda seen, index, some: (
+            seen.at[:, 1:].set(seen[:, :-1]).at[:, 0].set(jnp.where(some, index, -1))
+        ),
+        jnp.full((rows, max(number, 1)), -1),
+    )
 
 
 @pytest.mark.parametrize("n", [1, 8, 9, 16, 20, 32])
@@ -15,9 +33,8 @@ def test_packed_flags_come_back(n):
     assert words.shape == (5, 3, 1)
     assert words.dtype == bitmask.word(n)
     np.testing.assert_array_equal(bitmask.unpack(words, n), flags)
-    np.testing.assert_array_equal(bitmask.count(jnp.asarray(words[..., 0])), flags.sum(-1))
-    tally = bitmask.count_levels(jnp.asarray(words[..., 0]), n)
-    np.testing.assert_array_equal(tally, flags.sum(0))
+    np.testing.assert_array_equal(counts_of(words[..., 0]), flags.sum(-1))
+    np.testing.assert_array_equal(tally_of(words[..., 0], n), flags.sum(0))
 
 
 def test_more_flags_than_a_word_holds_go_on_in_the_next():
@@ -29,7 +46,7 @@ def test_more_flags_than_a_word_holds_go_on_in_the_next():
 @pytest.mark.parametrize("groups", [(), ((0,), (1,), (2,), (3,)), ((1, 3), (0,), (2,))])
 def test_unions_without_a_group(groups):
     rows = np.random.default_rng(1).integers(0, 256, (4, 50)).astype(np.uint8)
-    found = np.asarray(bitmask.without_one(jnp.asarray(rows), Groups.of_rows(groups, 4)))
+    found = np.asarray(union_of(rows, Groups.of_rows(groups, 4)))
     np.testing.assert_array_equal(found[0], np.bitwise_or.reduce(rows))
     assert len(found) == 1 + len(groups)
     for group, union in zip(groups, found[1:], strict=True):
@@ -42,16 +59,7 @@ def test_marks_are_visited_once_and_in_order(number):
     """Every row's marks, as lists, whatever the others' lengths; bit 31 and full words included."""
     flags = np.random.default_rng(number).uniform(size=(number, 7)) < 0.3
     flags[:, 0], flags[:, 1] = True, False
-    marked = bitmask.marks(jnp.asarray(flags))
-    visited = np.asarray(
-        bitmask.fold_marked(
-            marked,
-            lambda seen, index, some: (
-                seen.at[:, 1:].set(seen[:, :-1]).at[:, 0].set(jnp.where(some, index, -1))
-            ),
-            jnp.full((7, max(number, 1)), -1),
-        )
-    )
+    visited = np.asarray(visits(flags))
     for row, flag in zip(visited[:, ::-1], flags.T, strict=True):
         np.testing.assert_array_equal(row[row >= 0], np.flatnonzero(flag))
 
@@ -61,5 +69,5 @@ def test_bits_are_tallied_one_by_one(number, bits):
     """Against a sum of the bits; all of them set in one column, more than a byte can count."""
     flags = np.random.default_rng(bits).random((number, 7, bits)) < 0.7
     flags[:, 0] = True
-    found = bitmask.count_levels(jnp.asarray(bitmask.pack(flags)[..., 0]), bits)
+    found = tally_of(bitmask.pack(flags)[..., 0], bits)
     np.testing.assert_array_equal(found, flags.sum(0))

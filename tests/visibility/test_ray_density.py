@@ -10,7 +10,12 @@ from worlds import CAMERA, LIDAR, double_precision, slow_but, world
 import inspe_jax
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility.centered_scene import about_center
-from inspe_jax.visibility.in_view import density_view, density_view_by_motions, transform_of
+from inspe_jax.visibility.in_view import (
+    RigidTransform,
+    density_view,
+    density_view_by_motions,
+    transform_of,
+)
 from inspe_jax.visibility.ray_density import footprint
 from inspe_jax.visibility.tiles import tiles_of
 from inspe_jax.visibility.view_masks import in_view_masks
@@ -46,6 +51,8 @@ def pose_of(spec, seed):
 
 
 compiled_view, compiled_footprint = jax.jit(density_view), jax.jit(footprint)
+compiled_transform = jax.jit(transform_of)
+LEVEL = RigidTransform(np.zeros(3, np.float32), np.eye(3, dtype=np.float32))
 
 
 @pytest.mark.parametrize("name", DEVICES)
@@ -58,13 +65,13 @@ def test_coverage_is_that_of_the_mean_over_phases(scene, name):
     spec, half = inspe_jax.device(name).spec, scene.voxels.size / 2
     centered = about_center(scene)
     tiles, weight = tiles_of(centered), scene.voxels.weight / scene.voxels.weight.sum()
-    pose, rng = jnp.asarray(pose_of(spec, 1), float), np.random.default_rng(2)
+    pose, rng = np.array(pose_of(spec, 1), np.float32), np.random.default_rng(2)
     mean = np.zeros(len(weight))
     for k in range(64):
         grid = in_phase(spec.grid, (k + rng.uniform()) / 64, rng.uniform())
         mean += tiles.by_voxel(np.asarray(in_view_masks(grid, pose, tiles.tile, half))) / 64
-    centers = jnp.asarray(centered.centers, float)
-    chance = np.asarray(compiled_view(spec.grid.rays, half, transform_of(pose), centers, 0.0))
+    centers, transform = np.asarray(centered.centers), compiled_transform(pose)
+    chance = np.asarray(compiled_view(spec.grid.rays, half, transform, centers, 0.0))
     assert 0.05 < mean @ weight < 0.98
     assert chance @ weight == pytest.approx(mean @ weight, abs=0.006)
     # Voxel by voxel: the mean of 64 draws has a deviation of up to 1/16.
@@ -76,29 +83,30 @@ def test_the_chance_by_hand():
     one of 1 m is always hit; the expected number is the solid angle times the density."""
     elevations = np.radians(np.arange(-20.0, 21.0, 2.0))
     spec = LidarSpec("comb", tuple(elevations), 3600, 2 * np.pi, 50.0)
-    at = jnp.array([[20.0, 0.0, 0.0]])
+    at = np.array([[20.0, 0.0, 0.0]], np.float32)
     for size, chance in ((0.3, 0.3 / (20 * np.radians(2))), (1.0, 1.0)):
-        found = compiled_view(spec.grid.rays, size / 2, transform_of(jnp.zeros(6)), at, None)
-        assert float(found[0]) == pytest.approx(chance, abs=2e-3)
-        edges = tuple(jnp.eye(3) * size)
+        found = compiled_view(spec.grid.rays, size / 2, LEVEL, at, None)
+        assert found.tolist()[0] == pytest.approx(chance, abs=2e-3)
+        edges = np.eye(3, dtype=np.float32) * np.float32(size)
         of = compiled_footprint(spec.grid.rays, tuple(at.T), tuple(tuple(e) for e in edges))
         expected = (size / 20 / np.radians(2)) * (size / 20 / np.radians(0.1))
-        assert float(of.area[0]) == pytest.approx(expected, rel=2e-3)
+        assert of.area.tolist()[0] == pytest.approx(expected, rel=2e-3)
     # Of a camera: its pixels are even in tangents, 1/f apart.
     spec, across = CAMERA, 2 * np.tan(np.radians(50)) / 80
-    of = compiled_footprint(spec.grid.rays, tuple(at.T), tuple(tuple(e) for e in jnp.eye(3) * 0.5))
-    assert float(of.area[0]) == pytest.approx((0.5 / 20 / across) ** 2, rel=1e-3)
+    edges = np.eye(3, dtype=np.float32) / 2
+    of = compiled_footprint(spec.grid.rays, tuple(at.T), tuple(tuple(e) for e in edges))
+    assert of.area.tolist()[0] == pytest.approx((0.5 / 20 / across) ** 2, rel=1e-3)
 
 
 def test_rays_nowhere_near_have_no_chance():
     """Behind a camera, beyond the reach, above the highest channel by more than a voxel."""
-    at = jnp.array([[-5.0, 0.0, 0.0], [31.0, 0.0, 0.0], [10.0, 0.0, 9.5]])
-    found = compiled_view(CAMERA.grid.rays, 0.25, transform_of(jnp.zeros(6)), at, None)
+    at = np.array([[-5.0, 0.0, 0.0], [31.0, 0.0, 0.0], [10.0, 0.0, 9.5]], np.float32)
+    found = compiled_view(CAMERA.grid.rays, 0.25, LEVEL, at, None)
     assert found.tolist() == [0.0, 0.0, 0.0]
-    at = jnp.array([[51.0, 0.0, 0.0], [10.0, 0.0, 2.0], [10.0, 0.0, -1.0]])
-    found = compiled_view(LIDAR.grid.rays, 0.25, transform_of(jnp.zeros(6)), at, None)
-    assert found[:2].tolist() == [0.0, 0.0]
-    assert float(found[2]) == pytest.approx(1.0, abs=1e-3)
+    at = np.array([[51.0, 0.0, 0.0], [10.0, 0.0, 2.0], [10.0, 0.0, -1.0]], np.float32)
+    found = compiled_view(LIDAR.grid.rays, 0.25, LEVEL, at, None)
+    assert found.tolist()[:2] == [0.0, 0.0]
+    assert found.tolist()[2] == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("spec", [CAMERA, LIDAR])
@@ -107,7 +115,7 @@ def test_the_gradient_by_motions_is_that_of_reverse_mode_and_of_differences(spec
     centers = np.asarray(about_center(scene).centers, float)
     with double_precision():
         pose, at = jnp.asarray(pose_of(spec, 3)), jnp.asarray(centers)
-        rays, weight = spec.grid.rays, jnp.sin(jnp.arange(len(centers)).astype(float))
+        rays, weight = spec.grid.rays, np.sin(np.arange(len(centers), dtype=float))
 
         def weighed(view):
             return jax.jit(lambda pose: view(rays, 1.0, transform_of(pose), at, 0.4) @ weight)

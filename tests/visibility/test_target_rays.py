@@ -1,5 +1,7 @@
 """Expected rays on road users beside rays that are cast at boxes with Embree."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,7 @@ from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import rays_on_face, rays_on_target, share_between_sides
 
+singles = partial(np.array, dtype=np.float32)
 SLABS = np.arange(0.0, 4.01, 0.5)
 DISTANCES = (1.0, 3.0, 6.0, 10.0, 20.0, 35.0, 49.0)
 
@@ -29,6 +32,20 @@ def poses(aimed, count, rng):
 @jax.jit
 def transforms(poses):
     return jax.vmap(transform_of)(poses)
+
+
+@jax.jit
+def on_pedestrians(rays, pose, feet, slabs):
+    """Rays on a pedestrian at each foot, (N, Z) by slab."""
+    return rays_on_target(rays, transform_of(pose), feet, slabs, size=(0.5, 0.5, 1.72))
+
+
+@jax.jit
+def on_faces(rays, pose, to, edges, middle, wide, tall):
+    """Rays on faces between edges, and which share of a face is between the sides of the view."""
+    transform = transform_of(pose)
+    share = share_between_sides(rays, transform, middle, wide, tall)
+    return rays_on_face(rays, transform, to, edges[:-1], edges[1:])[0], share
 
 
 def cast_at(body, pose, triangles, spread, reach):
@@ -105,10 +122,8 @@ def test_a_pedestrian_by_hand():
     spec = inspe_jax.LidarSpec(
         "comb", tuple(np.radians(np.arange(-40.0, 10.0, 0.5))), 1800, 2 * np.pi, 50.0
     )
-    pose, foot = jnp.array([0.0, 0, 5, 0, 0, 0]), jnp.array([[20.0, 0, 0], [60.0, 0, 0]])
-    found = rays_on_target(
-        spec.grid.rays, transform_of(pose), foot, jnp.asarray(SLABS, float), size=(0.5, 0.5, 1.72)
-    )
+    pose, foot = singles([0, 0, 5, 0, 0, 0]), singles([[20, 0, 0], [60, 0, 0]])
+    found = np.asarray(on_pedestrians(spec.grid.rays, pose, foot, singles(SLABS)))
     wide = 2 / np.pi * (0.5 + 0.5) / 20  # Cauchy: the mean width is the perimeter over π
     tall = np.arctan2(5.0, 19.8) - np.arctan2(5.0 - 1.72, 20.2)
     by_hand = wide * tall / np.radians(0.5) / np.radians(0.2)
@@ -122,26 +137,26 @@ def test_one_straight_below_is_as_one_a_little_beside():
     """Under a LiDAR that sees all that is below it."""
     elevations = tuple(np.radians(np.arange(-90.0, 0.0, 0.5)).tolist())
     spec = inspe_jax.LidarSpec("dome", elevations, 720, 2 * np.pi, 50.0)
-    foot = jnp.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]])
-    at = spec.grid.rays, transform_of(jnp.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])), foot
-    found = rays_on_target(*at, jnp.asarray(SLABS, float), size=(0.5, 0.5, 1.72)).sum(1)
+    foot = singles([[0, 0, 0], [1e-3, 0, 0], [0, -1e-3, 0]])
+    at = spec.grid.rays, singles([0, 0, 5, 0, 0, 0]), foot, singles(SLABS)
+    found = np.asarray(on_pedestrians(*at)).sum(1)
     assert float(found[0]) > 100
     np.testing.assert_allclose(found, found[0], rtol=0.02)
 
 
 def test_the_number_has_a_slope():
     spec, size = inspe_jax.device("paper-lidar-32").spec, (0.5, 0.5, 1.72)
-    foot = jnp.array([[20.0, 3.0, 0.0], [2.0, 0.0, 0.0]])
+    foot, slabs = singles([[20, 3, 0], [2, 0, 0]]), singles(SLABS)
 
     @jax.jit
     def number(pose):
-        at = spec.grid.rays, transform_of(pose), foot, jnp.asarray(SLABS, float)
-        return rays_on_target(*at, size=size).sum()
+        return rays_on_target(spec.grid.rays, transform_of(pose), foot, slabs, size=size).sum()
 
-    pose = jnp.array([0.0, 0.0, 5.0, 0.01, -0.02, 0.3])
-    slope = jax.jit(jax.grad(number))(pose)
+    pose = singles([0.0, 0.0, 5.0, 0.01, -0.02, 0.3])
+    slope = np.asarray(jax.jit(jax.grad(number))(pose))
     for k, step in ((0, 0.1), (2, 0.05), (4, 2e-3)):
-        ahead, back = (float(number(pose.at[k].add(sign * step))) for sign in (1, -1))
+        moved = singles(np.eye(6)[k] * step)
+        ahead, back = (float(number(pose + sign * moved)) for sign in (1, -1))
         assert float(slope[k]) == pytest.approx((ahead - back) / (2 * step), rel=0.05)
 
 
@@ -198,17 +213,14 @@ def test_a_field_of_view_ends_at_its_sides_however_it_is_turned(kind, turns):
     away, bearing = rng.uniform(4, 14, 60), rng.uniform(-np.pi, np.pi, 60)
     feet = np.column_stack([away * np.cos(bearing), away * np.sin(bearing), np.zeros(60)])
     walked = np.array([on_boxes(spec, pose, foot, size) for foot in feet])
-    transform, rays = transform_of(jnp.asarray(pose, float)), spec.grid.rays
-    at = jnp.asarray(feet, float)
-    slabs = jnp.asarray([0.0, 0.5, 1.0, 1.5, 2.0], float)
-    boxes = np.asarray(rays_on_target(rays, transform, at, slabs, size=size)).sum(1)
-    to = at[:, 0], at[:, 1]
-    edges = jnp.minimum(slabs, size[2])[:, None] - pose[2] + jnp.zeros((1, 60))
-    faces = np.asarray(rays_on_face(rays, transform, to, edges[:-1], edges[1:])[0]).sum(0)
-    wide, tall = (jnp.full((1, 1), x) for x in (2 * 1.0 / np.pi, size[2]))
-    middle = (*to, jnp.full(60, size[2] / 2 - pose[2]))
-    share = np.asarray(share_between_sides(rays, transform, middle, wide, tall))[0]
-    faces = faces * share * float(wide[0, 0])
+    slabs, rays = singles([0.0, 0.5, 1.0, 1.5, 2.0]), spec.grid.rays
+    boxes = np.asarray(on_pedestrians(rays, singles(pose), singles(feet), slabs)).sum(1)
+    to = singles(feet[:, 0]), singles(feet[:, 1])
+    edges = np.minimum(slabs, singles(size[2]))[:, None] - singles(np.full((1, 60), pose[2]))
+    wide, tall = (singles([[x]]) for x in (2 * 1.0 / np.pi, size[2]))
+    middle = (*to, singles(np.full(60, size[2] / 2 - pose[2])))
+    on_face, share = map(np.asarray, on_faces(rays, singles(pose), to, edges, middle, wide, tall))
+    faces = on_face.sum(0) * share[0] * float(wide[0, 0])
     assert 0.03 < (walked > 0).mean() < 1
     for found in (boxes, faces):
         assert (found > 0.5).mean() == pytest.approx((walked > 0.5).mean(), abs=0.07)

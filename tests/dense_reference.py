@@ -39,6 +39,7 @@ def sight(
     heights: Float[Array, "L Z"],
     width: Width = None,
     *,
+    at_sensor: bool = False,
     ignore_self_occlusion: bool = False,
 ) -> Float[Array, "S L Z"]:
     """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
@@ -56,7 +57,8 @@ def sight(
 
     def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
         at = sensor, frame, marked, columns.T, heights.T, width
-        return soft_sight(*at, ignore_self_occlusion=ignore_self_occlusion)[:, 0].T
+        own = dict(at_sensor=at_sensor, ignore_self_occlusion=ignore_self_occlusion)
+        return soft_sight(*at, **own)[:, 0].T
 
     return jax.lax.map(one, sensors)
 
@@ -126,6 +128,7 @@ def measure(
         failures=failures,
         reference=occlusion_reference,
         visibility=visibility,
+        at_sensor=softness.shadows_at_sensor,
     )
     occupancy = seen.occupancy if field.occupancy is None else field.occupancy
     q = f * (seen.sight_share * jnp.asarray(sensor_set.reliability, float)[:, None])
@@ -159,7 +162,7 @@ BLOCK = 1024
 """Columns watched at a time: what they need stays in a core's cache through all frames."""
 
 
-@partial(jax.jit, static_argnames=("reference", "visibility"))
+@partial(jax.jit, static_argnames=("reference", "visibility", "at_sensor"))
 def accumulate_frames(
     ground: CenteredScene,
     sensors: Float[Array, "S 3"],
@@ -169,6 +172,7 @@ def accumulate_frames(
     failures: Groups | None,
     reference: str,
     visibility: str,
+    at_sensor: bool = False,
 ) -> FrameSums:
     """Go through the frames once for each block of columns.
 
@@ -186,11 +190,12 @@ def accumulate_frames(
         covered = leave_one_out(f.reshape(flat), failures)
 
         @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
-        def look(prisms: Prism) -> tuple[tuple, tuple]:
+        def watch(prisms: Prism) -> tuple[tuple, tuple]:
             solid = there * step(solid_top(columns, prisms)[:, None] - heights)
-            clear = line = sight(sensors, prisms, columns, heights, width)
+            look = partial(sight, sensors, prisms, columns, heights, width, at_sensor=at_sensor)
+            clear = line = look()
             if reference == "targets" or visibility == "past_others":
-                others = sight(sensors, prisms, columns, heights, width, ignore_self_occlusion=True)
+                others = look(ignore_self_occlusion=True)
                 clear = jnp.where(solid[None] > 0, others, line)
             visible = leave_one_out((f * clear).reshape(flat), failures)
             free, inside = (there - solid).ravel(), solid.ravel()
@@ -200,7 +205,7 @@ def accumulate_frames(
             return (inside, visible[0] * free, share), terms
 
         def some(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
-            gathered, terms = jax.vmap(look)(prisms)
+            gathered, terms = jax.vmap(watch)(prisms)
             return jax.tree.map(lambda x, new: x + new.sum(0), sums, gathered), terms
 
         zeros = jnp.zeros_like(covered[0])

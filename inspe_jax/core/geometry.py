@@ -279,6 +279,65 @@ def below_top(cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]) -> F
     return rise + jnp.maximum(drop * cut.enters, drop * cut.leaves)
 
 
+class SensorCut(NamedTuple):
+    """How sight lines cut a prism in plan, as far as the sensor would have to move to change it.
+
+    ``left`` and ``right``: how far the sensor has to move aside until the line passes the prism on
+    its left or right side [m]; negative where it does, by how far the sensor has to move until it
+    does not. ``ahead``: how far along the line the prism's far end is [m], negative behind the
+    sensor.
+    """
+
+    left: Float[Array, "*n"]
+    right: Float[Array, "*n"]
+    ahead: Float[Array, "*n"]
+
+
+_NO_LEVER = 0.02
+"""Least part of a sight line that is left behind a prism. A shift of the sensor moves the line at
+the prism by this part of it; nearer to the column it is taken to be so much."""
+
+
+def lever(t: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """How far a sight line moves at t, from 0 at the sensor to 1 at the column, where the sensor
+    moves by 1: 1 − t, and at least a little."""
+    return jnp.maximum(1.0 - t, _NO_LEVER)
+
+
+def sensor_cut(line: Line, half: Half) -> SensorCut:
+    """How sight lines cut a rectangle in plan, in its own frame, as margins at the sensor.
+
+    A line turns about the column where it ends. So to pass a corner at t along the line, the sensor
+    has to move by the corner's distance from it over 1 − t; and to pass a side of the prism, by the
+    most that a corner asks for. Corners beyond the column ask for nothing, unless the line enters
+    the prism before it ends. The line meets the prism where all three margins are positive, as
+    :func:`shadow_ceiling` has it.
+    """
+    (x, y, ex, ey), (a, b) = line, half
+    squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
+    length = jnp.sqrt(squared)
+    middle, aside = -(x * ex + y * ey), x * ey - y * ex
+    enters = jnp.maximum(_slab(x, ex, a)[0], _slab(y, ey, b)[0]) < 1.0
+    right, left = jnp.full_like(length, -FAR), jnp.full_like(length, -FAR)
+    for k, m in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # the corner (k·a, m·b)
+        t = (middle + (k * a * ex + m * b * ey)) / squared
+        move = ((k * a * ey - m * b * ex) - aside) / (length * lever(jnp.maximum(t, 0.0)))
+        asks = enters | (t < 1.0)
+        right = jnp.where(asks, jnp.maximum(right, move), right)
+        left = jnp.where(asks, jnp.maximum(left, -move), left)
+    ahead = (middle + a * jnp.abs(ex) + b * jnp.abs(ey)) / length
+    # A line straight down has no length in plan, and no sides: it is inside or not.
+    point, within = squared < 1e-8, jnp.minimum(a - jnp.abs(x), b - jnp.abs(y))
+    return SensorCut(*(jnp.where(point, within, margin) for margin in (left, right, ahead)))
+
+
+def top_at_sensor(
+    cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """:func:`below_top` at the sensor: how far it has to rise for the line to touch the top [m]."""
+    return below_top(cut, rise, drop) / lever(jnp.where(drop > 0, cut.leaves, cut.enters))
+
+
 def _slab(
     start: Float[Array, "*n"], along: Float[Array, "*n"], half: Float[Array, "*n"]
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:

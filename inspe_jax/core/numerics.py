@@ -56,8 +56,9 @@ RAYS = ("exact", "density")
 class Softness:
     """How margins are read. ``field`` and ``shadow`` are widths [m]; None, the default, is exact.
 
-    ``field``: from the edges of a field of view and the end of its reach. ``shadow``: from a sight
-    line to the sides and the top of a vehicle. ``rays``: ``exact``, where a voxel is in view if a
+    ``field``: from the edges of a field of view and the end of its reach. ``shadow``: how far the
+    sensor has to move until a sight line touches a vehicle's side or top; with exact rays, from the
+    line to the side or top, at the vehicle. ``rays``: ``exact``, where a voxel is in view if a
     ray passes through it, which has no slope; or ``density``, the chance of that under a random
     phase of the grid (:mod:`inspe_jax.visibility.ray_density`), which is smooth. None, the default,
     is ``density`` where a width is given. As the widths go to 0, a score with exact rays becomes
@@ -94,6 +95,15 @@ class Softness:
         soft = any(width is not None for width in widths)
         rays = (value.rays if whole else None) or ("density" if soft else "exact")
         return cls(widths[0], widths[-1], rays)
+
+    @property
+    def shadows_at_sensor(self) -> bool:
+        """Whether margins of shadows are measured at the sensor, not at the vehicle.
+
+        As a density of rays, they are the mean over places near by
+        (:func:`inspe_jax.visibility.shadows.soft_sight`).
+        """
+        return self.rays == "density"
 
     @property
     def exact(self) -> bool:

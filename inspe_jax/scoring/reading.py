@@ -336,7 +336,7 @@ class Numbers:
                 bounds = shadow_bounds(fixed, frames.prisms, reach)
                 marked = bitmask.marks(may_shade(fixed, bounds, tile))
                 at = sensor, frames.prisms, marked, tile.columns, tile.heights, width
-                look = partial(soft_sight, *at)
+                look = partial(soft_sight, *at, at_sensor=self.softness.shadows_at_sensor)
             clear = look(ignore_self_occlusion=own)
             return clear, look(ignore_self_occlusion=False) if asked.sight_apart else clear
 

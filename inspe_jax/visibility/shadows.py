@@ -16,15 +16,18 @@ from inspe_jax.core.geometry import (
     FAR,
     NEVER,
     Cut,
+    Half,
     Line,
     Prism,
     ShadowTerms,
     below_top,
     plan_cut,
     plan_margin,
+    sensor_cut,
     shadow_ceiling,
     shadow_terms,
     stretch,
+    top_at_sensor,
 )
 from inspe_jax.core.numerics import REACH, Width, step
 from inspe_jax.visibility import bitmask
@@ -101,6 +104,7 @@ def soft_sight(
     heights: Float[Array, "Z C"],
     width: Width,
     *,
+    at_sensor: bool = False,
     ignore_self_occlusion: bool | Bool[Array, "Z F C"] = False,
 ) -> Float[Array, "Z F C"]:
     """Chance that the marked prisms (F, B) of each frame leave the sight line to each voxel clear.
@@ -109,6 +113,13 @@ def soft_sight(
     of two readings of ``width`` [m]: how deep the line cuts into the prism sideways, and how far it
     passes below the top. A prism that narrowly misses counts too. The winners are found without
     differentiation, by how much they hide of the line to the first of ``heights``, the lowest.
+
+    Margins are measured at the prism; or ``at_sensor``, by how far the sensor has to move. Then p
+    is about the mean of the exact reading over places of the sensor near by, so that slopes are
+    those of exact scores averaged over such places. A line is read on both sides, since a
+    pedestrian is narrower than most widths. And close to a vehicle, where the sensor's place
+    matters little, the edge of its shadow is sharp. Measured at the prism it would be as wide
+    there as anywhere, but on one side only: the voxels inside the vehicle do not count.
 
     ``ignore_self_occlusion`` says whether a prism leaves the columns that it stands on clear. As an
     array it says so for each voxel; then one pass over the prisms finds the winners of both cases.
@@ -129,10 +140,17 @@ def soft_sight(
     spare = jnp.uint32(2 ** max(count - 1, 1).bit_length() - 1)
 
     sets = (False, True) if both else (ignore_self_occlusion,)
+    aside_of, top_of = (_passing, top_at_sensor) if at_sensor else (_cutting, below_top)
 
     def rank_prism(best: Any, index: Array, some: Array) -> Any:
         prism = table[:, jnp.arange(frames), index][:, :, None]
-        hides, stands = _hides(fixed, prism, x, y, heights[:1], soft)
+        line = _own_frame(prism, fixed[0], fixed[1], x, y)
+        own_half = prism[4], prism[5]
+        # For t₀ and t₁ the ends of the stretch along the line will do.
+        ends = Cut(line.x, *stretch(line, own_half))
+        below = top_of(ends, prism[6] - fixed[2], fixed[2] - heights[:1])
+        hides = aside_of(line, own_half, soft) * jnp.maximum(below + REACH * soft, 0.0)
+        stands = _stands(line, own_half)
         # The prism's number replaces the last bits of how much it hides: max then keeps both.
         key = jax.lax.bitcast_convert_type(hides.astype(jnp.float32), jnp.uint32)
         key = (key & ~spare) | index.astype(jnp.uint32)[:, None]
@@ -158,15 +176,15 @@ def soft_sight(
         cuts = []
         for key in best:
             won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
-            cut = plan_cut(_own_frame(won, sx, sy, x, y), (won[4], won[5]))
-            hides = jnp.where(key > spare, step(cut.beside, width), 0.0)
-            cuts.append((cut, won[6] - sz, hides))
+            line, own_half = _own_frame(won, sx, sy, x, y), (won[4], won[5])
+            hides = jnp.where(key > spare, aside_of(line, own_half, width), 0.0)
+            cuts.append((plan_cut(line, own_half), won[6] - sz, hides))
 
         @jax.checkpoint
         def level(z: Float[Array, "1 C"]) -> Float[Array, "F C"]:
             clear = jnp.ones_like(sz)
             for cut, rise, hides in cuts:
-                clear *= 1.0 - hides * step(below_top(cut, rise, sz - z), width)
+                clear *= 1.0 - hides * step(top_of(cut, rise, sz - z), width)
             return clear
 
         return jax.lax.map(level, heights[:, None])
@@ -194,27 +212,24 @@ def _own_frame(prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: 
     )
 
 
-def _hides(
-    sensor: Float[Array, "3"],
-    prism: Float[Array, "7 ..."],
-    x: Float[Array, "*n"],
-    y: Float[Array, "*n"],
-    lowest: Float[Array, "*n"],
-    width: Float[Array, ""],
-) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """(how much of a column a prism hides, whether the prism stands on the column).
+def _stands(line: Line, half: Half) -> Bool[Array, "*n"]:
+    """Whether a prism stands on the column at which each line ends."""
+    return (jnp.abs(line.x + line.ex) < half[0]) & (jnp.abs(line.y + line.ey) < half[1])
 
-    The first is a cheap soft measure: the reading of how deep the line to the column's ``lowest``
-    voxel cuts into the prism sideways, times how far it passes below the top [m]. For t₀ and t₁ it
-    takes the ends of the prism's :func:`~inspe_jax.core.geometry.stretch` along the line.
+
+def _cutting(line: Line, half: Half, width: Width) -> Float[Array, "*n"]:
+    """The chance that a line meets a prism in plan, by how deep it cuts into it."""
+    return step(plan_margin(line, half), width)
+
+
+def _passing(line: Line, half: Half, width: Width) -> Float[Array, "*n"]:
+    """The chance that a line meets a prism in plan, from places of the sensor near by.
+
+    It passes neither to the left nor to the right, which exclude each other.
     """
-    a, b, top = prism[4:]
-    line = _own_frame(prism, sensor[0], sensor[1], x, y)
-    beside = plan_margin(line, (a, b))
-    cut = Cut(beside, *stretch(line, (a, b)))
-    below = below_top(cut, top - sensor[2], sensor[2] - lowest)
-    hides = step(beside, width) * jnp.maximum(below + REACH * width, 0.0)
-    return hides, (jnp.abs(line.x + line.ex) < a) & (jnp.abs(line.y + line.ey) < b)
+    cut = sensor_cut(line, half)
+    between = jnp.maximum(step(cut.left, width) + step(cut.right, width) - 1.0, 0.0)
+    return between * step(cut.ahead, width)
 
 
 # ── Tile by tile ───────────────────────────────────────────────────

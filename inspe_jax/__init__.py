@@ -30,7 +30,13 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
 from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
-from inspe_jax.scoring.detection import DetectionCurve, fit_detection
+from inspe_jax.scoring.detection import (
+    DetectionCurve,
+    DetectionCurves,
+    fit_detection,
+    load_detection,
+    save_detection,
+)
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.catalogue import Device, device, devices
@@ -50,6 +56,7 @@ __all__ = [
     "Constraints",
     "Contribution",
     "DetectionCurve",
+    "DetectionCurves",
     "Device",
     "InspeError",
     "Intersection",
@@ -80,6 +87,7 @@ __all__ = [
     "fit_detection",
     "in_view",
     "line_of_sight",
+    "load_detection",
     "load_layout",
     "load_result",
     "load_scene",
@@ -88,6 +96,7 @@ __all__ = [
     "methods",
     "optimise",
     "pareto",
+    "save_detection",
     "save_layout",
     "save_result",
     "save_scene",

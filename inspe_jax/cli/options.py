@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.problem import Case
     from inspe_jax.scene.scene import Scene
+    from inspe_jax.scoring.detection import DetectionCurves
     from inspe_jax.sensing.conditions import Conditions
 
 PriceOption = Annotated[
@@ -34,12 +35,22 @@ MethodOption = Annotated[
         "compares all methods."
     ),
 ]
+DetectionOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.toml|json",
+        help="Curves of detectability in place of the usual ones: a table for each kind of sensor "
+        "and class, such as [lidar.pedestrian] with most, half and slope. What is not in the file "
+        "keeps the usual curve.",
+    ),
+]
 OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")]
 
 
 @dataclass(frozen=True)
 class WeightOptions:
-    """The weights of metrics in P_sm, by name, and which metrics to compute besides.
+    """The weights of metrics in P_sm, by name, which metrics to compute besides, and the curves of
+    detectability.
 
     ``--weights C O IG`` of before still works.
     """
@@ -61,6 +72,7 @@ class WeightOptions:
             "with weight are computed in any case.",
         ),
     ] = ""
+    detection: DetectionOption = None
     three_weights: Annotated[
         tuple[float, float, float] | None,
         typer.Option("--weights", metavar="C O IG", hidden=True),
@@ -73,6 +85,12 @@ class WeightOptions:
         if self.weight and self.three_weights:
             raise InspeError("--weight and --weights are the same option: give only --weight")
         return weights_of(_weights(self.weight) if self.weight else self.three_weights)
+
+    def curves(self) -> "DetectionCurves | None":
+        """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
+        from inspe_jax.scoring.detection import load_detection
+
+        return None if self.detection is None else load_detection(self.detection)
 
     def further(self) -> tuple[str, ...]:
         """The names of the further metrics. Raises InspeError if one is of no metric."""
@@ -204,6 +222,7 @@ class SearchOptions(WeightOptions):
         wanted = Objective(
             weights=self.weights(),
             metrics=self.further(),
+            detection=self.curves(),
             regions=tuple(self.region or ()),
             over="worst" if self.worst else "mean",
             failures=self.failures,

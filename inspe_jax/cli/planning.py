@@ -157,7 +157,7 @@ def tolerance(
     from inspe_jax.sensing.conditions import Conditions
 
     check_record(record)
-    objective = Objective(weights=options.weights())
+    objective = Objective(weights=options.weights(), detection=options.curves())
     objective.check()
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):

@@ -27,7 +27,7 @@ from inspe_jax.cli.common import (
     scene_and_layout,
     show,
 )
-from inspe_jax.cli.options import WeightOptions, takes
+from inspe_jax.cli.options import DetectionOption, WeightOptions, takes
 from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
@@ -293,6 +293,7 @@ def score(
     - `inspe score four_way L-d1 --profile ideal`
     - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe score four_way L-d1 --metrics detectability,localisation`
+    - `inspe score four_way L-d1 --metrics detectability --detection mine.toml`
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
@@ -304,7 +305,7 @@ def score(
     check_output(plot, FORMATS)
     check_record(record)
     conditions, weights = Conditions.of(light, weather), options.weights()
-    further = options.further()
+    further, curves = options.further(), options.curves()
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("scoring"):
@@ -316,6 +317,7 @@ def score(
             visibility=visibility,
             conditions=conditions,
             metrics=further,
+            detection=curves,
         )
     show(scores_table(scores, placed), scores_record(scores, world, placed), record)
     if plot:
@@ -340,6 +342,7 @@ def targets(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    detection: DetectionOption = None,
 ) -> None:
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
@@ -355,16 +358,18 @@ def targets(
     from inspe_jax.core.files import check_output
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
+    from inspe_jax.scoring.detection import load_detection
     from inspe_jax.scoring.targets import target_view
     from inspe_jax.sensing.conditions import Conditions
 
     check_output(plot, FORMATS)
     check_record(record)
     conditions = Conditions.of(light, weather)
+    curves = None if detection is None else load_detection(detection)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("counting rays"):
-        view = target_view(world, placed, road_user, conditions=conditions)
+        view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
     show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     if plot:
         save_figure(targets_view(world, conditions.layout(placed), view), plot)

@@ -97,7 +97,7 @@ def report(
     check_output(path, (".html", ".htm"))
     check_output(pdf, (".pdf",))
     conditions, weights = Conditions.of(light, weather), options.weights()
-    further = options.further()
+    further, curves = options.further(), options.curves()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         check_frame(world, frame)
@@ -108,12 +108,11 @@ def report(
     entries = []
     for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = report_entry(case, layout, weights, result, further)
+            entry = report_entry(case, layout, weights, result, further, curves)
         if tolerance:
             with progress(f"installations of {layout.name}") as callback:
-                slopes = installed(
-                    case, layout, objective=Objective(weights=weights), progress=callback
-                )
+                wanted = Objective(weights=weights, detection=curves)
+                slopes = installed(case, layout, objective=wanted, progress=callback)
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
@@ -193,7 +192,7 @@ def view(
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = Conditions.of(light, weather), options.weights()
-    further = options.further()
+    further, curves = options.further(), options.curves()
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)
@@ -208,6 +207,7 @@ def view(
         path,
         weights=weights,
         metrics=further,
+        detection=curves,
         access=access,
         port=port,
     )

@@ -40,7 +40,7 @@ def view_from_poses(
     rays = grid.rays
     lengths = rays.table.rows.shape + rays.table.nearest.shape
     # Metrics do not change what is seen: without them fewer programs are compiled.
-    asked = asked._replace(metrics=())
+    asked = asked._replace(metrics=(), detection=None)
     bodies = 0 if tiled.statics is None else len(tiled.statics.top)
     key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, bodies, asked)
     jobs: list[Job] = [

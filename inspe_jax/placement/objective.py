@@ -7,11 +7,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from inspe_jax.core.digest import added
+from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.evaluate import check_options
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout
@@ -30,7 +31,8 @@ class Objective:
     ``price_weight`` is how much score a thousand US dollars must bring. ``budget`` is the most that
     the layout may cost [US dollars]. ``prices`` of devices [US dollars] replace the catalogue's.
     ``regions``, by name, are the only ones that count; all if none is given. ``metrics`` are also
-    in the scores of results; they do not change what is found.
+    in the scores of results; they do not change what is found. ``detection`` has the curves of
+    detectability, the usual ones if None.
     """
 
     weights: metrics.Weights = None
@@ -43,6 +45,7 @@ class Objective:
     prices: Mapping[str, float] = field(default_factory=dict)
     regions: tuple[str, ...] = added(())
     metrics: tuple[str, ...] = added(())
+    detection: DetectionCurves | None = field(default=None, metadata={ADDED: None})
 
     @property
     def weights_by_name(self) -> dict[str, float]:
@@ -52,7 +55,8 @@ class Objective:
 
     def check(self) -> None:
         """Raise InspeError where a setting is unknown or out of range."""
-        check_options(self.weights, self.occlusion_reference or "roi", self.visibility or "in_view")
+        reference, visibility = self.occlusion_reference or "roi", self.visibility or "in_view"
+        check_options(self.weights, reference, visibility, detection=self.detection)
         metrics.chosen(self.metrics)
         self._check_regions()
         if self.over not in COMBINATIONS:

@@ -273,6 +273,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             occlusion_reference=objective.occlusion_reference,
             visibility=objective.visibility,
             metrics=objective.metrics,
+            detection=objective.detection,
         )
         if not objective.regions:
             return found

@@ -116,7 +116,7 @@ class Problem:
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
         by_name = wanted.weights_by_name
         names = metrics.chosen(weights=by_name)
-        self.asked = Asked.of(**self.options, names=names)
+        self.asked = Asked.of(**self.options, names=names, detection=wanted.detection)
         self.objective = replace(
             wanted,
             weights={name: by_name[name] for name in names},

@@ -33,6 +33,7 @@ from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import Weights, listed_in
 from inspe_jax.scoring.target_metrics import ROWS
@@ -78,22 +79,25 @@ def report_entry(
     weights: Weights,
     result: Result | None = None,
     metrics: Sequence[str] = (),
+    detection: DetectionCurves | None = None,
 ) -> ReportEntry:
     """Score a layout for a page, without its tolerance.
 
-    ``metrics`` are computed besides the usual ones and those with weight. ``result`` is that of
+    ``metrics`` are computed besides the usual ones and those with weight, ``detection`` has the
+    curves of detectability, the usual ones if None. ``result`` is that of
     the search that found the layout, if any. Raises InspeError as :func:`inspe_jax.evaluate` does.
     """
     scene, conditions = case.scene, case.conditions
 
     def scores(of: Layout) -> Scores:
-        return evaluate(scene, of, weights=weights, conditions=conditions, metrics=metrics)
+        given: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
+        return evaluate(scene, of, conditions=conditions, **given)
 
     shed = viewshed(scene, layout, conditions=conditions)
     before, found = None if result is None else scores(result.start), scores(layout)
     targets = None
     if any(row.name in found.metrics for row in ROWS):
-        targets = target_view(scene, layout, conditions=conditions)
+        targets = target_view(scene, layout, conditions=conditions, detection=detection)
     return ReportEntry(layout, found, shed, result=result, before=before, targets=targets)
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS, view_outline
-from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.layers import SIGHT_COLORS, MapLayer
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -129,6 +129,19 @@ class Scene3D:
             opacity = FAINT * opacity if faint else opacity
             self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
 
+    def draw_columns(self, layer: MapLayer | None, *, faint: bool = False) -> None:
+        """Draw the columns on the ground in the colours of a layer of kinds; None draws none.
+
+        With ``faint`` they are nearly transparent, for a layout that has changed since.
+        """
+        for name in [name for name in self.drawn if name.startswith("columns/")]:
+            self._forget(name)
+        if layer is None:
+            return
+        for kind, (words, color) in enumerate(layer.kinds):
+            own = layer.values == kind
+            self._squares(f"columns/{words}", own, color, LIFT / 2, FAINT if faint else None)
+
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
         """Draw every sensor on its pole, the outline of what it looks at, and its number.
 
@@ -220,21 +233,26 @@ class Scene3D:
     def _draw_ground(self) -> None:
         """Draw a mesh for each region, with its corners on the ground."""
         grid = self.scene.voxels
-        index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)
         for region, color in GROUND_COLORS.items():
-            own = index[grid.region == region]
-            if not len(own):
-                continue
-            corner = own[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]  # (L, 4, 2)
-            at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
-            points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=0.0)
-            square = which.reshape(-1, 4)
-            faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
-            name = f"ground/{region.key}"
-            self.drawn[name] = self.api.add_mesh_simple(
-                name, points.astype(np.float32), faces.astype(np.uint32), color=rgb(color),
-                side="double", cast_shadow=False,
-            )  # fmt: skip
+            self._squares(f"ground/{region.key}", grid.region == region, color, 0.0)
+
+    def _squares(
+        self, name: str, own: np.ndarray, color: str, lift: float, opacity: float | None = None
+    ) -> None:
+        """Draw the squares of some columns (L,) so high above the ground [m], as one mesh."""
+        grid = self.scene.voxels
+        index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)[own]
+        if not len(index):
+            return
+        corner = index[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]  # (l, 4, 2)
+        at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
+        points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=lift)
+        square = which.reshape(-1, 4)
+        faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
+        self.drawn[name] = self.api.add_mesh_simple(
+            name, points.astype(np.float32), faces.astype(np.uint32), color=rgb(color),
+            side="double", cast_shadow=False, opacity=opacity,
+        )  # fmt: skip
 
     def _draw_lanes(self) -> None:
         near = []

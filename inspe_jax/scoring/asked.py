@@ -1,8 +1,9 @@
-"""What is asked of a score: options that the paper leaves open, and which metrics."""
+"""What is asked of a score: options that the paper leaves open, which metrics, and which curves."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from inspe_jax.scoring.detection import DetectionCurves, detection_curves
 from inspe_jax.scoring.metric import Metric
 from inspe_jax.scoring.metrics import METRICS, chosen
 
@@ -10,12 +11,14 @@ from inspe_jax.scoring.metrics import METRICS, chosen
 class Asked(NamedTuple):
     """What is asked of a score: the two options that the paper leaves open, and which metrics.
 
-    Options as in :func:`inspe_jax.evaluate`. Static: another value compiles another program.
+    Options as in :func:`inspe_jax.evaluate`; ``detection`` is None for the usual curves. Static:
+    another value compiles another program.
     """
 
     occlusion_reference: str = "roi"
     visibility: str = "in_view"
     metrics: tuple[Metric, ...] = ()
+    detection: DetectionCurves | None = None
 
     @classmethod
     def of(
@@ -23,10 +26,15 @@ class Asked(NamedTuple):
         occlusion_reference: str = "roi",
         visibility: str = "in_view",
         names: Sequence[str] | None = None,
+        detection: DetectionCurves | None = None,
     ) -> "Asked":
-        """These options, and the metrics of these names; the usual ones if None."""
+        """These options, and the metrics of these names; the usual ones if None.
+
+        Curves that equal the usual ones are the usual ones.
+        """
         names = chosen() if names is None else names
-        return cls(occlusion_reference, visibility, tuple(METRICS[name] for name in names))
+        curves = None if detection == detection_curves() else detection
+        return cls(occlusion_reference, visibility, tuple(METRICS[name] for name in names), curves)
 
     @property
     def sight(self) -> str | None:

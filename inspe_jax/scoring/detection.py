@@ -5,24 +5,37 @@ The chance is a logistic function of the logarithm of the number:
     g(n) = most / (1 + (half / n)^slope).
 
 ``detection.toml`` has the usual curves, one for each kind of sensor and class of road user, and
-their sources. :func:`fit_detection` finds curves from matched boxes of a detector.
+their sources. :func:`fit_detection` finds curves from matched boxes of a detector;
+:func:`load_detection` reads curves of one's own from a file, and :func:`save_detection` writes one.
 """
 
+import json
+import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from pydantic import BaseModel, create_model
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import (
+    STRICT,
+    check_input,
+    check_model,
+    check_output,
+    read_json,
+    write_text,
+)
 from inspe_jax.scene.traffic.frames import CLASSES
 
 BANDS: dict[str, float] = {
@@ -71,19 +84,146 @@ class DetectionCurve:
         return jnp.where(some, self.most * jax.nn.sigmoid(self.slope * jnp.log(share)), 0.0)
 
 
-Curves = Mapping[str, tuple[DetectionCurve, ...]]
-"""One curve for each class of :data:`~inspe_jax.scene.traffic.frames.CLASSES`, by the kind of
-sensor."""
+Fitted = Mapping[tuple[str, str], DetectionCurve]
+"""Curves by kind of sensor and class of road user, such as ("lidar", "car")."""
+
+
+@dataclass(frozen=True)
+class DetectionCurves:
+    """One curve for each kind of sensor and each class of road user.
+
+    ``lidar`` and ``camera`` have a curve for each of
+    :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in that order. Scores are compiled for the
+    curves, so they are compared by value.
+    """
+
+    lidar: tuple[DetectionCurve, ...]
+    camera: tuple[DetectionCurve, ...]
+
+    def of(self, kind: str) -> tuple[DetectionCurve, ...]:
+        """The curves of one kind of sensor, a curve for each class."""
+        found: tuple[DetectionCurve, ...] = getattr(self, kind)
+        return found
+
+    def with_curves(self, fitted: Fitted) -> "DetectionCurves":
+        """These curves, with those of ``fitted`` in place of the ones of the same kind and class.
+
+        Raises InspeError where a kind or a class is unknown.
+        """
+        new = {kind: list(self.of(kind)) for kind in KINDS}
+        for (kind, road_user), curve in fitted.items():
+            _check_word(kind, KINDS, "kind of sensor")
+            _check_word(road_user, CLASSES, "road user")
+            new[kind][CLASSES.index(road_user)] = curve
+        return replace(self, **{kind: tuple(of) for kind, of in new.items()})
+
+    @property
+    def record(self) -> dict[str, dict[str, dict[str, float]]]:
+        """The numbers of every curve by kind and class: the content of a file of curves."""
+        return {
+            kind: {
+                name: {f.name: getattr(curve, f.name) for f in fields(curve)}
+                for name, curve in zip(CLASSES, self.of(kind), strict=True)
+            }
+            for kind in KINDS
+        }
+
+
+KINDS = tuple(f.name for f in fields(DetectionCurves))
+"""The kinds of sensors that have curves."""
+
+
+def _check_word(word: str, known: tuple[str, ...], what: str) -> None:
+    if word not in known:
+        raise InspeError(f"{what} '{word}': one of {', '.join(known)}{nearest(word, known)}")
 
 
 @cache
-def detection_curves() -> Curves:
+def detection_curves() -> DetectionCurves:
     """The usual curves, from ``detection.toml``."""
     text = files("inspe_jax.scoring").joinpath("detection.toml").read_text("utf-8")
-    return {
-        kind: tuple(DetectionCurve(**of[name]) for name in CLASSES)
-        for kind, of in tomllib.loads(text).items()
-    }
+    return DetectionCurves(
+        **{
+            kind: tuple(DetectionCurve(**of[name]) for name in CLASSES)
+            for kind, of in tomllib.loads(text).items()
+        }
+    )
+
+
+class _CurveEntry(BaseModel):
+    model_config = STRICT
+    most: float
+    half: float
+    slope: float
+
+
+def _table(name: str, keys: Iterable[str], entry: Any) -> type[BaseModel]:
+    """A model of a table in which each of ``keys`` may be given."""
+    optional: dict[str, Any] = dict.fromkeys(keys, (entry | None, None))
+    return create_model(name, __config__=STRICT, **optional)
+
+
+_CurvesFile = _table("_CurvesFile", KINDS, _table("_KindEntry", CLASSES, _CurveEntry))
+SUFFIXES = (".toml", ".json")
+"""What the name of a file of curves ends in."""
+
+
+def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
+    """Curves from a TOML or JSON file: a table for each kind of sensor and class of road user.
+
+    Its form is that of ``scoring/detection.toml``::
+
+        [lidar.pedestrian]
+        most = 0.93     # chance with very many returns or pixels, above 0 and at most 1
+        half = 8.0      # number at which the chance is half of that
+        slope = 1.5     # of the logistic function of its logarithm
+
+    Where the file has no curve for a kind and class, the usual one stays. Raises InspeError, which
+    names the file and the key, where the file is missing or holds anything else, or no curve.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InspeError(
+            f"{path}: curves of detection are in a file ending {' or '.join(SUFFIXES)}"
+        )
+    given: dict[str, Any] = check_model(_CurvesFile, _read(path), str(path)).model_dump()
+    fitted: dict[tuple[str, str], DetectionCurve] = {}
+    for kind, of in given.items():
+        for road_user, row in (of or {}).items():
+            if row is None:
+                continue
+            try:
+                fitted[kind, road_user] = DetectionCurve(**row)
+            except InspeError as e:
+                raise InspeError(f"{path}: {kind}.{road_user}: {e}") from None
+    if not fitted:
+        raise InspeError(
+            f"{path}: it has no curve; give at least one, such as a table [lidar.car] with most, "
+            "half and slope"
+        )
+    return detection_curves().with_curves(fitted)
+
+
+def _read(path: Path) -> Any:
+    if path.suffix.lower() == ".json":
+        return read_json(path)
+    check_input(path)
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except ValueError as e:  # also what is not UTF-8
+        raise InspeError(f"{path}: not TOML: {e}") from e
+
+
+def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str]) -> None:
+    """Write curves to a JSON file that :func:`load_detection` reads.
+
+    ``curves`` of :func:`fit_detection` are put in place of the usual ones. Raises InspeError where
+    the file cannot be written.
+    """
+    check_output(path, SUFFIXES[1:])
+    if not isinstance(curves, DetectionCurves):
+        curves = detection_curves().with_curves(curves)
+    write_text(path, json.dumps(curves.record, indent=2) + "\n")
 
 
 def fit_detection(
@@ -107,11 +247,8 @@ def fit_detection(
                 f"box {line}: a row needs sensor, road_user, number and found, such as lidar, car, "
                 "12, 1"
             ) from None
-        for value, known in zip(key, (tuple(detection_curves()), CLASSES), strict=True):
-            if value not in known:
-                raise InspeError(
-                    f"box {line}: '{value}': one of {', '.join(known)}{nearest(value, known)}"
-                )
+        for value, known in zip(key, (KINDS, CLASSES), strict=True):
+            _check_word(value, known, f"box {line}:")
         if not 0 <= number < float("inf") or found not in (0.0, 1.0):
             raise InspeError(f"box {line}: number is 0 or more and found 0 or 1, not {dict(row)}")
         by.setdefault(key, []).append((number, found))

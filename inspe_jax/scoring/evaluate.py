@@ -15,6 +15,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.metrics import (
     OCCLUSION_REFERENCES,
@@ -125,6 +126,7 @@ def evaluate(
     softness: Any = 0.0,
     conditions: Conditions = FAIR,
     metrics: Sequence[str] = (),
+    detection: DetectionCurves | None = None,
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
@@ -139,7 +141,8 @@ def evaluate(
     ``in_view``. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
     view and shadows are read, and then rays are read as a density; or a
     :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are the light and the weather that
-    the sensors work in.
+    the sensors work in. ``detection`` has the curves of detectability, the usual ones if None
+    (:func:`~inspe_jax.scoring.detection.load_detection`).
 
     With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
     differentiable in P. The exact score is a step function, with gradient 0. The
@@ -151,9 +154,9 @@ def evaluate(
     so no entropy to resolve, unless information gain has weight 0; then information gain is 0.
     """
     options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, conditions=conditions)
+    check_options(weights, **options, conditions=conditions, detection=detection)
     by_name = weights_of(weights)
-    asked = Asked.of(**options, names=chosen(metrics, by_name))
+    asked = Asked.of(**options, names=chosen(metrics, by_name), detection=detection)
     check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
@@ -189,6 +192,7 @@ def evaluate(
             **options,
             softness=softness,
             **conditions.record,
+            **({} if asked.detection is None else dict(detection=asked.detection.record)),
         ),
     )
 
@@ -234,6 +238,7 @@ def evaluate_many(
     visibility: str | None = None,
     conditions: Conditions = FAIR,
     metrics: Sequence[str] = (),
+    detection: DetectionCurves | None = None,
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M sets of S poses: the metrics and P_sm only.
 
@@ -243,7 +248,7 @@ def evaluate_many(
     InspeError as that does, and where ``poses`` has another shape or is traced.
     """
     options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, conditions=conditions)
+    check_options(weights, **options, conditions=conditions, detection=detection)
     try:
         poses = np.asarray(poses, float)
     except (TypeError, ValueError):  # a traced array's error is a TypeError
@@ -272,7 +277,7 @@ def evaluate_many(
         np.stack([poses_about_center(scene, one) for one in layouts]),
         SensorSet.of(layout),
         scene.voxels.size,
-        Asked.of(**options, names=chosen(metrics, by_name)),
+        Asked.of(**options, names=chosen(metrics, by_name), detection=detection),
     )
     return ManyScores(found, np.asarray(surrogate(found, by_name)))
 
@@ -332,11 +337,17 @@ def check_options(
     occlusion_reference: str,
     visibility: str,
     conditions: Conditions = FAIR,
+    detection: DetectionCurves | None = None,
 ) -> None:
     """Raise InspeError where an option of :func:`evaluate` is unknown."""
     if not isinstance(conditions, Conditions):
         raise InspeError(
             f"conditions {conditions!r}: give them as inspe_jax.Conditions.of('night', 'rain:10')"
+        )
+    if not (detection is None or isinstance(detection, DetectionCurves)):
+        raise InspeError(
+            f"detection {detection!r}: give curves, as inspe_jax.load_detection('curves.toml') "
+            "reads them"
         )
     if occlusion_reference not in OCCLUSION_REFERENCES:
         raise unknown_reference(occlusion_reference)

@@ -21,6 +21,7 @@ from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.past_statics import past_statics, sights_past_statics
@@ -289,7 +290,8 @@ def _terms(
     if all(metric.terms is None for metric in asked.metrics):
         return {}
     tiles = tiled.tiles
-    work = partial(_tile_terms, metrics=asked.metrics, whole=tiles.slabs == 1)
+    static: dict[str, Any] = dict(metrics=asked.metrics, detection=asked.detection)
+    work = partial(_tile_terms, **static, whole=tiles.slabs == 1)
     if not any(metric.sight for metric in asked.metrics):
         sights = None
     if sights is not None:
@@ -319,7 +321,7 @@ def _terms(
     return jax.tree.map(joined, *parts)
 
 
-@partial(jax.jit, static_argnames=("metrics", "whole"))
+@partial(jax.jit, static_argnames=("metrics", "detection", "whole"))
 def _tile_terms(
     tiles: Tile,
     last: Bool[Array, " N"],
@@ -330,6 +332,7 @@ def _tile_terms(
     sensors: SensorArray,
     *,
     metrics: tuple[Metric, ...],
+    detection: DetectionCurves | None,
     whole: bool,
 ) -> dict[str, Any]:
     """:func:`_terms` of some tiles. ``whole``: they have whole columns."""
@@ -338,7 +341,7 @@ def _tile_terms(
     def terms(tile: Tile, *given: Any) -> dict[str, Any]:
         last, views, sights = given
         of_sensors = views, sights, frames, poses, sensors
-        at = TileEvidence(BITS, tile, *of_sensors, last, whole)
+        at = TileEvidence(BITS, tile, *of_sensors, last, whole, detection)
         return tile_terms(metrics, at)
 
     by_tile = (tiles, last, *(x if x is None else x.swapaxes(0, 1) for x in (views, sights)))

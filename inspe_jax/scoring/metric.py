@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
 from inspe_jax.core.numerics import Groups, Width
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence
 from inspe_jax.visibility.tiles import Tile
@@ -53,8 +54,9 @@ class TileEvidence:
     ``views`` are the sets that each of S sensors has in view, as ``reading`` stores them.
     ``sights`` (S, C, Z) is the number of ``frames`` in which each has each voxel in line of sight;
     None unless some metric needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no
-    slab of levels is above the tile; ``whole``: there are no slabs, the tile has whole columns. Not
-    an array itself: it lives while a program is traced.
+    slab of levels is above the tile; ``whole``: there are no slabs, the tile has whole columns.
+    ``detection`` has the curves of detection, None for the usual ones. Not an array itself: it
+    lives while a program is traced.
     """
 
     reading: Sets
@@ -66,6 +68,7 @@ class TileEvidence:
     sensors: SensorArray
     last: Bool[Array, ""]
     whole: bool
+    detection: DetectionCurves | None = None
 
     @property
     def failures(self) -> Groups | None:
@@ -87,7 +90,7 @@ class TileEvidence:
     def targets(self) -> TargetEvidence:
         """What each sensor has on road users that stand at each column."""
         given = self.sensors, self.poses, self.tile, self.sight, self.last
-        return target_evidence(*given, self.reading.width)
+        return target_evidence(*given, self.reading.width, self.detection)
 
 
 class Evidence(NamedTuple):

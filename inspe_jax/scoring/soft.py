@@ -69,7 +69,8 @@ def read_softly(
             sights = checkpoint_name(counts.sights, SIGHTS)
             sights = sights if past is None else sights * past.swapaxes(1, 2)
         of_sensors = f, sights, tiled.frame_count, poses, sensors
-        at = TileEvidence(numbers, tile, *of_sensors, last, tiled.tiles.slabs == 1)
+        whole = tiled.tiles.slabs == 1
+        at = TileEvidence(numbers, tile, *of_sensors, last, whole, asked.detection)
         visible = f if asked.visibility == "in_view" else at.visible
         covered = numbers.any_of(f, failures)
         return (

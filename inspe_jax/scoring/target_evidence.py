@@ -5,6 +5,7 @@ same is found for scores, in one pass for all classes: rays are counted on slabs
 and a road user is a face of its mean width, with its roof above.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +16,12 @@ from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import BANDS, detection_curves
+from inspe_jax.scoring.detection import (
+    BANDS,
+    DetectionCurve,
+    DetectionCurves,
+    detection_curves,
+)
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
@@ -62,17 +68,22 @@ def target_evidence(
     sight: Float[Array, "S Z C"],
     last: Bool[Array, ""],
     width: Width,
+    detection: DetectionCurves | None = None,
 ) -> TargetEvidence:
     """What every sensor has on the road users at the columns of one tile.
 
     ``sight`` is the share of frames in which each voxel is in line of sight, ``last`` whether no
     slab of levels is above the tile, ``width`` [m] that with which the ends of reach and pictures
-    are read. A sensor with nothing in sight is skipped.
+    are read, ``detection`` the curves of detection, the usual ones if None. A sensor with nothing
+    in sight is skipped.
     """
+    curves = detection or detection_curves()
 
     def look(kind: Kind, row: tuple[RayTable, Array, Array, Array]) -> TargetEvidence:
         table, pixels, pose, seen = row
-        return _of_sensor(kind.rays(table), pixels, pose, tile, seen, last, width)
+        rays = kind.rays(table)
+        of_kind = curves.camera if rays.slants else curves.lidar
+        return target_evidence_of_sensor(rays, pixels, pose, tile, seen, last, width, of_kind)
 
     def nothing(row: Any) -> TargetEvidence:
         shapes = jax.eval_shape(partial(look, sensors.kinds[0]), row)
@@ -90,7 +101,7 @@ def target_evidence(
     return jax.lax.map(of_row, (kind, (*of_sensors, poses, sight)))
 
 
-def _of_sensor(
+def target_evidence_of_sensor(
     rays: Rays,
     pixels: Float[Array, ""],
     pose: Float[Array, "6"],
@@ -98,10 +109,14 @@ def _of_sensor(
     sight: Float[Array, "Z C"],
     last: Bool[Array, ""],
     width: Width,
+    curves: Sequence[DetectionCurve],
 ) -> TargetEvidence:
-    """What one sensor has on the road users at the columns of one tile."""
-    kind, transform = tile.heights.dtype, transform_of(pose)
-    camera, curves = rays.slants, detection_curves()["camera" if rays.slants else "lidar"]
+    """What one sensor has on the road users at the columns of one tile.
+
+    ``pixels`` is the number of pixels that a ray stands for. ``curves`` has one for each class;
+    other arguments as in :func:`target_evidence`, and ``sight`` (Z, C) is of this sensor.
+    """
+    kind, transform, camera = tile.heights.dtype, transform_of(pose), rays.slants
     to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
     away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, CHORD.max() ** 2))
     foot, (low, high) = tile.ground - pose[2], _slabs(tile)

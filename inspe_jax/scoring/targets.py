@@ -15,7 +15,11 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, RoadUser
 from inspe_jax.scoring.asked import Asked
-from inspe_jax.scoring.detection import DetectionCurve, detection_curves
+from inspe_jax.scoring.detection import (
+    DetectionCurve,
+    DetectionCurves,
+    detection_curves,
+)
 from inspe_jax.scoring.exact import ONE_MORE, sight_shares
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
@@ -71,13 +75,14 @@ def target_view(
     *,
     conditions: Conditions = FAIR,
     noise: LidarNoise | None = None,
+    detection: DetectionCurves | None = None,
 ) -> TargetView:
     """LiDAR returns and pixels per metre on a road user that stands at each column of a scene.
 
     ``road_user`` is one of :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in its typical size and
     with any heading. ``conditions`` shorten what a sensor reaches; ``noise`` says which returns are
-    lost, as in recordings. A vehicle that stands on the target's own place does not hide it: the
-    target is in its stead.
+    lost, as in recordings; ``detection`` has the curves of detection, the usual ones if None. A
+    vehicle that stands on the target's own place does not hide it: the target is in its stead.
 
     Traffic is looked at slab by slab of the target's height, by the line of sight to the middle of
     the column. Raises InspeError as :func:`inspe_jax.evaluate` does, and where ``road_user`` is no
@@ -95,7 +100,7 @@ def target_view(
     edges[-1] = max(edges[-1], height)  # what is higher than the levels is seen as the last one
     slabs = jnp.asarray(edges, float)
     points, free, pixels, found = (np.zeros((len(layout), len(feet))) for _ in range(4))
-    curves = {kind: of[CLASSES.index(road_user)] for kind, of in detection_curves().items()}
+    curves, number = detection or detection_curves(), CLASSES.index(road_user)
     for s, pose in enumerate(poses_about_center(scene, layout)):
         spec = layout.sensors[s].spec
         at = spec.grid.rays, transform_of(jnp.asarray(pose, float)), feet
@@ -103,7 +108,7 @@ def target_view(
         given = (noise or LidarNoise()) if lidar else None
         on = np.asarray(rays_on_target(*at, slabs, size=user.size, noise=given))
         found[s] = _found(
-            curves["lidar" if lidar else "camera"], on * spec.pixels_per_ray, sight[s]
+            (curves.lidar if lidar else curves.camera)[number], on * spec.pixels_per_ray, sight[s]
         )
         if spec.focal_pixels is None:
             free[s], points[s] = on.sum(1), (on * sight[s]).sum(1)

@@ -6,6 +6,7 @@ scores count. They are for pictures: scores need only their sums.
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -99,7 +100,8 @@ def _visible(
     It is 1 for a voxel in view, or the share of frames in which the voxel is seen. The programs
     that a score compiles count it.
     """
-    asked = Asked.of(**options_of(scene))
+    options: dict[str, Any] = dict(options_of(scene))
+    asked = Asked.of(**options)
     if not asked.counts_sight:
         return flags.astype(float)
     return flags * sight_shares(tiled_scene_of(scene), views, sensors, asked, len(layout))

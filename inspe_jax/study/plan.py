@@ -28,6 +28,7 @@ The form of the file. Paths are relative to it; every setting is one value or a 
       method: [none, greedy-adam]    # score the layout, or search first: method, seconds,
       seconds: 30                    #   evaluations, search_seed
     metrics: [detectability]         # columns besides C, O, IG and the metrics with weight
+    detection: mine.toml             # curves of detectability, in place of the usual ones
 """
 
 import os
@@ -46,6 +47,7 @@ from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
 from inspe_jax.scoring.evaluate import check_options
 from inspe_jax.study.settings import (
     CHECKS,
@@ -53,6 +55,7 @@ from inspe_jax.study.settings import (
     Count,
     Length,
     Several,
+    Text,
     WorldSettings,
     check_settings,
     combinations,
@@ -91,7 +94,8 @@ class StudyJob:
     """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`.
 
     ``metrics`` are computed: the usual ones, those the study asks for, and those with weight in
-    some job. They change no other number.
+    some job. They change no other number. ``detection`` has the curves of detectability, None for
+    the usual ones; a job has the curves, not their file, and its key depends on them.
     """
 
     source: SceneSource
@@ -99,11 +103,13 @@ class StudyJob:
     settings: Mapping[str, Any]
     tags: Mapping[str, str] = field(default_factory=dict)
     metrics: tuple[str, ...] = ()
+    detection: DetectionCurves | None = None
 
     @cached_property
     def key(self) -> str:
         """A short text that identifies the job: a digest of all that its result depends on."""
-        return digest([self.source.anywhere, self.layout, without_later(self.settings)])[:16]
+        curves = () if self.detection is None else (self.detection,)
+        return digest([self.source.anywhere, self.layout, without_later(self.settings), *curves])[:16]
 
     @cached_property
     def scene(self) -> str:
@@ -199,6 +205,7 @@ class _StudyFile(Sources):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: _Settings = _Settings()
     metrics: list[str] = Field(default=[])
+    detection: Text | None = None
 
 
 _CHECKS = CHECKS | {
@@ -234,6 +241,7 @@ def make_study(
         found = metrics.chosen(entry.metrics, _in_any(weights))
     except InspeError as e:
         raise InspeError(f"{where}: metrics: {e}") from None
+    curves = _curves(entry.detection, folder, where)
     layouts = layout_sources(entry, folder, where)
     jobs: dict[str, StudyJob] = {}
     for _, item, source, given in each_scene(entry.scenes, BUILD_SETTINGS, whole, folder, where):
@@ -246,9 +254,20 @@ def make_study(
                         of, (*CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS), defaults
                     ):
                         settings = build | _completed(conditioned(rest))
-                        job = StudyJob(source, layout, settings, dict(item.tags))
+                        job = StudyJob(source, layout, settings, dict(item.tags), (), curves)
                         jobs.setdefault(job.key, job)
     return Study(entry.name or name, tuple(replace(job, metrics=found) for job in jobs.values()))
+
+
+def _curves(given: str | None, folder: Path, where: str) -> DetectionCurves | None:
+    """The curves of a study's file of curves; None where they are the usual ones."""
+    if given is None:
+        return None
+    try:
+        curves = load_detection(folder / given)
+    except InspeError as e:
+        raise InspeError(f"{where}: detection: {e}") from None
+    return None if curves == detection_curves() else curves
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:

@@ -158,6 +158,7 @@ def _scored(
         occlusion_reference=given["occlusion_reference"],
         visibility=given["visibility"],
         metrics=job.metrics,
+        detection=job.detection,
     )
     if given["method"] == SCORE_ONLY:
         return evaluate(scene, layout, conditions=around, **options), None, None

@@ -16,6 +16,7 @@ from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.server import AccessRules, quiet, serve
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.display import Display
@@ -27,8 +28,6 @@ from inspe_jax.viewer.searcher import SearchCallbacks, SearchEnding, Searcher
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import EarlierFile, LayoutStore
 
-NARROW = 0.8
-"""A window that is narrower than this, width to height, is taken for a telephone's."""
 PLAYED = 0.25
 """Least time between two frames that are played [s]."""
 TYPED = 0.7
@@ -51,17 +50,20 @@ class Viewer:
         *,
         weights: Weights = None,
         metrics: Sequence[str] = (),
+        detection: DetectionCurves | None = None,
         access: AccessRules | None = None,
         port: int = 8080,
     ) -> None:
         """Serve the page at once.
 
-        ``path`` is the layout's file. ``weights`` and ``metrics`` as in :func:`inspe_jax.evaluate`.
+        ``path`` is the layout's file. ``weights``, ``metrics`` and ``detection`` as in
+        :func:`inspe_jax.evaluate`.
         ``access`` says on which address the viewer listens and who may open the page. Without it,
         only browsers on this machine may, and only with the secret token that ``url`` contains. If
         ``port`` is taken, the next free one is used. Raises InspeError if no port can be opened.
         """
-        self.case, self.weights, self.metrics = case, weights, metrics
+        self.case, self.weights = case, weights
+        self.further = dict[str, Any](metrics=metrics, detection=detection)
         self.store = LayoutStore(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
         self.session = LayoutSession(case.scene, layout)
@@ -78,17 +80,18 @@ class Viewer:
         plain: Any = dict(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
         self.server.gui.configure_theme(**plain)
         self.server.gui.set_panel_label(f"{layout.name} at {case.scene.name}")
-        self.server.on_client_connect(self._greet)
         self.server.gui.main_panel.dock_right()
         self.panel = Panel(self.server.gui, self, self.frames)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self._click)
         self.scene3d = self.display.scene3d
-        self.scorer = Scorer(case, weights, self._on_scores, self._on_sight, metrics)
+        heard = self._on_scores, self._on_sight, self._on_found
+        self.scorer = Scorer(case, weights, *heard, **self.further)
         self.searcher = Searcher(
             case,
             weights,
             self.session.constraints,
             SearchCallbacks(self._on_progress, self._on_better, self._on_compiling, self._on_end),
+            detection,
         )
         self.handle = Handle(self.server.scene, self._on_drag)
         self.panel.offer_earlier(self.store.earlier)
@@ -104,13 +107,6 @@ class Viewer:
     def _frame(self) -> int:
         """The slider's frame. With a single frame the slider still has two places."""
         return min(max(int(self.panel.frame.value), 0), self.frames - 1)
-
-    def _greet(self, client: Any) -> None:
-        """Set a new browser's camera. On a narrow screen the controls cover the lower part."""
-        if client.camera.aspect < NARROW:
-            radius = self.case.scene.voxels.radius
-            client.camera.position = (0.0, -2.3 * radius, 2.2 * radius)
-            client.camera.look_at = (0.0, -1.5 * radius, 0.0)
 
     def close(self) -> None:
         """Apply what is typed, stop the search, finish a report that is being written, and stop."""
@@ -172,7 +168,7 @@ class Viewer:
                 pose[2] += value - self.session.height(s)
             elif key in ("x", "y"):
                 pose["xy".index(key)] = value
-                pose[:2] = self._inside(pose[:2])
+                pose[:2] = self.session.inside(pose[:2])
             else:
                 pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
             self.session.move(s, pose)
@@ -196,7 +192,7 @@ class Viewer:
         at = np.array(client.camera.look_at, float)[:2] + self.scene3d.shift[:2]
 
         def job() -> None:
-            self._selected = self.session.add(name, self._inside(at))
+            self._selected = self.session.add(name, self.session.inside(at))
 
         self._change(job)
 
@@ -207,6 +203,11 @@ class Viewer:
     def show_voxels(self) -> None:
         """Show the kinds of voxels that are ticked."""
         self.queue.submit(self.display.draw_voxels, key="ticks")
+
+    def color_ground(self) -> None:
+        """Colour the ground as it is chosen, once what that needs is found."""
+        self.scorer.find_targets(self.panel.road_user)
+        self.queue.submit(self.display.draw_ground, key="ground")
 
     def optimise(self) -> None:
         """Start a search from the present layout."""
@@ -274,8 +275,8 @@ class Viewer:
                 self._failed(wrong)
 
         def job() -> None:
-            given = self.case, self.layout, self.weights, self._frame, ended, self.metrics
-            if self.store.report(*given):
+            given = self.case, self.layout, self.weights, self._frame, ended
+            if self.store.report(*given, **self.further):
                 self.panel.report.disabled = True
                 self._notify("Report", "drawing …", None)
 
@@ -316,14 +317,8 @@ class Viewer:
 
     def _dragged_pose(self, s: int, drag: HandleDrag) -> Float[np.ndarray, "6"]:
         pose = drag.on(np.array(self.layout.poses[s], float), self.scene3d.shift)
-        pose[:2] = self._inside(pose[:2])
+        pose[:2] = self.session.inside(pose[:2])
         return pose
-
-    def _inside(self, at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest."""
-        center, radius = self.case.scene.voxels.center[:2], self.case.scene.voxels.radius
-        away = at - center
-        return center + away * min(1.0, radius / max(float(np.hypot(*away)), 1e-9))
 
     # ── Callbacks of the scorer and the search, from their threads ──
 
@@ -337,6 +332,9 @@ class Viewer:
                 self._playing.start(PLAYED, self._next)
 
         self.queue.submit(job, key="sight")
+
+    def _on_found(self, layout: Layout, road_user: str, chance: Float[np.ndarray, " L"]) -> None:
+        self.queue.submit(lambda: self.display.show_found(layout, road_user, chance), key="found")
 
     def _next(self) -> None:
         if self.panel.play.value:

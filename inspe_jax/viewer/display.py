@@ -8,18 +8,21 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import viser
-from jaxtyping import UInt
+from jaxtyping import Float, UInt
 
 from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.scene3d import Scene3D, look_from
+from inspe_jax.report.targets import CHANCES, banded
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 
+NARROW = 0.8
+"""A window that is narrower than this, width to height, is taken for a telephone's."""
 STALE = 0.5
 """Scores and voxels of the layout before fade after this time [s]."""
 SCORES, SCORES_COMPILE = "scores", 10.0
@@ -51,12 +54,21 @@ class Display:
         self._notes: Sequence[str] = ()
         self._first: dict[int, float] = {}  # scores of the opened layout, by frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
+        self._found: tuple[Layout, str, Float[Any, " L"]] | None = None
         self._drawn_frame, self._faded = -1, False
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
         self.scene3d = Scene3D(server.scene, case.scene)
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=1.25)
+        server.on_client_connect(self._greet)
+
+    def _greet(self, client: Any) -> None:
+        """Set a new browser's camera. On a narrow screen the controls cover the lower part."""
+        if client.camera.aspect < NARROW:
+            radius = self._case.scene.voxels.radius
+            client.camera.position = (0.0, -2.3 * radius, 2.2 * radius)
+            client.camera.look_at = (0.0, -1.5 * radius, 0.0)
 
     def draw(self, layout: Layout, faults: Sequence[Fault] = (), notes: Sequence[str] = ()) -> None:
         """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
@@ -75,14 +87,35 @@ class Display:
             self._drawn_frame = frame
 
     def draw_voxels(self) -> None:
-        """Show the kinds of voxels that are ticked, in the frame that is shown."""
+        """Show the kinds of voxels that are ticked, in the frame that is shown.
+
+        None is shown where the ground has colours of its own, which they would hide.
+        """
         if self._sight is None:
             return
         frame, sight = self._sight
         with self._server.atomic():
             self.draw_users(frame)
             ticked = [kind for kind, box in self._panel.shown.items() if box.value]
+            ticked = [] if self._panel.road_user else ticked
             self.scene3d.draw_voxels(sight, ticked, faint=self._faded)
+
+    def draw_ground(self) -> None:
+        """Colour the ground as it is chosen: by regions, or by the chance to find a road user."""
+        road_user, found = self._panel.road_user, self._found
+        with self._server.atomic():
+            if road_user is None or found is None or found[1] != road_user:
+                self.scene3d.draw_columns(None)
+            else:
+                layer = banded(road_user, found[2], CHANCES)
+                self.scene3d.draw_columns(layer, faint=found[0] is not self.shown)
+            self.draw_voxels()
+        self._show_scores()
+
+    def show_found(self, layout: Layout, road_user: str, chance: Float[Any, " L"]) -> None:
+        """Show the chance to find a road user at each column."""
+        self._found = layout, road_user, chance
+        self.draw_ground()
 
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
@@ -114,7 +147,7 @@ class Display:
             if self.scored is None or self.scored.layout is not self.shown:
                 if not self._faded:
                     self._faded = True
-                    self.draw_voxels()
+                    self.draw_ground()
                 self._show_scores()
                 self._wait()
 
@@ -131,6 +164,7 @@ class Display:
             notes=self._notes,
             waiting=self._waiting_words(),
             faded=self._faded,
+            road_user=self._panel.road_user,
         )
 
     def _waiting_words(self) -> str:

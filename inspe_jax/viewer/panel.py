@@ -7,6 +7,7 @@ from typing import Any
 import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
+from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
@@ -22,6 +23,11 @@ POSE = {
     "pitch": "pitch [°]",
 }
 """The numbers of a pose, with their labels; shown to one decimal."""
+
+
+REGIONS = "regions"
+GROUND: dict[str, str | None] = {REGIONS: None} | {f"finding a {name}": name for name in CLASSES}
+"""What the ground can be coloured by: its regions, or the chance to find a road user there."""
 
 
 class Panel:
@@ -58,6 +64,12 @@ class Panel:
         with gui.add_folder("Traffic"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
+            self.ground = gui.add_dropdown(
+                "Ground",
+                list(GROUND),
+                hint="Colour the ground by its regions; or by the chance that a detector finds a "
+                "road user who stands there, mean over all frames. Voxels are then not drawn.",
+            )
             self.shown = {
                 kind: gui.add_checkbox(name, kind is not Visibility.SEEN)
                 for kind, name in VISIBILITY_NAMES.items()
@@ -80,6 +92,7 @@ class Panel:
         self._bind(self.stop, viewer.stop)
         self._bind(self.frame, viewer.select_frame)
         self._bind(self.play, viewer.select_frame)
+        self._bind(self.ground, viewer.color_ground)
         for box in self.shown.values():
             self._bind(box, viewer.show_voxels)
         self._bind(self.save, viewer.save)
@@ -140,6 +153,11 @@ class Panel:
 
     def _typed(self, viewer: Any, key: str) -> None:
         viewer.type_number(self.chosen, key, float(self.pose[key].value))
+
+    @property
+    def road_user(self) -> str | None:
+        """The class of road users by whose chance the ground is coloured; None for its regions."""
+        return GROUND.get(self.ground.value)
 
     @property
     def chosen(self) -> int:

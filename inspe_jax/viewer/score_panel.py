@@ -8,6 +8,7 @@ from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
 from inspe_jax.report.page import template
 from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
+from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
@@ -39,6 +40,7 @@ def score_panel(
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
     faded: bool = False,
+    road_user: str | None = None,
 ) -> str:
     """A layout's scores as HTML.
 
@@ -49,6 +51,7 @@ def score_panel(
     ``notes``: how mounting has changed the last change, in words.
     ``waiting``: what is being done while the layout has no scores.
     ``faded``: whether scores of another layout are faded.
+    ``road_user``: by the chance to find whom the ground is coloured; None if it is not.
     """
     scores = None if scored is None else scored.scores
     new = scored if scored is not None and scored.layout is layout else None
@@ -73,9 +76,16 @@ def score_panel(
         sensors=len(layout),
         units=len(layout.units),
         cost=cost_of(layout),
-        keys=LEGEND,
+        keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
     )
+
+
+def _found_keys(road_user: str) -> tuple[tuple[str, str], ...]:
+    """The legend where the ground has the colours of the chance to find a road user."""
+    kinds = {*VISIBILITY_NAMES.values()}
+    rest = tuple(row for row in LEGEND if row[0] not in kinds)
+    return (*((f"{road_user} found {words}", color) for _, words, color in CHANCES), *rest)
 
 
 def _state(scored: ScoredLayout, frames: int) -> str:

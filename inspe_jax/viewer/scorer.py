@@ -8,20 +8,24 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import UInt
+from jaxtyping import Float, UInt
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import Weights
+from inspe_jax.scoring.targets import target_view
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.layout import Layout
 
 SHOWN = 20
 """Number of frames that are scored first, evenly spread over all."""
+_JOBS = ("end", "few", "sight", "found", "whole")  # the first of them is done first
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -48,31 +52,39 @@ class Scorer:
         weights: Weights,
         scored: Callable[[ScoredLayout], None],
         sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
+        found: Callable[[Layout, str, Float[np.ndarray, " L"]], None] = lambda *_: None,
         metrics: Sequence[str] = (),
+        detection: DetectionCurves | None = None,
     ) -> None:
         """The callbacks run on the scorer's thread.
 
-        ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel.
-        ``weights`` and ``metrics`` as in :func:`inspe_jax.evaluate`.
+        ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel;
+        ``found`` a layout, a class of road users and the chance to find one at each column.
+        ``weights``, ``metrics`` and ``detection`` as in :func:`inspe_jax.evaluate`.
         """
-        self.case, self.weights, self.metrics = case, weights, metrics
-        self._scored, self._sighted = scored, sighted
+        self.case, self.detection = case, detection
+        self._options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
+        self._scored, self._sighted, self._found = scored, sighted, found
         traffic = case.scene.traffic
         step = max(1, -(-traffic.frame_count // SHOWN))
         self.few = replace(case.scene, traffic=jax.tree.map(lambda leaf: leaf[::step], traffic))
         self._layout: Layout | None = None
         self._frame, self._since = 0, 0.0
+        self._road_user: str | None = None
         self._todo: set[str] = set()
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="scorer", daemon=True)
         self._thread.start()
 
     def score(self, layout: Layout, *, whole: bool) -> None:
-        """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees."""
+        """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees.
+
+        With ``whole``, the chance to find road users too, if a class of them is selected.
+        """
         with self._changed:
             self._layout, self._since = layout, time.monotonic()
-            self._todo -= {"whole"}
-            self._todo |= {"few", "sight", *(["whole"] if whole else [])}
+            self._todo -= {"whole", "found"}
+            self._todo |= {"few", "sight", *(["whole", "found"] if whole else [])}
             self._changed.notify()
 
     def select_frame(self, frame: int) -> None:
@@ -80,6 +92,13 @@ class Scorer:
         with self._changed:
             self._frame = frame
             self._todo |= {"sight"}
+            self._changed.notify()
+
+    def find_targets(self, road_user: str | None) -> None:
+        """Find the chance to find a road user of this class, for every layout from now on."""
+        with self._changed:
+            self._road_user = road_user
+            self._todo |= {"found"}
             self._changed.notify()
 
     def close(self) -> None:
@@ -93,28 +112,26 @@ class Scorer:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._todo)
-                job = next(j for j in ("end", "few", "sight", "whole") if j in self._todo)
+                job = next(j for j in _JOBS if j in self._todo)
                 self._todo.remove(job)
                 layout, frame, since = self._layout, self._frame, self._since
+                road_user = self._road_user
             if job == "end":
                 return
             if layout is None:
                 continue
             if job == "sight":
                 self._find_visible(layout, frame)
+            elif job == "found":
+                if road_user is not None:
+                    self._find_chance(layout, road_user)
             else:
                 self._score(layout, job == "whole", since)
 
     def _score(self, layout: Layout, whole: bool, since: float) -> None:
         scene, scores, wrong = self.case.scene if whole else self.few, None, ""
         try:
-            scores = evaluate(
-                scene,
-                layout,
-                conditions=self.case.conditions,
-                weights=self.weights,
-                metrics=self.metrics,
-            )
+            scores = evaluate(scene, layout, conditions=self.case.conditions, **self._options)
         except InspeError as e:
             wrong = str(e)
         except Exception as e:  # such as out of memory: the next layout may succeed
@@ -128,3 +145,13 @@ class Scorer:
         except Exception:  # the scores report it
             return
         self._sighted(layout, frame, sight)
+
+    def _find_chance(self, layout: Layout, road_user: str) -> None:
+        around, curves = self.case.conditions, self.detection
+        try:
+            view = target_view(
+                self.case.scene, layout, road_user, conditions=around, detection=curves
+            )
+        except Exception:  # the scores report it
+            return
+        self._found(layout, road_user, view.detectability)

@@ -15,6 +15,7 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import named_optimised
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.search_process import SearchTask
@@ -70,8 +71,10 @@ class Searcher:
         weights: Weights,
         constraints: Constraints,
         callbacks: SearchCallbacks,
+        detection: DetectionCurves | None = None,
     ) -> None:
-        self.case, self.weights, self.constraints = case, weights, constraints
+        self.case, self.constraints = case, constraints
+        self.objective = Objective(weights=weights, detection=detection)
         self._callbacks, self._lock = callbacks, threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
         self._closed = self._ready = False
@@ -115,8 +118,7 @@ class Searcher:
             except OSError as e:
                 self._end(f"no process could be started for the search: {e.strerror}", failed=True)
                 return
-            objective = Objective(weights=self.weights)
-            task = SearchTask(self.case, layout, method, seconds, objective, self.constraints)
+            task = SearchTask(self.case, layout, method, seconds, self.objective, self.constraints)
             # The process reads only once it has started; the caller should not wait for that.
             threading.Thread(target=self._send, args=(self._process, task), daemon=True).start()
 

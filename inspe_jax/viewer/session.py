@@ -199,6 +199,12 @@ class LayoutSession:
             self._space = kept = Space(self.scene, wanted, self.constraints)
         return kept
 
+    def inside(self, at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """The nearest point [m] within the region of interest."""
+        center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
+        away = at - center
+        return center + away * min(1.0, radius / max(float(np.hypot(*away)), 1e-9))
+
     def _ground(self, foot: Float[np.ndarray, "2"]) -> float:
         return float(self.scene.intersection.ground(foot[None])[0])
 

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
 
@@ -135,6 +137,7 @@ class LayoutStore:
         frame: int,
         ended: Callable[[Path, Exception | None], None],
         metrics: Sequence[str] = (),
+        detection: DetectionCurves | None = None,
     ) -> bool:
         """Write a report on a thread of its own.
 
@@ -146,7 +149,8 @@ class LayoutStore:
         def work() -> None:
             wrong = None
             try:
-                entry = report_entry(case, layout, weights, metrics=metrics)
+                given: dict[str, Any] = dict(metrics=metrics, detection=detection)
+                entry = report_entry(case, layout, weights, **given)
                 write_text(page, report_page(case.scene, [entry], frame=frame))
                 self._know(page)
             except Exception as e:

@@ -11,6 +11,7 @@ from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
+from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.work import run_job, versions
@@ -59,6 +60,29 @@ def test_scores_have_those_that_are_named(run, scene, layout):
     )
     listed = run("metrics")
     assert "detectability D 0 chance that a detector finds a road user" in listed
+
+
+def test_curves_of_ones_own_are_scored_with(run, scene, layout, tmp_path):
+    """Read from a file, said in the record, and so in searches."""
+    none = "".join(f"[camera.{name}]\nmost = 1e-9\nhalf = 1\nslope = 1\n" for name in CLASSES)
+    (tmp_path / "blind.toml").write_text(none)
+    given = ("s.npz", "layout.yaml", "--metrics", "detectability", "--detection", "blind.toml")
+    record = json.loads(run("score", *given, "--json", "-"))
+    assert evaluate(scene, layout, metrics=("detectability",)).metrics["detectability"] > 0
+    assert record["detectability"] == pytest.approx(0, abs=1e-8)
+    assert record["settings"]["detection"]["camera"]["car"]["most"] == 1e-9
+    seen = json.loads(
+        run("targets", "s.npz", "layout.yaml", "--detection", "blind.toml", "--json", "-")
+    )
+    assert seen["detectability"]["all"] == pytest.approx(0, abs=1e-8)
+    searched = "--weight", "detectability=1", "--method", "random", "--evaluations", "2"
+    run("optimise", *given[:2], *given[4:], *searched, "--out", "o")
+    result = json.loads((tmp_path / "o" / "result.json").read_text())
+    assert result["objective"] == pytest.approx(0, abs=1e-8)
+    assert result["settings"]["objective"]["detection"]["camera"][0]["most"] == 1e-9
+    assert "no.toml: no such file" in run("score", *given[:-1], "no.toml", fails=True)
+    with pytest.raises(InspeError, match="give curves, as inspe_jax"):
+        evaluate(scene, layout, detection="blind.toml")
 
 
 def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monkeypatch):

@@ -1,14 +1,20 @@
 """Curves of detection: their values by hand, and found again from boxes that they decide."""
 
+import json
+import pickle
+from dataclasses import replace
+from importlib.resources import files
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from inspe_jax import fit_detection
+from inspe_jax import fit_detection, load_detection, save_detection
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.detection import DetectionCurve, detection_curves
+from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.detection import KINDS, DetectionCurve, detection_curves
 
 
 @pytest.mark.parametrize("slope", [1.0, 1.5, 2.2, 10.0])
@@ -27,10 +33,10 @@ def test_a_curve_is_a_logistic_function_of_the_logarithm(slope):
 
 
 def test_every_class_and_kind_has_a_curve():
-    curves = detection_curves()
-    assert sorted(curves) == ["camera", "lidar"]
-    assert all(len(of) == len(CLASSES) for of in curves.values())
-    assert all(0.9 <= curve.most <= 1 for of in curves.values() for curve in of)
+    curves = [detection_curves().of(kind) for kind in KINDS]
+    assert sorted(KINDS) == ["camera", "lidar"]
+    assert all(len(of) == len(CLASSES) for of in curves)
+    assert all(0.9 <= curve.most <= 1 for of in curves for curve in of)
     with pytest.raises(InspeError, match="most is in 0 … 1"):
         DetectionCurve(1.2, 8.0, 1.0)
 
@@ -64,3 +70,68 @@ def test_boxes_that_tell_nothing_are_refused():
         fit_detection([row | dict(sensor="camra")])
     with pytest.raises(InspeError, match="no boxes"):
         fit_detection([])
+
+
+def test_a_file_of_curves_replaces_those_that_it_has(tmp_path):
+    text = "[lidar.pedestrian]\nmost = 0.8\nhalf = 30\nslope = 2.5\n"
+    (tmp_path / "mine.toml").write_text(text)
+    curves, usual = load_detection(tmp_path / "mine.toml"), detection_curves()
+    at = CLASSES.index("pedestrian")
+    assert curves.lidar[at] == DetectionCurve(0.8, 30.0, 2.5)
+    assert curves.camera == usual.camera
+    assert [c for k, c in enumerate(curves.lidar) if k != at] == [
+        c for k, c in enumerate(usual.lidar) if k != at
+    ]
+    assert hash(curves) != hash(usual)
+    assert pickle.loads(pickle.dumps(curves)) == curves
+    asked = Asked.of(detection=curves)
+    assert asked.detection == curves
+    whole = tmp_path / "whole.toml"
+    whole.write_bytes(files("inspe_jax.scoring").joinpath("detection.toml").read_bytes())
+    assert Asked.of(detection=load_detection(whole)) == Asked.of()  # the usual ones
+
+
+def test_fitted_curves_are_written_and_read(tmp_path):
+    fitted = {("camera", "car"): DetectionCurve(0.9, 250.0, 1.2)}
+    path = tmp_path / "fitted.json"
+    save_detection(fitted, path)
+    curves = load_detection(path)
+    assert curves == detection_curves().with_curves(fitted)
+    assert curves.camera[CLASSES.index("car")] == fitted["camera", "car"]
+    assert json.loads(path.read_text())["camera"]["car"]["half"] == 250.0
+    save_detection(replace(curves, lidar=curves.lidar[::-1]), path)
+    assert load_detection(path).lidar == curves.lidar[::-1]
+    with pytest.raises(InspeError, match="did you mean lidar"):
+        save_detection({("lidr", "car"): DetectionCurve(0.9, 250.0, 1.2)}, path)
+    with pytest.raises(InspeError, match=r"must end in \.json"):
+        save_detection(fitted, tmp_path / "fitted.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[lidar.pedestrain]\nmost = 0.9\nhalf = 8\nslope = 1", "did you mean pedestrian"),
+        ("[radar.car]\nmost = 0.9\nhalf = 8\nslope = 1", "unknown key.*allowed: camera, lidar"),
+        ("[lidar.car]\nmost = 0.9\nhalf = 8", r"lidar.car.slope: missing key"),
+        ("[lidar.car]\nmost = 1.2\nhalf = 8\nslope = 1", r"lidar.car: .*most is in 0 … 1"),
+        ("[lidar.car]\nmost = '0.9'\nhalf = 8\nslope = 1", "lidar.car.most: .*valid number"),
+        ("[lidar.car]\nmost = nan\nhalf = 8\nslope = 1", "lidar.car.most: .*finite"),
+        ("[lidar.car\n", "not TOML"),
+        ("", "it has no curve"),
+    ],
+)
+def test_a_file_of_anything_else_is_refused(tmp_path, text, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(InspeError, match=rf"mine.toml: .*{message}"):
+        load_detection(path)
+
+
+def test_a_file_that_is_missing_or_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(InspeError, match="no such file"):
+        load_detection(tmp_path / "mine.toml")
+    with pytest.raises(InspeError, match=r"ending .toml or .json"):
+        load_detection(tmp_path / "mine.yaml")
+    (tmp_path / "mine.json").write_text("[1]")
+    with pytest.raises(InspeError, match="must hold keys with values: camera, lidar"):
+        load_detection(tmp_path / "mine.json")

@@ -115,8 +115,8 @@ def test_the_chance_of_detection_is_that_of_every_frame(scene, layout, clear, se
         number = on_slabs(scene, some, user)[None] * seen[:, sensors]
         missed = 1.0
         for s, sensor in enumerate(some.sensors):
-            kind = "camera" if sensor.spec.focal_pixels else "lidar"
-            missed = missed * (1 - chance(curves[kind][k], number[:, s].sum(-1)))
+            of_kind = curves.camera if sensor.spec.focal_pixels else curves.lidar
+            missed = missed * (1 - chance(of_kind[k], number[:, s].sum(-1)))
         joint.append((1 - missed).mean(0))
     weight = np.where(region == 4, 0.0, only.voxels.column_weight)
     expected = np.mean(joint, 0) @ weight / weight.sum()

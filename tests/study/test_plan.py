@@ -1,5 +1,6 @@
 """Study files: which jobs they mean, and the one message of every bad one."""
 
+import json
 import shutil
 from itertools import product
 
@@ -9,6 +10,7 @@ import yaml
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
+from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.sensing.layout import save_layout
 from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, Study, load_study
 from inspe_jax.study.work import place_layout
@@ -98,6 +100,25 @@ def test_what_a_job_is_called_depends_on_all_that_its_result_does(read):
     ):
         other = {job.key for job in read(STUDY + f"  {setting}\n").jobs}
         assert not other & keys
+
+
+def test_curves_of_detection_are_part_of_what_a_job_is(read, tmp_path):
+    """By what they are, not by the name of their file; the usual ones are as none."""
+    plain = read(STUDY)
+    car = "[lidar.car]\nmost = 0.9\nhalf = {}\nslope = 1\n"
+    keys = {}
+    for name, half in (("a", 10), ("b", 10), ("c", 20)):
+        (tmp_path / f"{name}.toml").write_text(car.format(half))
+        study = read(STUDY, detection=f"{name}.toml")
+        assert study.jobs[0].detection.lidar[0].half == half
+        keys[name] = {job.key for job in study.jobs}
+    assert keys["a"] == keys["b"]
+    assert not keys["a"] & keys["c"]
+    assert not keys["a"] & {job.key for job in plain.jobs}
+    (tmp_path / "usual.json").write_text(json.dumps(detection_curves().record))
+    assert read(STUDY, detection="usual.json").jobs == plain.jobs
+    with pytest.raises(InspeError, match=r"study.yaml: detection: .*no such file"):
+        read(STUDY, detection="none.toml")
 
 
 def test_a_search_has_a_budget_and_a_score_has_none(read):

@@ -12,7 +12,10 @@ from worlds import world
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.problem import Case
+from inspe_jax.report.scene3d import rgb
+from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import HandleDrag
@@ -197,6 +200,42 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer):
     done(viewer, lambda: len(seen) >= 5)
     set_value(viewer.panel.play, False)
     assert np.diff(seen).min() > 0.2
+
+
+def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, scene, layout):
+    """A square for each column, in the band of its chance; no voxels over it; and a legend."""
+    done(viewer, lambda: any(name.startswith("voxels/") for name in viewer.scene3d.drawn))
+    set_value(viewer.panel.ground, "finding a pedestrian")
+    viewer.color_ground()
+
+    def squares():
+        found = viewer.scene3d.drawn
+        return {n.removeprefix("columns/"): m for n, m in found.items() if n.startswith("columns/")}
+
+    done(viewer, squares)
+    chance = target_view(scene, layout, "pedestrian").detectability
+    edges = [*(least for least, _, _ in CHANCES), 2.0]
+    counts = np.histogram(chance, edges)[0]
+    wanted = {words: n for (_, words, _), n in zip(CHANCES, counts, strict=True)}
+    drawn = {words: len(mesh.faces) // 2 for words, mesh in squares().items()}
+    assert drawn == {words: count for words, count in wanted.items() if count}
+    assert len(drawn) > 1
+    for _, words, color in CHANCES:
+        assert words not in drawn or tuple(squares()[words].color) == rgb(color)
+    assert not any(name.startswith("voxels/") for name in viewer.scene3d.drawn)
+    assert "pedestrian found ≥ 95 %" in viewer.panel.scores.content
+    assert "never in view" not in viewer.panel.scores.content
+    before = drawn
+    viewer.type_number(0, "yaw", 60.0)
+    viewer.settle()
+    done(
+        viewer, lambda: squares() and {w: len(m.faces) // 2 for w, m in squares().items()} != before
+    )
+    set_value(viewer.panel.ground, "regions")
+    viewer.color_ground()
+    done(viewer, lambda: not squares())
+    done(viewer, lambda: any(name.startswith("voxels/") for name in viewer.scene3d.drawn))
+    assert "never in view" in viewer.panel.scores.content
 
 
 def test_numbers_typed_one_after_another_all_count(viewer, layout):

@@ -81,7 +81,7 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
     problem, tally = table.problem, table.tally
     kind, k, shares = table.kinds[0], len(problem.layout), problem.voxel_weights(tally.sample)
     count, voxels = len(kind.foot), len(shares.weight)
-    bits = np.concatenate(kind.bits)[:count]
+    bits = np.concatenate([part.bits for part in kind.rows])[:count]
     began = time.perf_counter()
     found = best_subset(
         bits[:, :voxels],

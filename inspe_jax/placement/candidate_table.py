@@ -15,7 +15,7 @@ from inspe_jax.placement.candidates import (
     set_heights,
 )
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import SampleScore, times
+from inspe_jax.placement.sample_score import Rows, SampleScore, times
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
@@ -35,16 +35,16 @@ class CandidateKind:
     height: Float[np.ndarray, " K"]
     yaw: Float[np.ndarray, " K"]
     pitch: Float[np.ndarray, " K"]
-    bits: list[Bool[np.ndarray, "k W"]] = field(default_factory=list)
+    rows: list[Rows] = field(default_factory=list)
 
     @property
     def parts(self) -> int:
         """Number of chunks of candidates."""
         return -(-len(self.foot) // CHUNK)
 
-    def row(self, k: int) -> Bool[np.ndarray, " W"]:
-        """Bits of candidate ``k``."""
-        return self.bits[k // CHUNK][k % CHUNK]
+    def row(self, k: int) -> Rows:
+        """What is seen from candidate ``k``."""
+        return self.rows[k // CHUNK][k % CHUNK]
 
 
 @dataclass(eq=False)
@@ -93,7 +93,7 @@ class Table:
     def look(self, part: int) -> int:
         """Find what is seen from the candidates of one chunk; returns their number."""
         kind = self.parts[part]
-        at = np.arange(len(kind.bits) * CHUNK, (len(kind.bits) + 1) * CHUNK)
+        at = np.arange(len(kind.rows) * CHUNK, (len(kind.rows) + 1) * CHUNK)
         at = np.minimum(at, len(kind.foot) - 1)  # of one shape: the last fills up
         s = kind.sensors[0]
         space, u = self.problem.space, self.problem.layout.sensors[s].unit
@@ -103,21 +103,21 @@ class Table:
         x[:, index.height[u]] = kind.height[at]
         x[:, index.yaw[s]] = kind.yaw[at]
         x[:, index.pitch[s]] = kind.pitch[at]
-        kind.bits.append(self.tally.view(self.problem, s, poses(space, x)[:, s]))
+        kind.rows.append(self.tally.view(self.problem, s, poses(space, x)[:, s]))
         return len(np.unique(at))
 
     def kind_of(self, s: int) -> CandidateKind:
         """The candidates of sensor ``s``."""
         return next(kind for kind in self.kinds if s in kind.sensors)
 
-    def rows(self, picks: Picks) -> dict[int, np.ndarray]:
+    def rows(self, picks: Picks) -> dict[int, Rows]:
         """What each placed sensor sees."""
         return {s: self.kind_of(s).row(k) for s, k in picks.items()}
 
-    def gains(self, s: int, rows: dict[int, np.ndarray]) -> Float[np.ndarray, " K"]:
+    def gains(self, s: int, rows: dict[int, Rows]) -> Float[np.ndarray, " K"]:
         """The gain of sensor ``s`` at each candidate, beside others that see ``rows``."""
         kind, worth = self.kind_of(s), self.tally.worth(rows, s)
-        return np.concatenate([times(bits, worth) for bits in kind.bits])[: len(kind.foot)]
+        return np.concatenate([times(part, worth) for part in kind.rows])[: len(kind.foot)]
 
     def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
         """Whether sensor ``s`` may be at candidates ``k``, beside the sensors already placed."""

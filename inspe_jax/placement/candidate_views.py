@@ -4,6 +4,7 @@ Searches choose among candidate poses by it.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +15,10 @@ from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.parallel import Job, parts_of, run
 from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.exact import BITS
 from inspe_jax.scoring.reading import Frames
+from inspe_jax.scoring.target_evidence import target_evidence_of_sensor
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
@@ -23,62 +26,104 @@ from inspe_jax.visibility.statics import past_statics_masks
 from inspe_jax.visibility.tiles import Tile
 from inspe_jax.visibility.view_masks import view_masks
 
+FOUND = "detectability"
+"""The metric whose chances are found with the views."""
 TOGETHER = 8
 """Poses in one compiled call. With one shape for any number of poses, results are the same bits."""
 
 
+class CandidateViews(NamedTuple):
+    """What one sensor has from each of K poses.
+
+    ``view`` is f, ``seen`` is f and line of sight in each frame. ``chance`` is that to find a road
+    user of each of Q classes at each column; there is none where it is not asked for.
+    """
+
+    view: Bool[np.ndarray, "K V"]
+    seen: Bool[np.ndarray, "K T V"]
+    chance: Float[np.ndarray, "K Q L"]
+
+
 def view_from_poses(
-    grid: RayGrid, half: float, poses: Float[Array, "K 6"], tiled: TiledScene, asked: Asked
-) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
+    grid: RayGrid,
+    half: float,
+    poses: Float[Array, "K 6"],
+    tiled: TiledScene,
+    asked: Asked,
+    pixels: float = 1.0,
+) -> CandidateViews:
     """What one sensor has in view, and what it sees in each frame, from each of K poses.
 
     ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
-    scene in one chunk. Gives f for each pose and voxel, and f and line of sight for each frame.
+    scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
+    find road users are of a sensor alone, as in detectability, if ``asked`` has that metric.
     """
     (chunk,) = tiled.chunks
     assert chunk.solid is not None  # the scene has masks
     rays = grid.rays
     lengths = rays.table.rows.shape + rays.table.nearest.shape
-    # Metrics do not change what is seen: without them fewer programs are compiled.
-    asked = asked._replace(metrics=(), detection=None)
+    found = tuple(metric for metric in asked.metrics if metric.name == FOUND)
+    # Other metrics do not change what is seen: without them fewer programs are compiled.
+    asked = asked._replace(metrics=found, detection=asked.detection if found else None)
     bodies = 0 if tiled.statics is None else len(tiled.statics.top)
     key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, bodies, asked)
+    fixed = dict(chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, asked=asked)
+    given = partial(_view, rays, half, pixels, **fixed)
     jobs: list[Job] = [
-        (key, partial(_view, rays, half, part, chunk, tiled.statics, asked=asked))
-        for part in parts_of(np.asarray(poses), TOGETHER)
+        (key, partial(given, part)) for part in parts_of(np.asarray(poses), TOGETHER)
     ]
-    views, seen = (np.concatenate(found)[: len(poses)] for found in zip(*run(jobs), strict=True))
-    return tiled.tiles.by_voxel(views), tiled.tiles.by_voxel(seen)
+    views, seen, chance = (
+        np.concatenate(part)[: len(poses)] for part in zip(*run(jobs), strict=True)
+    )
+    tiles, (count, number, classes, columns) = tiled.tiles, chance.shape
+    chance = chance.reshape(count, tiles.slabs, number // tiles.slabs, classes, columns).sum(1)
+    chance = chance.swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
+    chance = chance[..., np.asarray(tiles.place)]
+    return CandidateViews(tiles.by_voxel(views), tiles.by_voxel(seen), chance)
 
 
 @partial(jax.jit, static_argnames="asked")
 def _view(
     rays: Rays,
     half: Float[Array, ""],
+    pixels: Float[Array, ""],
     poses: Float[Array, "K 6"],
+    *,
     chunk: WorkChunk,
     statics: ConvexPrism | None,
-    *,
+    last: Bool[Array, " N"],
     asked: Asked,
-) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"]]:
-    def view_from(pose: Array) -> tuple[Array, Array]:
+) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"], Float[Array, "K N Q C"]]:
+    """Views, what is seen in frames, and chances of Q classes; Q is 0 unless they are asked for."""
+    curves = asked.detection or detection_curves()
+    of_kind = curves.camera if rays.slants else curves.lidar
+
+    def view_from(pose: Array) -> tuple[Array, Array, Array]:
         views = view_masks(rays, pose, chunk.tile, half)
         if statics is not None:
             views &= past_statics_masks(pose[:3], statics, chunk.tile, views)
         shadows = jax.tree.map(lambda leaf: leaf[0], BITS.shadows(pose[None, :3], chunk.prisms))
 
-        def see_tile(part: tuple[Tile, Array, Array]) -> Array:
-            tile, view, solid = part
-            row = pose[:3], shadows, view
-            return seen_by_sensor(BITS, row, tile, Frames(chunk.prisms, solid), asked)[0]
+        def see_tile(part: tuple[Tile, Array, Array, Array]) -> tuple[Array, Array]:
+            tile, view, solid, last = part
+            row, frames = (pose[:3], shadows, view), Frames(chunk.prisms, solid)
+            seen, in_sight = seen_by_sensor(BITS, row, tile, frames, asked)
+            if not asked.metrics:
+                return seen, jnp.zeros((0, len(view)), tile.heights.dtype)
+            number = BITS.level_sums(in_sight, frames, len(tile.heights)).T
+            sight = number.astype(tile.heights.dtype) / len(chunk.prisms.top)
+            at = rays, pixels, pose, tile, sight, last, None, of_kind
+            return seen, target_evidence_of_sensor(*at).chance
 
-        def see_nothing(part: tuple[Tile, Array, Array]) -> Array:
-            return jnp.zeros((len(chunk.prisms.top), len(part[1])), part[1].dtype)
+        def see_nothing(part: tuple[Tile, Array, Array, Array]) -> tuple[Array, Array]:
+            return jax.tree.map(
+                lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(see_tile, part)
+            )
 
-        seen = jax.lax.map(
+        seen, chance = jax.lax.map(
             lambda part: jax.lax.cond((part[1] != 0).any(), see_tile, see_nothing, part),
-            (chunk.tile, views, chunk.solid),
+            (chunk.tile, views, chunk.solid, last),
         )
-        return views, seen.swapaxes(0, 1)
+        return views, seen.swapaxes(0, 1), chance
 
     return jax.lax.map(view_from, poses)

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from inspe_jax.core.arrays import on_device, on_host
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import Job, run
-from inspe_jax.placement.candidate_views import view_from_poses
+from inspe_jax.placement.candidate_views import CandidateViews, view_from_poses
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import COMBINATIONS, Objective
@@ -84,12 +84,14 @@ class VoxelWeights(NamedTuple):
     """What each voxel of a sample counts for in the paper's metrics.
 
     ``weight`` (V,), ``free`` (T, V) and ``entropy`` (V,) are the parts of C, O and IG that each
-    voxel carries; each sums to 1. Several cases stand one after another.
+    voxel carries; each sums to 1. ``places`` (L,) is the part of D that each column carries, for
+    every class of road users alike. Several cases stand one after another.
     """
 
     weight: Float[np.ndarray, " V"]
     free: Float[np.ndarray, "T V"]
     entropy: Float[np.ndarray, " V"]
+    places: Float[np.ndarray, " L"]
 
 
 class Problem:
@@ -279,7 +281,7 @@ class Problem:
     # ── Candidates one by one, for greedy and integer programs ──
 
     def voxel_weights(self, sample: Sample) -> VoxelWeights:
-        """What each voxel of a sample counts for in C, O and IG."""
+        """What each voxel of a sample counts for in C, O and IG, and each column in D."""
         parts = []
         for part, tiled in zip(sample.arrays, sample.scenes, strict=True):
             (chunk,) = tiled.chunks
@@ -293,31 +295,30 @@ class Problem:
             entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
             frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts
             free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / frames
-            parts.append((weight / weight.sum(), free, entropy / max(entropy.sum(), 1e-9)))
+            places = weight[:: tiled.tiles.level_count]
+            entropy = entropy / max(entropy.sum(), 1e-9)
+            parts.append((weight / weight.sum(), free, entropy, places / places.sum()))
         n = len(parts)
-        weight, free, entropy = (np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True))
-        return VoxelWeights(weight, free, entropy)
+        return VoxelWeights(*(np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True)))
 
-    def views(
-        self, s: int, poses: Float[np.ndarray, "K 6"], sample: Sample
-    ) -> tuple[Bool[np.ndarray, "K V"], Bool[np.ndarray, "K T V"]]:
+    def views(self, s: int, poses: Float[np.ndarray, "K 6"], sample: Sample) -> CandidateViews:
         """What sensor ``s`` of the layout has in view, and sees in each frame, at each of K poses.
 
         Poses are about the scene's centre. With :meth:`voxel_weights`, the metrics of a set of
         sensors are sums: C of ``weight`` over the voxels that some sensor has in view, O of
         ``free`` over the voxels and frames that some sensor sees, and, where visibility is
-        ``in_view``, IG of ``entropy``·(1 − ∏(1 − reliability·view)).
+        ``in_view``, IG of ``entropy``·(1 − ∏(1 − reliability·view)). If detectability has weight,
+        it is the mean over classes of ``places``·(1 − ∏(1 − chance)).
         """
-        views, seen = [], []
+        parts = []
         for case, tiled, sensor_set in zip(
             self.cases, sample.scenes, self.sensor_sets, strict=True
         ):
             grid = next(grid for grid, index in sensor_set.groups if s in index)
             half = case.scene.voxels.size / 2
-            f, v = view_from_poses(grid, half, jnp.asarray(poses, float), tiled, self.asked)
-            views.append(f)
-            seen.append(v)
-        return np.concatenate(views, -1), np.concatenate(seen, -1)
+            given = jnp.asarray(poses, float), tiled, self.asked, sensor_set.pixels[s]
+            parts.append(view_from_poses(grid, half, *given))
+        return CandidateViews(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
 
 
 def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]":

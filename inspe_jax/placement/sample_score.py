@@ -1,21 +1,64 @@
-"""The objective on a sample, from what each sensor alone has in view and sees.
+"""The objective on a sample, from what each sensor alone has in view, sees and finds.
 
 A sensor at a pose is a row of W = V + T·V bits: f of each voxel, then f and in line of sight of
-each frame and voxel. C and O are weighted unions of such rows. IG is the weighted chance that some
-sensor resolves a voxel. So all three are monotone and submodular: the gain of a sensor only falls
-as others are added.
+each frame and voxel; and, if detectability has weight, of X = Q·L chances to find a road user of
+each class at each column. C and O are weighted unions of such bits. IG is the weighted chance that
+some sensor resolves a voxel, and D that some sensor finds a road user, 1 − ∏(1 − p). So all four
+are monotone and submodular: the gain of a sensor only falls as others are added. What one more
+sensor adds to D is Σ w·∏(1 − p)·p', with the product over the others: no factor exceeds 1.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from inspe_jax.placement.candidate_views import FOUND, CandidateViews
 from inspe_jax.placement.problem import Problem, Sample
+from inspe_jax.scene.traffic.frames import CLASSES
 
-KNOWN = ("coverage", "occlusion", "information_gain")
-"""The metrics that are sums over the bits of a row. Others count nothing here."""
+PAPER = ("coverage", "occlusion", "information_gain")
+KNOWN = (*PAPER, FOUND)
+"""The metrics that are sums over a row. Others count nothing here."""
 _PART = 256  # rows that are converted from bits to numbers at once
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Rows:
+    """What one sensor sees of a sample: a row, or a row for each of K poses.
+
+    ``bits`` (K, W) and ``chance`` (K, X) as in this module's docstring. X is 0 unless detectability
+    has weight.
+    """
+
+    bits: Bool[np.ndarray, "*k W"]
+    chance: Float[np.ndarray, "*k X"]
+
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
+        """The rows of all parts, or single rows as rows of one."""
+        join = np.stack if parts[0].bits.ndim == 1 else np.concatenate
+        return cls(join([part.bits for part in parts]), join([part.chance for part in parts]))
+
+    def __getitem__(self, at: Any) -> "Rows":
+        return Rows(self.bits[at], self.chance[at])
+
+    def __len__(self) -> int:
+        return len(self.bits)
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Worth:
+    """What each bit (W,) of one more sensor adds, and each chance (X,)."""
+
+    bits: Float[np.ndarray, " W"]
+    chance: Float[np.ndarray, " X"]
+
+
+SampledRows = Mapping[int, Rows]
+"""The row of each of some sensors."""
 
 
 class SampleScore:
@@ -30,11 +73,13 @@ class SampleScore:
     def __init__(self, problem: Problem, sample: Sample) -> None:
         objective, each = problem.objective, problem.voxel_weights(sample)
         weights = objective.weights_by_name
-        c, o, ig = (weights[name] for name in KNOWN)
+        c, o, ig, d = (weights[name] for name in KNOWN)
         self.sample, self.price = sample, problem.price
         self._weight = c * each.weight
         self._free = o * each.free
         self._entropy = ig * each.entropy
+        places = d * each.places if d else np.zeros(0)
+        self._places = np.tile(places / len(CLASSES), len(CLASSES))
         self._sighted = objective.visibility != "in_view"
         # Under "targets" and "line_of_sight", the rows count what is inside a vehicle as seen if no
         # other vehicle hides it. That is right for O; for IG such voxels are not in line of sight.
@@ -52,27 +97,29 @@ class SampleScore:
         reliability = [sensors.reliability for sensors in problem.sensor_sets]
         self._reliability = np.repeat(reliability, counts, 0).T
 
-    def rows(self, f: Bool[np.ndarray, "K V"], seen: Bool[np.ndarray, "K T V"]) -> np.ndarray:
-        """Bits (K, W) of K poses, from the results of :meth:`Problem.views`."""
-        return np.concatenate([f, seen.reshape(len(f), -1)], 1)
+    def rows(self, of: CandidateViews) -> Rows:
+        """The rows of K poses, from the result of :meth:`Problem.views`."""
+        bits = np.concatenate([of.view, of.seen.reshape(len(of.seen), -1)], 1)
+        return Rows(bits, of.chance.reshape(len(bits), -1).astype(np.float32))
 
-    def view(self, problem: Problem, s: int, poses: Float[np.ndarray, "K 6"]) -> np.ndarray:
-        """Bits (K, W) of sensor ``s`` at K poses about the scene's centre."""
-        return self.rows(*problem.views(s, poses, self.sample))
+    def view(self, problem: Problem, s: int, poses: Float[np.ndarray, "K 6"]) -> Rows:
+        """The rows of sensor ``s`` at K poses about the scene's centre."""
+        return self.rows(problem.views(s, poses, self.sample))
 
     def _left(
-        self, rows: Mapping[int, Bool[np.ndarray, " W"]], there: frozenset[int]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The weight not yet in view, that not yet seen, and the entropy left, by the sensors of
-        ``rows`` that are in ``there``."""
+        self, rows: SampledRows, there: frozenset[int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The weight not yet in view, that not yet seen, the entropy left, and the weight of road
+        users not found, by the sensors of ``rows`` that are in ``there``."""
         counted = [s for s in rows if s in there]
         union = np.zeros(self._voxels + self._free.size, bool)
-        entropy = self._entropy
+        entropy, missed = self._entropy, self._places
         for s in counted:
-            union |= rows[s]
-            entropy = entropy * (1 - self._resolved(s, rows[s]))
+            union |= rows[s].bits
+            entropy = entropy * (1 - self._resolved(s, rows[s].bits))
+            missed = missed * (1 - rows[s].chance)
         weight = np.where(union[: self._voxels], 0.0, self._weight)
-        return weight, np.where(union[self._voxels :], 0.0, self._free.ravel()), entropy
+        return weight, np.where(union[self._voxels :], 0.0, self._free.ravel()), entropy, missed
 
     def _resolved(self, s: int, row: Bool[np.ndarray, "*k W"]) -> Float[np.ndarray, "*k V"]:
         """The chance that sensor ``s`` alone resolves each voxel."""
@@ -82,20 +129,21 @@ class SampleScore:
             return seen.mean(-2) * self._reliability[s]
         return row[..., :v] * self._reliability[s]
 
-    def value(self, rows: Mapping[int, Bool[np.ndarray, " W"]]) -> float:
-        """The score of a set of sensors, given the bits of each."""
-        total = self._weight.sum() + self._free.sum() + self._entropy.sum()
+    def value(self, rows: SampledRows) -> float:
+        """The score of a set of sensors, given the row of each."""
+        total = sum(x.sum() for x in (self._weight, self._free, self._entropy, self._places))
         left = [sum(part.sum() for part in self._left(rows, there)) for there in self._there]
         return float(total - np.mean(left) - self.price)
 
-    def worth(self, rows: Mapping[int, Bool[np.ndarray, " W"]], s: int) -> np.ndarray:
-        """What each bit (W,) of one more sensor ``s`` adds; the sum over its row is its gain."""
-        worth = np.zeros(self._voxels + self._free.size)
+    def worth(self, rows: SampledRows, s: int) -> Worth:
+        """What each part of the row of one more sensor ``s`` adds; the sum over it is its gain."""
+        worth, finds = np.zeros(self._voxels + self._free.size), np.zeros(len(self._places))
         first, rest = worth[: self._voxels], worth[self._voxels :].reshape(self._free.shape)
         for there in self._there:
             if s not in there:
                 continue
-            weight, free, entropy = self._left(rows, there)
+            weight, free, entropy, missed = self._left(rows, there)
+            finds += missed
             first += weight
             rest += free.reshape(rest.shape)
             resolved = entropy * self._reliability[s]
@@ -103,30 +151,30 @@ class SampleScore:
                 rest += resolved / len(rest) * self._in_sight
             else:
                 first += resolved
-        return (worth / len(self._there)).astype(np.float32)
+        count = len(self._there)
+        return Worth((worth / count).astype(np.float32), (finds / count).astype(np.float32))
 
-    def gains(
-        self,
-        rows: Mapping[int, Bool[np.ndarray, " W"]],
-        added: Mapping[int, Bool[np.ndarray, "K W"]],
-    ) -> Float[np.ndarray, " K"]:
+    def gains(self, rows: SampledRows, added: SampledRows) -> Float[np.ndarray, " K"]:
         """What some more sensors add together, for K choices of all their poses."""
         gains = np.zeros(len(next(iter(added.values()))))
         for there in self._there:
             new = {s: bits for s, bits in added.items() if s in there}
             if not new:
                 continue
-            weight, free, entropy = self._left(rows, there)
-            union = np.logical_or.reduce(list(new.values()))
+            weight, free, entropy, unfound = self._left(rows, there)
+            union = np.logical_or.reduce([more.bits for more in new.values()])
             missed = np.ones((len(gains), self._voxels), np.float32)
-            for s, bits in new.items():
-                missed *= 1 - self._resolved(s, bits)
-            gains += times(union, np.concatenate([weight, free])) + (1 - missed) @ entropy
+            for s, more in new.items():
+                missed *= 1 - self._resolved(s, more.bits)
+            finds = 1 - np.prod([1 - more.chance for more in new.values()], 0)
+            worth = Worth(np.concatenate([weight, free]), unfound)
+            gains += times(Rows(union, finds), worth) + (1 - missed) @ entropy
         return gains / len(self._there)
 
 
-def times(bits: Bool[np.ndarray, "K W"], worth: Float[np.ndarray, " W"]) -> np.ndarray:
-    """The sums (K,) of ``worth`` over the set bits of each row."""
-    worth = worth.astype(np.float32)
-    parts = [bits[k : k + _PART].astype(np.float32) @ worth for k in range(0, len(bits), _PART)]
-    return np.concatenate([np.zeros(0), *parts])
+def times(rows: Rows, worth: Worth) -> Float[np.ndarray, " K"]:
+    """The sums (K,) over the rows: of ``worth`` over the set bits, and of chances times it."""
+    value = worth.bits.astype(np.float32)
+    bits = rows.bits
+    parts = [bits[k : k + _PART].astype(np.float32) @ value for k in range(0, len(bits), _PART)]
+    return np.concatenate([np.zeros(0), *parts]) + rows.chance @ worth.chance

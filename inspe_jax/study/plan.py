@@ -109,7 +109,9 @@ class StudyJob:
     def key(self) -> str:
         """A short text that identifies the job: a digest of all that its result depends on."""
         curves = () if self.detection is None else (self.detection,)
-        return digest([self.source.anywhere, self.layout, without_later(self.settings), *curves])[:16]
+        return digest([self.source.anywhere, self.layout, without_later(self.settings), *curves])[
+            :16
+        ]
 
     @cached_property
     def scene(self) -> str:

@@ -11,7 +11,7 @@ from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from inspe_jax.placement.candidate_table import Picks, Table
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, coordinates, poses, project
@@ -19,7 +19,7 @@ from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Run
-from inspe_jax.placement.sample_score import KNOWN, SampleScore, times
+from inspe_jax.placement.sample_score import KNOWN, Rows, SampleScore, Worth, times
 
 TRIES = 64
 """Finer moves tried for a unit in one step."""
@@ -62,7 +62,7 @@ def lazy_greedy(table: Table) -> tuple[Picks, int]:
         gains = table.gains(group[0], {})
         heap += [(-gain, group[0], k, 0) for k, gain in enumerate(gains.tolist())]
     heapq.heapify(heap)
-    again, worths = 0, dict[int, np.ndarray]()
+    again, worths = 0, dict[int, Worth]()
     while heap and len(picks) < len(problem.layout):
         _, s, k, then = heapq.heappop(heap)
         if then == len(picks) and s not in picks and table.fits(picks, s, k):
@@ -135,7 +135,7 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
             kind = table.kind_of(s)
             at = np.flatnonzero(kind.foot == foot)
             at = at[table.fits(picks, s, at)]
-            gains = times(np.array([kind.row(k) for k in at]), table.tally.worth(rows, s))
+            gains = times(Rows.joined([kind.row(k) for k in at]), table.tally.worth(rows, s))
             best = int(gains.argmax())
             found.append((float(gains[best]), s, int(at[best])))
         _, s, k = max(found, key=lambda row: row[0])
@@ -149,7 +149,7 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
 
 def sights(
     problem: Problem, tally: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
-) -> dict[int, Bool[np.ndarray, " W"]]:
+) -> dict[int, Rows]:
     """What some sensors of a layout see."""
     stand = poses(problem.space, x[None])[0]
     return {s: tally.view(problem, s, stand[s][None])[0] for s in sensors}
@@ -159,12 +159,12 @@ def finer(
     problem: Problem,
     tally: SampleScore,
     x: Float[np.ndarray, " N"],
-    rows: dict[int, np.ndarray],
+    rows: dict[int, Rows],
     u: int,
     width: float,
     rng: np.random.Generator,
     tries: int = TRIES,
-) -> tuple[Float[np.ndarray, " N"], dict[int, np.ndarray]]:
+) -> tuple[Float[np.ndarray, " N"], dict[int, Rows]]:
     """The best of so many random moves of one unit and its sensors, if it is better.
 
     Each changes half of the unit's coordinates, by 0.1 to 1 times ``width`` typical steps.
@@ -196,7 +196,7 @@ def finer(
 # What a checkpoint need not hold, since it can be found again.
 _tables: "WeakKeyDictionary[Run, tuple[int, Table]]" = WeakKeyDictionary()
 """The candidates of each run's present round."""
-_passes: "WeakKeyDictionary[Run, tuple[tuple[int, ...], SampleScore, dict[int, np.ndarray]]]" = (
+_passes: "WeakKeyDictionary[Run, tuple[tuple[int, ...], SampleScore, dict[int, Rows]]]" = (
     WeakKeyDictionary()
 )
 """The sample of each run's present pass, and what the sensors see of it."""
@@ -307,7 +307,7 @@ def _table(run: Run, number: int, looked: int | None = None) -> Table:
     held, table = _tables.get(run, (-1, None))
     if table is not None and held == number:
         looked = len(table.parts) if looked is None else looked
-        if sum(len(kind.bits) for kind in table.kinds) == looked:
+        if sum(len(kind.rows) for kind in table.kinds) == looked:
             return table
     table = Table.of(run.problem, run.rng(0, number), first=number == 0)
     for part in range(len(table.parts) if looked is None else looked):

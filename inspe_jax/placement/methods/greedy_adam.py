@@ -4,15 +4,15 @@ Candidates find the places, which gradients do not jump between; gradients move 
 once, at a small price, where the score has a slope; and finer moves, which are judged hard, gain
 where it has none. As long as the gradient is not compiled, and in rounds that begin when little
 budget is left, it is greedy placement with its own exchanges and moves. So it is where there are
-only LiDARs: there exchanges gain more in the same time than bursts do. What candidates add to
-metrics other than the paper's is not known; where they have weight, it is CMA-ES, which on
-detectability with cameras comes further than Adam in the same time, and needs less compiled.
+only LiDARs: there exchanges gain more in the same time than bursts do. Where metrics other than
+the paper's have weight, it is CMA-ES: what candidates add to most of them is not known, and on
+detectability with cameras it comes further than Adam in the same time, and needs less compiled.
 """
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.compile_ahead import CompileJob
@@ -23,7 +23,7 @@ from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge, finer, 
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import SampleScore
+from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 
 PLACING = 0.4
 """Share of the budget at which the first round's placement ends at the latest."""
@@ -49,9 +49,7 @@ GRADIENT = "gradient"
 ONE_LINE = np.zeros(1, int)
 """The line of a single layout."""
 
-Rows = dict[int, Bool[np.ndarray, " W"]]
-"""What each sensor sees of a sample."""
-Sighted = tuple[Float[np.ndarray, " N"], Rows]
+Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 """A layout, and what its sensors see of a sample."""
 
 
@@ -190,7 +188,7 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 
 
 def _bursts(
-    run: Run, state: Improving, tally: SampleScore, rows: Rows
+    run: Run, state: Improving, tally: SampleScore, rows: dict[int, Rows]
 ) -> tuple[Sighted, Improving]:
     """Bursts of Adam, each at rest at first, until one gains nothing on the sample.
 
@@ -231,7 +229,8 @@ _AIMED = method_of(
 
 def _for(run: Run) -> Method:
     """The method for a run's sensors and objective."""
-    if greedy.GREEDY.unknown(run.problem.objective.weights_by_name):
+    weights = run.problem.objective.weights_by_name
+    if any(weight for name, weight in weights.items() if name not in PAPER):
         return CMA_ES
     return _AIMED if aimed(run.problem) else greedy.GREEDY
 

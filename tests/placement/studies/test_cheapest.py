@@ -120,9 +120,11 @@ def test_what_does_not_weigh_regions_is_refused(scene):
 
 def test_greedy_says_what_it_does_not_know_and_the_default_does_without(scene):
     start = starting_layout(scene, {CAMERA: 2})
-    with pytest.raises(InspeError, match=r"does not know detectability.*cma-es"):
-        optimise(scene, start, "greedy", evaluations=5.0, objective=FOUND)
-    assert set(methods()) - set(methods(FOUND)) == {"greedy"}
+    local = Objective(weights={"detectability": 0.5, "localisation": 0.5})
+    with pytest.raises(InspeError, match=r"does not know localisation, .*cma-es"):
+        optimise(scene, start, "greedy", evaluations=5.0, objective=local)
+    assert set(methods()) - set(methods(local)) == {"greedy"}
+    assert set(methods()) == set(methods(FOUND))
     given = dict(evaluations=60.0, objective=FOUND)
     default, cma = (optimise(scene, start, name, **given) for name in ("greedy-adam", "cma-es"))
     spent = [[point.evaluations for point in of.history] for of in (default, cma)]

@@ -58,7 +58,10 @@ def sweep(
           light: [midday, night]
           weather: [clear, "rain:10"]
           weights: [{coverage: 0.3, occlusion: 0.7}, {information_gain: 1}]
+        metrics: [detectability]
+        detection: mine.toml
 
+    Curves of detectability are those of `inspe score --detection`; a job's key depends on them.
     The folder of --out gets results.csv, with one row for each job and all its settings. To resume
     a run that was stopped or killed, give the same command again. If a job fails, its row has the
     error, and the exit status is 1.

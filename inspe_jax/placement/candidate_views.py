@@ -22,6 +22,7 @@ from inspe_jax.scoring.target_evidence import target_evidence_of_sensor
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.statics import past_statics_masks
 from inspe_jax.visibility.tiles import Tile
 from inspe_jax.visibility.view_masks import view_masks
@@ -100,29 +101,33 @@ def _view(
 
     def view_from(pose: Array) -> tuple[Array, Array, Array]:
         views = view_masks(rays, pose, chunk.tile, half)
+        past = ~jnp.zeros_like(views)
         if statics is not None:
-            views &= past_statics_masks(pose[:3], statics, chunk.tile, views)
+            past = past_statics_masks(pose[:3], statics, chunk.tile, views)
+            views &= past
         shadows = jax.tree.map(lambda leaf: leaf[0], BITS.shadows(pose[None, :3], chunk.prisms))
 
-        def see_tile(part: tuple[Tile, Array, Array, Array]) -> tuple[Array, Array]:
-            tile, view, solid, last = part
+        def see_tile(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:
+            tile, view, past, solid, last = part
             row, frames = (pose[:3], shadows, view), Frames(chunk.prisms, solid)
             seen, in_sight = seen_by_sensor(BITS, row, tile, frames, asked)
             if not asked.metrics:
                 return seen, jnp.zeros((0, len(view)), tile.heights.dtype)
             number = BITS.level_sums(in_sight, frames, len(tile.heights)).T
             sight = number.astype(tile.heights.dtype) / len(chunk.prisms.top)
+            if statics is not None:
+                sight *= bitmask.chances(past, len(tile.heights)).astype(sight.dtype)
             at = rays, pixels, pose, tile, sight, last, None, of_kind
             return seen, target_evidence_of_sensor(*at).chance
 
-        def see_nothing(part: tuple[Tile, Array, Array, Array]) -> tuple[Array, Array]:
+        def see_nothing(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:
             return jax.tree.map(
                 lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(see_tile, part)
             )
 
         seen, chance = jax.lax.map(
             lambda part: jax.lax.cond((part[1] != 0).any(), see_tile, see_nothing, part),
-            (chunk.tile, views, chunk.solid, last),
+            (chunk.tile, views, past, chunk.solid, last),
         )
         return views, seen.swapaxes(0, 1), chance
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, Point, Polygon
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.polygons import merge
@@ -26,6 +26,12 @@ KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehic
 boxes."""
 CORNERS = 8
 """Most corners of a convex part; parts with more are cut in two. Round bodies have eight sides."""
+STRAIGHT = 1e-4
+"""A corner so near the line between its neighbours is none [m]: what sight lines are wider by
+(:data:`~inspe_jax.core.convex.SEAM`), on both sides."""
+AT_SURFACE = 1e-3
+"""A sensor so near a side of a body is in it [m]. In single precision it could be on either side of
+it, and see all or nothing."""
 SWALLOWED = 0.5
 """A body that stands on more than this share of the region of interest is taken for an error."""
 LEAFY = 0.05
@@ -138,9 +144,25 @@ def body(
         raise InspeError(
             f"{where}: a trunk of {trunk:g} m radius: 0 for none, and under a base above 0"
         )
-    if not shape.exterior.is_ccw:
-        corners = np.concatenate([corners[:1], corners[:0:-1]])
+    corners = _without_straight(corners)
+    if not shape.exterior.is_ccw:  # the first side stays the first: it is where a vehicle heads
+        corners = np.roll(corners[::-1], 2, 0)
     return StaticBody(kind, corners, float(height), float(base), float(transmittance), float(trunk))
+
+
+def _without_straight(corners: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M 2"]:
+    """An outline without corners that lie on the line between their neighbours, within
+    :data:`STRAIGHT`: pieces of such corners alone would have no area, only sides without an end."""
+    while len(corners) > 3:
+        before, after = np.roll(corners, 1, 0), np.roll(corners, -1, 0)
+        chord, to = after - before, corners - before
+        length = np.maximum(np.hypot(*chord.T), 1e-12)
+        apart = np.abs(chord[:, 0] * to[:, 1] - chord[:, 1] * to[:, 0]) / length
+        flattest = int(np.argmin(apart))
+        if apart[flattest] > STRAIGHT:
+            break
+        corners = np.delete(corners, flattest, 0)
+    return corners
 
 
 def upright_box(
@@ -290,11 +312,15 @@ def inside_bodies(
 def body_at(
     bodies: Sequence[StaticBody], place: Intersection, point: Float[np.ndarray, "3"]
 ) -> StaticBody | None:
-    """The body that a point [m] is inside of, if any; on its surface is not inside."""
-    near = [one for one in bodies if shapely.contains_xy(one.polygon, point[0], point[1])]
+    """The body that a point [m] is inside of, or less than :data:`AT_SURFACE` beside, if any.
+
+    Above its top is not inside.
+    """
+    here = Point(point[0], point[1])
+    near = [one for one in bodies if one.polygon.dwithin(here, AT_SURFACE)]
     for one, ground in zip(near, grounds(near, place), strict=True):
         for shape, bottom, top in _solids(one, float(ground)):
-            if bottom < point[2] < top and shapely.contains_xy(shape, point[0], point[1]):
+            if bottom < point[2] < top and shape.dwithin(here, AT_SURFACE):
                 return one
     return None
 

@@ -169,3 +169,30 @@ def test_parts_stand_on_the_ground_or_begin_above_it():
     assert parts.top.tolist() == [10.0, 6.0]
     assert parts.transmittance.tolist() == [0.05, 0.0]
     assert convex_parts([], crossing()).corners.shape == (0, CORNERS, 2)
+
+
+def test_corners_on_a_straight_side_are_none():
+    """As outlines from maps have them: their pieces would have sides that go on for ever."""
+    plain = upright_box("building", (3.0, 4.0), (12, 3, 5), 0.3)
+    nodes = np.asarray(plain.polygon.segmentize(1.0).exterior.coords)[:-1]
+    assert len(nodes) > 3 * 8
+    for corners in (nodes, nodes[::-1], np.roll(nodes, 3, 0)):
+        found = body("building", corners, 5.0)
+        assert len(found.outline) == 4
+        (piece,) = found.pieces
+        assert Polygon(piece).symmetric_difference(plain.polygon).area < 1e-9
+
+
+def test_an_outline_in_the_other_sense_keeps_where_its_first_side_lies():
+    """A parked vehicle heads along it."""
+    car = np.array([[0, 0], [4.6, 0], [4.6, 1.8], [0, 1.8]])
+    for corners in (car, car[[1, 0, 3, 2]]):
+        found = body("parked vehicle", corners, 1.5).outline
+        assert np.ptp(found[:2], 0).tolist() == [4.6, 0]
+
+
+def test_a_sensor_at_a_facade_is_in_the_house():
+    house = upright_box("building", (0.0, 0.0), (10, 8, 6))
+    place = inspe_jax.built_in("four_way")
+    for x, inside in ((4.9, True), (5.0, True), (5.0009, True), (5.0011, False)):
+        assert (body_at([house], place, np.array([x, 1.0, 3.0])) is house) == inside

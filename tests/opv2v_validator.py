@@ -61,7 +61,7 @@ def check_scenario(scenario, attenuation=None, lidar_range=RANGE, every_box_hit=
     ``every_box_hit``: each box in range must contain a point of a LiDAR of some agent.
     """
     scenario = Path(scenario)
-    check_protocol(scenario / "data_protocol.yaml")
+    told = check_protocol(scenario / "data_protocol.yaml").get("lidar_range")
     agents = readers_order(scenario)
     report = Report(ego=agents[0], agents=len(agents))
     stamps = [p.stem for p in sorted((scenario / agents[0]).glob("*.yaml"))]
@@ -73,6 +73,8 @@ def check_scenario(scenario, attenuation=None, lidar_range=RANGE, every_box_hit=
         check_names(folder, stamps)
     for stamp in stamps:
         check_frame(scenario, agents, stamp, report, attenuation, lidar_range, every_box_hit)
+        if told:
+            check_range(scenario, agents, stamp, told)
     return report
 
 
@@ -88,11 +90,12 @@ def readers_order(scenario: Path) -> list[str]:
     return agents
 
 
-def check_protocol(path: Path) -> None:
+def check_protocol(path: Path) -> dict:
     need(path.is_file(), f"{path}: missing")
-    world = load(path).get("world", {})
+    protocol = load(path)
     for key in WORLD_KEYS:
-        need(key in world, f"{path}: no world.{key}")
+        need(key in protocol.get("world", {}), f"{path}: no world.{key}")
+    return protocol
 
 
 def check_names(folder: Path, stamps: list[str]) -> None:
@@ -132,6 +135,17 @@ def check_frame(scenario, agents, stamp, report, attenuation, lidar_range, every
     report.boxes_in_range += len(in_range)
     report.boxes_hit += len(hit)
     need(not every_box_hit or hit == in_range, f"{path}: no point in {sorted(in_range - hit)}")
+
+
+def check_range(scenario: Path, agents: list[str], stamp: str, told) -> None:
+    """Whether the range that the protocol tells readers to use keeps every box, as a whole, in the
+    frame of any agent."""
+    for agent in agents:
+        path = scenario / agent / f"{stamp}.yaml"
+        content = load(path)
+        for track, thing in content["vehicles"].items():
+            corners = corners_in_lidar(thing, content["lidar_pose"])
+            need(inside_range(corners, told).all(), f"{path}: vehicles.{track} leaves {told}")
 
 
 def check_agent(path: Path, content: dict) -> None:
@@ -267,6 +281,13 @@ def box_in_lidar(thing: dict, lidar_pose) -> tuple[np.ndarray, np.ndarray]:
     box = to_world([*middle, *thing["angle"]])
     lidar = to_world(lidar_pose)
     return np.linalg.inv(box) @ lidar, (np.linalg.inv(lidar) @ box)[:3, 3]
+
+
+def corners_in_lidar(thing: dict, lidar_pose) -> np.ndarray:
+    """The corners (8, 3) of a box in the LiDAR's frame."""
+    signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+    to_lidar = np.linalg.inv(box_in_lidar(thing, lidar_pose)[0])
+    return (signs * thing["extent"]) @ to_lidar[:3, :3].T + to_lidar[:3, 3]
 
 
 def inside_range(points: np.ndarray, limits) -> np.ndarray:

@@ -13,7 +13,7 @@ from filelock import FileLock
 
 from inspe_jax.core.files import parse_yaml
 from inspe_jax.dataset.formats.agents import with_cameras
-from inspe_jax.dataset.formats.ranges import lidar_ranges
+from inspe_jax.dataset.formats.ranges import lidar_range
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
@@ -177,7 +177,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                     if not stored.is_begun(chunk.folder):
                         agents = with_cameras(frame.stations, options.cameras_per_agent)
                         protocol = _worker.protocol or {}
-                        protocol["lidar_range"] = lidar_ranges(agents, scene.voxels)
+                        protocol["lidar_range"] = lidar_range(agents, scene.voxels)
                         stored.write_protocol(chunk.folder, protocol, agents)
                     files = stored.write(chunk.folder, frame, options)
                     record_frame(chunk.folder, t, files)

@@ -91,7 +91,7 @@ class _Protocol(Strict):
     versions: dict[str, str]
     notes: list[str] = Field(default=[])
     middle: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
-    lidar_range: dict[int, list[float]] = Field(default={})
+    lidar_range: list[float] | dict[int, list[float]] = Field(default=[])  # earlier, of each agent
     stations: dict[int, str] = Field(default={})
 
 

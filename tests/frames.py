@@ -33,7 +33,9 @@ def car(track: int = 3, **changes) -> RoadUserBox:
     return RoadUserBox(**{**values, **changes})
 
 
-def image(width: int = 8, height: int = 6, pose=UNIT, layers: bool = True, seed: int = 0) -> Image:
+def image(
+    width: int = 8, height: int = 6, pose=UNIT, layers: bool = True, seed: int = 0, **counts
+) -> Image:
     """A picture of noise, with every layer or none; depth in whole centimetres, some infinite."""
     rng = np.random.default_rng(seed)
     shape = (height, width)
@@ -49,6 +51,7 @@ def image(width: int = 8, height: int = 6, pose=UNIT, layers: bool = True, seed:
         intrinsic=np.array([[5.0, 0, width / 2], [0, 5.0, height / 2], [0, 0, 1]]),
         rgb=rng.integers(0, 256, (*shape, 3)).astype(np.uint8),
         **(extra if layers else {}),
+        **counts,
     )
 
 

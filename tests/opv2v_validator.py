@@ -24,7 +24,7 @@ WORLD_KEYS = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
 KINDS = {"cars": "car", "cyclists": "cyclist", "pedestrians": "pedestrian", "trucks": "truck"}
 FILES = (
     r"(\d{6})(\.yaml|\.pcd|_lidar\d+\.pcd|_camera\d+\.png|_depth\d+\.png|_instance\d+\.png"
-    r"|_semantic\d+\.png)"
+    r"|_semantic\d+\.png|_bev_visibility\.png)"
 )
 LAYERS = {"depth": ("I;16", "I"), "instance": ("I;16", "I"), "semantic": ("L",)}
 

@@ -23,6 +23,7 @@ its own: scenarios, splits and names here, jobs and searches there. The file::
     pictures: png                    # or jpeg: smaller, and faster to read
     cameras_per_agent: 4             # for readers that want as many of each; not given: as they are
     infra_set_names: false           # a second name for the first point cloud of each agent
+    visibility_maps: false           # a picture of the road users that each agent's cameras see
     splits: {train: 7, validate: 1, test: 2}
     split_by: scene                  # or intersection, or scenario: see below
 
@@ -216,6 +217,7 @@ class RecordingEntry(Strict):
     pictures: str = DEFAULT_OPTIONS.pictures
     cameras_per_agent: int = DEFAULT_OPTIONS.cameras_per_agent
     infra_set_names: bool = DEFAULT_OPTIONS.infra_set_names
+    visibility_maps: bool = DEFAULT_OPTIONS.visibility_maps
 
     def recording(self, where: str) -> Recording:
         """The settings of the recording.

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from frames import car, scan
-from opv2v_validator import corners_in_lidar
+from frames import WORLD, car, frame, image, scan, station
+from opv2v_validator import box_in_lidar, check_scenario, corners_in_lidar, load
+from PIL import Image
 
 from inspe_jax.core.carla_frame import to_carla
-from inspe_jax.dataset import Station
+from inspe_jax.dataset import FileOptions, Station, write_frame, write_protocol
 from inspe_jax.dataset.formats.ranges import lidar_range
 from inspe_jax.scene.voxels import VoxelGrid
 
@@ -59,3 +60,46 @@ def test_the_range_is_one_grid_for_all_agents():
     assert each[1][2:6:3] == [-1.0, 6.0]  # ground 0.3 m above the unit, half a metre spare; 5 m
     upright = Station(3, "upright", np.array([0, 0, 6.2, 0, 0, 0.0]), (), ())
     assert lidar_range([upright], voxels) == [-64.0, -64.0, -7.0, 64.0, 64.0, -1.0]
+
+
+def readers_pixel(thing: dict, lidar_pose) -> tuple[int, int]:
+    """Row and column of a box's middle in HEAL's and CoAlign's code."""
+    x, y, _ = box_in_lidar(thing, lidar_pose)[1]
+    return 127 - int(x / 0.39), 127 + int(y / 0.39)
+
+
+def test_visibility_maps(tmp_path):
+    """A box is kept where one camera of the agent shows it, and only there.
+
+    Boxes stand 4 m apart all round two agents; the first agent's cameras show every third of them,
+    the other's did not count pixels.
+    """
+    places = [(x, y) for x in range(-30, 60, 11) for y in range(-30, 50, 9)]
+    boxes = [
+        car(k, center=np.array([*place, 0.75]), yaw=0.3 * k, size=np.array([3.6, 1.65, 1.5]))
+        for k, place in enumerate(places)
+    ]
+    shown = np.arange(len(boxes)) % 3 == 0
+    first = station(1, cameras=0, layers=False)
+    counted = [np.where(shown & (np.arange(len(boxes)) % 2 == i), 5, 0) for i in (0, 1)]
+    looks = tuple(image(layers=False, pixels=pixels, share=pixels / 5) for pixels in counted)
+    given = frame(boxes=boxes, stations=[
+        Station(1, "counted", first.pose, looks, first.scans),
+        Station(2, "not counted", first.pose, (image(layers=False),), ()),
+    ])  # fmt: skip
+    write_protocol(tmp_path, {"world": WORLD})
+    paths = write_frame(tmp_path, given, options=FileOptions(visibility_maps=True))
+    maps = [path for path in paths if path.name == "000068_bev_visibility.png"]
+    assert len(maps) == 2
+    check_scenario(tmp_path, lidar_range=(-200, -200, -8, 200, 200, 0))
+    for path, seen in zip(maps, (shown, np.ones(len(boxes), bool)), strict=True):
+        content = load(path.with_name("000068.yaml"))
+        with Image.open(path) as picture:
+            found = np.array(picture)
+        things = [content["vehicles"][k] for k in range(len(boxes))]
+        at = np.array([readers_pixel(thing, content["lidar_pose"]) for thing in things])
+        inside = ((at >= 0) & (at < 256)).all(1)
+        assert inside.sum() > 60
+        white = found[tuple(at[inside].T)] > 0
+        np.testing.assert_array_equal(white, seen[inside])
+        assert 15 < found.astype(bool).sum() / white.sum() < 60  # 3.6 × 1.65 m are 39 pixels

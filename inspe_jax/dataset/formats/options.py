@@ -19,11 +19,14 @@ class FileOptions:
     want the same number of all; 0 leaves them as they are.
     ``infra_set_names`` gives the first point cloud of each agent a second name, ``_lidar0.pcd``,
     as the Infra-Set variant of OPV2V has it.
+    ``visibility_maps`` adds a picture of the road users that the cameras of each agent see,
+    ``_bev_visibility.png``, by which HEAL's and CoAlign's camera readers choose boxes.
     """
 
     pictures: str = added("png")
     cameras_per_agent: int = added(0)
     infra_set_names: bool = added(False)
+    visibility_maps: bool = added(False)
 
     def check(self, where: str) -> None:
         """Raise InspeError where a value is out of range."""

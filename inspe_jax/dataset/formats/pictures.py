@@ -53,7 +53,7 @@ def write_instance(path: Path, instance: Any) -> None:
 
 
 def write_semantic(path: Path, semantic: Any) -> None:
-    """Write labels (H, W) in 8 bits."""
+    """Write labels (H, W), or another map of small numbers, in 8 bits."""
     _write(path, np.asarray(semantic).astype(np.uint8))
 
 

@@ -1,7 +1,8 @@
 """Writes frames as OPV2V files, which also have the keys of the Infra-Set variant.
 
 SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar1.pcd`` …, ``_camera0.png`` …, and, if they
-were recorded, ``_depth0.png``, ``_instance0.png`` and ``_semantic0.png``. The YAML file has the
+were recorded or asked for, ``_depth0.png``, ``_instance0.png``, ``_semantic0.png`` and
+``_bev_visibility.png``. The YAML file has the
 keys of both, and under ``observed`` what each sensor recorded of each road user. The time of a
 frame is in no file: it is its number times the time step in ``data_protocol.yaml``.
 """
@@ -26,6 +27,7 @@ from inspe_jax.dataset.formats.pictures import (
     write_semantic,
 )
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
+from inspe_jax.dataset.formats.visibility import visibility_map
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
 
 SECTIONS: dict[str, str] = {
@@ -81,6 +83,9 @@ def write_frame(
         files += _write_scans(agent, stem, station.scans, options)
         for i, image in enumerate(station.images):
             files += _write_image(agent, stem, i, image, options)
+        if options.visibility_maps:
+            files.append(agent / f"{stem}_bev_visibility.png")
+            write_semantic(files[-1], visibility_map(station, frame.boxes))
     for station, agent in zip(stations, agents, strict=True):
         files.append(agent / f"{stem}.yaml")
         write_text(files[-1], dump_yaml(_sensors(station)) + boxes)

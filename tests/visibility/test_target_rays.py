@@ -48,13 +48,15 @@ def on_faces(rays, pose, to, edges, middle, wide, tall):
     return rays_on_face(rays, transform, to, edges[:-1], edges[1:])[0], share
 
 
-def cast_at(body, pose, triangles, spread, reach):
-    """How many of the rays hit a box; those that point elsewhere are left out."""
+def cast_at(body, pose, triangles, radius, reach):
+    """How many of the rays hit a box; those that miss the sphere about it are left out."""
     caster_of = pytest.importorskip("inspe_jax.simulation.embedded.embree").Caster
     to = triangles.mean((0, 1)) - pose[:3]
     turn = rotation(pose[3:], np)
-    toward = body @ (turn.T @ to) / np.linalg.norm(to)
-    near = body[toward > np.cos(min(spread, np.pi))] @ turn.T
+    away = np.linalg.norm(to)
+    toward = body @ (turn.T @ to) / away
+    tangent = (1 - (radius / away) ** 2) ** 0.5 if radius < away else -1.0
+    near = body[toward > tangent - 1e-6] @ turn.T
     return (caster_of(triangles).cast(pose[:3], near, reach).face >= 0).sum()
 
 
@@ -93,11 +95,11 @@ def test_the_expected_number_is_the_mean_of_what_is_cast(name):
             at, foot = poses(spec.aimed, count, rng), np.zeros((count, 3))
             bearing = rng.uniform(-0.3, 0.3, count)
             foot[:, 0], foot[:, 1] = distance * np.cos(bearing), distance * np.sin(bearing)
-            spread = np.arctan2(np.linalg.norm(user.size), max(distance - 4.5, 0.1)) + 0.2
+            radius = np.linalg.norm(user.size) / 2
             headings = rng.permutation(count) * 2 * np.pi / count
             cast = np.array(
                 [
-                    cast_at(body, pose, box_triangles(one, user.size, yaw), spread, spec.grid.reach)
+                    cast_at(body, pose, box_triangles(one, user.size, yaw), radius, spec.grid.reach)
                     for pose, one, yaw in zip(at, foot, headings, strict=True)
                 ],
                 float,

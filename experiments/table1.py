@@ -1,16 +1,18 @@
 """Claim: detectors find more where the surrogate metrics rank a placement higher (Table 1, Fig. 4).
 
 Records the ten intersections under each of the paper's nine placements, and trains the eight
-detectors on three placements each, all for the same number of steps. Each is measured on
-intersections that it has not seen, and on another time at those that it has. Tells nuScenes' mAP by
+detectors on three placements each, all for the same number of steps. Each is measured on two
+intersections that it has not seen, and on another time at all ten. Tells nuScenes' mAP by
 detector, placement and class beside the paper's (``--paper1 FILE``, with the columns model,
 placement, class, map_percent), the correlation of the mean mAP of a placement with its P_sm, C, O
 and IG (``table2.csv``), with intervals from resampling the placements, and what the paper
 concludes from its table, yes or no with numbers.
 
+P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``paper``.
+
 All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there; a
-training that is done is a row of ``table1_rows.csv``. ``--only MODEL,PLACEMENT,SEED`` trains one,
-so that many machines can share the work.
+training that is done has its rows in its folder. ``--only MODEL,PLACEMENT,SEED`` trains one: on
+another machine, with a --keep of its own, from which the training's folder can be copied here.
 
 ``--quick`` trains one detector of each modality on eight frames, until it knows them.
 """
@@ -31,6 +33,7 @@ from scipy.stats import pearsonr, spearmanr
 from table2 import HERE, begin, places, read_paper
 
 from inspe_jax.cli.common import progress
+from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.dataset import Cache, cache, generate, load_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, model_of
 from inspe_jax.perception.evaluation import Evaluation
@@ -59,6 +62,7 @@ SETS: dict[str, dict[str, Any]] = {
 }
 """Held-out intersections are a split of the first set; held-out time is the second, on all."""
 RESAMPLES = 10_000
+ROWS = "table1_rows.csv"
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
 
@@ -152,7 +156,7 @@ def trained(job: Job, data: Cache, folder: Path, settings: Settings, grid: BevGr
 
         def report(now: Report) -> None:
             told = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
-            bar(now.step, now.steps, f"{now.model} {job.placement}: loss {now.loss:.2f}{told}")
+            bar(now.step, now.steps, job.folder, f"loss {now.loss:.2f}{told}")
 
         return train(data, folder, settings, grid=grid, progress=report if bar else None)
 
@@ -180,31 +184,18 @@ def rows_of(
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The rows of trainings that are done."""
-    if not path.is_file():
-        return []
+    """The rows of a training that is done."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
-def append_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Add the rows of a training, all at once."""
-    new = not path.is_file()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        if new:
-            table.writeheader()
-        table.writerows(rows)
-
-
 def run_all(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
     """Every training that is not done yet; gives the rows of all."""
-    path = into / "table1_rows.csv"
     for job in jobs(given):
         data = recorded(given, into, job.placement, "train")
         later = recorded(given, into, job.placement, "later")
-        done = {(r["model"], r["placement"], int(r["seed"])) for r in read_rows(path)}
-        if given.record or job in done:
+        path = into / job.folder / ROWS
+        if given.record or path.is_file():
             continue
         settings = Settings(model=job.model, steps=given.steps, seed=job.seed)
         began = time.monotonic()
@@ -215,8 +206,11 @@ def run_all(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
             found = measured(run, frames, split)
             rows += rows_of(job, of, found, run.steps, seconds)
             console.print(f"{job.folder}, other {of}: mAP {found.mean_ap:.1%}", highlight=False)
-        append_rows(path, rows)
-    return read_rows(path)
+        write_text(path, csv_text(rows))
+    every = [row for path in sorted(into.glob(f"*/{ROWS}")) for row in read_rows(path)]
+    if len({row["steps"] for row in every}) > 1:
+        raise SystemExit(f"{into} has trainings of different numbers of steps: use another --keep")
+    return every
 
 
 def quick(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:

@@ -223,7 +223,8 @@ def busy(what: str) -> Iterator[None]:
 def progress(what: str) -> Iterator[Any]:
     """Show a progress bar on a terminal; yields a callback (done, total), or None elsewhere.
 
-    The callback may be told ``what`` is counted now, and begins anew where that has changed.
+    The callback may be told ``what`` is counted now, and begins anew where that has changed; and
+    ``facts`` to show beside it.
     """
     if not err.is_terminal:
         yield None
@@ -231,16 +232,18 @@ def progress(what: str) -> Iterator[Any]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as TimeLeft
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeLeft())
+    facts = TextColumn("{task.fields[facts]}")
+    words = TextColumn("{task.description}")
+    columns = (words, BarColumn(), MofNCompleteColumn(), TimeLeft(), facts)
     # The time left is estimated from all steps so far, since some take minutes.
     with Progress(*columns, console=err, transient=True, speed_estimate_period=1e9) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(what, total=None, facts="")
 
-        def report(done: int, total: int, what: str = what) -> None:
+        def report(done: int, total: int, what: str = what, facts: str = "") -> None:
             # Steps of an earlier run say nothing of speed.
             if bar.tasks[0].total is None or what != bar.tasks[0].description:
                 bar.reset(task, total=total, completed=done, description=what)
-            bar.update(task, completed=done)
+            bar.update(task, completed=done, facts=facts)
 
         yield report
 

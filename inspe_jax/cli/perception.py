@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
     from inspe_jax.perception.training import Run
 
+BOX = ("x", "y", "z", "length", "width", "height", "yaw", "velocity_x", "velocity_y")
+"""Names of a box's numbers in records [m, rad, m/s], about the middle of the intersection."""
+
 SetArgument = Annotated[
     Path, typer.Argument(metavar="SET", help="A data set, or the cache of one.")
 ]
@@ -74,38 +77,37 @@ def train_detector(
     an hour. early-fusion is disconet's teacher, which is trained first.
 
     RUN gets losses.csv, validation.csv and the last two states. To go on after a stop, give the
-    same command again; losses are the same as without the stop.
+    same command again; on a CPU, losses are the same as without the stop.
 
     Examples:
 
-    - `inspe train infra --model v2x-vit --out runs/v2x-vit`
-    - `inspe train infra_cache --model lss-eff --steps 3000 --out runs/lss-eff`
+    - `inspe train infra --model v2x-vit --out v2x-vit`
+    - `inspe train infra_cache --model lss-eff --steps 3000 --out lss-eff`
     """
-    from inspe_jax.core.files import check_folder
+    from inspe_jax.core.files import check_folder, check_model
 
     training = _training()
+    from inspe_jax.perception.detector import model_of
+
     check_folder(folder)
-    settings = training.Settings(
-        model=model,
-        steps=steps,
-        batch=batch,
-        rate=rate,
-        seed=seed,
-        every=every,
-        validate_frames=validate,
-        augment=augment,
-    )
+    given = dict(model=model, steps=steps, batch=batch, rate=rate, seed=seed, every=every)
+    given |= dict(validate_frames=validate, augment=augment)
+    settings = check_model(training.Settings, given, "training")
+    model_of(model)  # before frames are decoded, which may take hours
     data = _cache(source, cache, picture_size(pictures))
     try:
         with progress("compiling") as tell:
 
             def report(now: Any) -> None:
-                words = f"{now.model}: loss {now.loss:.2f}"
+                facts = f"loss {now.loss:.2f}"
                 if now.mean_ap is not None:
-                    words += f", mAP {now.mean_ap:.1%}"
-                tell(now.step, now.steps, words)
+                    facts += f", mAP {now.mean_ap:.1%}"
+                if tell:
+                    tell(now.step, now.steps, now.model, facts)
+                elif now.step % every == 0:
+                    err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
 
-            run = training.train(data, folder, settings, progress=report if tell else None)
+            run = training.train(data, folder, settings, progress=report)
     except KeyboardInterrupt:
         err.print("stopped; give the same command again to go on", soft_wrap=True)
         raise typer.Exit(130) from None
@@ -134,8 +136,8 @@ def evaluate_detector(
 
     Examples:
 
-    - `inspe evaluate runs/v2x-vit infra`
-    - `inspe evaluate runs/v2x-vit infra --split validate --csv table.csv`
+    - `inspe evaluate v2x-vit infra`
+    - `inspe evaluate v2x-vit infra --split validate --csv table.csv`
     """
     from inspe_jax.core.files import check_output, csv_text, json_value, write_text
     from inspe_jax.report.perception_tables import evaluation_table
@@ -175,13 +177,15 @@ def detect(
 
     Examples:
 
-    - `inspe detect runs/v2x-vit infra --plot detections.png`
-    - `inspe detect runs/v2x-vit infra --scenario four_way --frame 68 --score 0.1`
+    - `inspe detect v2x-vit infra --plot detections.png`
+    - `inspe detect v2x-vit infra --scenario four_way --frame 68 --score 0.1`
     """
     from inspe_jax.core.files import check_output, json_value
+    from inspe_jax.dataset import Loader
     from inspe_jax.report.detections import draw
     from inspe_jax.report.perception_tables import detections_table
     from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.simulation.frame import KINDS
 
     check_output(plot, FORMATS)
     check_record(record)
@@ -190,12 +194,18 @@ def detect(
     batch = loader[step]
     with busy("detecting"):
         (found,) = predictor(batch)
+    boxes = [
+        {"class": KINDS[kind], "score": score, **dict(zip(BOX, box, strict=True))}
+        for box, kind, score in zip(*found, strict=True)
+        if score >= least
+    ]
     where = {"run": str(run.path), "scenario": name, "frame": number}
-    show(detections_table(found, least), json_value({**where, **found._asdict()}), record)
+    show(detections_table(found, least), json_value({**where, "detections": boxes}), record)
     if plot:
         with busy("drawing"):
             title = f"{run.content.settings.model}: {name}, frame {number}"
-            save_figure(draw(batch, 0, found, title, least_score=least), plot)
+            whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[step]
+            save_figure(draw(whole, 0, found, title, least_score=least), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)
 
 

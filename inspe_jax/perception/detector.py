@@ -36,7 +36,8 @@ class Model:
     ``images`` is the encoder of pictures. ``fuse`` makes a fusion of maps with so many channels and
     of agents with these modalities (0 LiDAR, 1 camera). With ``every_scale`` the maps of all three
     scales are fused, otherwise the one made of them. With ``joined``, all agents of a modality are
-    one from the start: early fusion. ``taught`` models learn from the maps of a teacher.
+    one from the start, early fusion: cells have the maximum over the pillars of all units, and the
+    sum over all cameras. ``taught`` models learn from the maps of a teacher.
     """
 
     sensors: tuple[Sensor, ...]
@@ -81,7 +82,9 @@ MODELS: dict[str, Model] = {
     "attfuse": Model(BOTH, _att_fuse, "Xu et al. 2022"),
     "disconet": Model(BOTH, _disco_net, "Li et al. 2021", taught=True),
     "hm-vit": Model(BOTH, HMViT, "Xiang et al. 2023"),
-    TEACHER: Model(LIDAR, _mean, "DiscoNet's teacher: all points together", joined=True),
+    TEACHER: Model(
+        LIDAR, _mean, "DiscoNet's teacher: the pillars of all units together", joined=True
+    ),
 }
 """Detectors by name. CoAlign's correction of poses is left out: the poses are exact."""
 

@@ -36,7 +36,8 @@ VALUE_WEIGHT = 0.5
 """Weight of the values' loss, which sums over eight; that of heat is 1."""
 
 MOST = 100
-"""Detections of a frame that are kept: the densest traffic has 60 road users."""
+"""Detections of a frame and class that are kept, so that many of one class crowd out no other:
+nuScenes allows 500 of ten classes, and the densest traffic has 60 road users."""
 
 
 class Found(NamedTuple):
@@ -50,22 +51,24 @@ class CenterHead(eqx.Module):
     """Maps at half the cells' resolution to heat and values at the whole."""
 
     shared: Block
-    hot: Block
-    told: Block
+    heat_block: Block
+    value_block: Block
     heat: Conv
     values: Conv
 
     def __init__(self, channels: int, key: Array) -> None:
         a, b, c, d, e = jax.random.split(key, 5)
         self.shared = Block(channels, HIDDEN, a)
-        self.hot, self.told = Block(HIDDEN, HIDDEN, b), Block(HIDDEN, HIDDEN, c)
+        self.heat_block = Block(HIDDEN, HIDDEN, b)
+        self.value_block = Block(HIDDEN, HIDDEN, c)
         heat = Conv(HIDDEN, len(KINDS), d, width=1)
         self.heat = eqx.tree_at(lambda conv: conv.bias, heat, jnp.full(len(KINDS), RARE))
         self.values = Conv(HIDDEN, VALUES, e, width=1)
 
     def __call__(self, x: Float[Array, "B h w c"]) -> Found:
         shared = self.shared(enlarged(x, 2))
-        return Found(self.heat(self.hot(shared)), self.values(self.told(shared)))
+        heat, values = self.heat_block(shared), self.value_block(shared)
+        return Found(self.heat(heat), self.values(values))
 
 
 class Aims(NamedTuple):
@@ -111,8 +114,8 @@ def aims(targets: Targets, grid: BevGrid) -> Aims:
     own = jax.nn.one_hot(jnp.asarray(targets.kind), len(KINDS))  # (B, M, K)
 
     def heat(one_along: Array, one_across: Array, one_own: Array) -> Array:
-        peaks = one_along[:, :, None] * one_across[:, None]  # (M, H, W)
-        return jnp.stack([(peaks * k[:, None, None]).max(0) for k in one_own.T], -1)
+        bumps = one_along[:, :, None] * one_across[:, None]  # (M, H, W)
+        return jnp.stack([(bumps * k[:, None, None]).max(0) for k in one_own.T], -1)
 
     return Aims(lax.map(lambda x: heat(*x), (along, across, own)), row, column, values, mask)
 
@@ -143,7 +146,7 @@ def loss(found: Found, aim: Aims) -> tuple[Float[Array, ""], Float[Array, ""]]:
 
 
 class Peaks(NamedTuple):
-    """The :data:`MOST` highest peaks of each frame, with boxes as those of targets."""
+    """The highest peaks of each frame, :data:`MOST` of each class, with boxes as of targets."""
 
     boxes: Float[Array, "B N 9"]
     kind: Int[Array, "B N"]
@@ -157,9 +160,10 @@ def peaks(found: Found, grid: BevGrid) -> Peaks:
     """
     heat = jax.nn.sigmoid(found.heat)
     around = lax.reduce_window(heat, -jnp.inf, lax.max, (1, 3, 3, 1), (1, 1, 1, 1), "SAME")
-    flat = jnp.where(heat == around, heat, 0.0).reshape(len(heat), -1)
-    score, at = lax.top_k(flat, MOST)
-    cell, kind = at // len(KINDS), at % len(KINDS)
+    flat = jnp.where(heat == around, heat, 0.0).reshape(len(heat), -1, len(KINDS))
+    score, cell = lax.top_k(flat.swapaxes(1, 2), MOST)  # (B, K, MOST)
+    kind = jnp.broadcast_to(jnp.arange(len(KINDS))[None, :, None], cell.shape)
+    score, cell, kind = (part.reshape(len(heat), -1) for part in (score, cell, kind))
     row, column = cell // grid.side, cell % grid.side
     values = found.values[jnp.arange(len(heat))[:, None], row, column]
     place = (jnp.stack([row, column], -1).astype(float) + values[..., :2]) * grid.cell - grid.half

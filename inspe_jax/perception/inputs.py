@@ -14,6 +14,9 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Batch, PillarGrid, Pillars
 
+MULTIPLE = 32
+"""Cells along a side are a multiple of this: fused maps have half as many, in windows of 16."""
+
 
 @dataclass(frozen=True)
 class BevGrid:
@@ -37,6 +40,15 @@ class BevGrid:
     def side(self) -> int:
         """Number of cells along each side."""
         return round(2 * self.half / self.cell)
+
+    def check(self) -> None:
+        """Raise InspeError if the maps of detectors do not fit the grid."""
+        self.pillars().check()
+        if self.side % MULTIPLE:
+            raise InspeError(
+                f"grid: {self.side} cells of {self.cell:g} m a side: a multiple of {MULTIPLE} "
+                f"is needed, as with half {MULTIPLE * self.cell / 2:g} m"
+            )
 
     def pillars(self, most_pillars: int = 6000, most_points: int = 16) -> PillarGrid:
         """How points are divided among the same cells, for each unit."""
@@ -100,7 +112,8 @@ def inputs_of(batch: Batch, agents: Agents) -> Inputs:
 def _filled_up(pillars: Pillars, count: int) -> Pillars:
     """Pillars with ``count`` groups: the last ones are empty."""
     missing = count - pillars.counts.shape[1]
-    _check_count(int(pillars.counts.any((0, 2)).sum()), count, "LiDARs")
+    used = np.flatnonzero(pillars.counts.any(axis=(0, 2)))
+    _check_count(int(used.max(initial=-1)) + 1, count, "LiDARs")
     if missing <= 0:
         return Pillars(*(part[:, :count] for part in pillars))
     return Pillars(

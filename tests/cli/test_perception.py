@@ -7,6 +7,7 @@ from loading_sets import write_set
 from typer.testing import CliRunner
 
 from inspe_jax.cli.common import app
+from inspe_jax.simulation.frame import KINDS
 
 TRAIN = ("--model", "early-fusion", "--steps", "2", "--every", "1", "--pictures", "32x24")
 
@@ -44,7 +45,10 @@ def test_detect_lists_and_draws_a_frame(trained, tmp_path):
     assert plot.stat().st_size > 10_000
     record = json.loads(run(*words, "--json", "-").stdout)
     assert (record["scenario"], record["frame"]) == ("c", 8)
-    assert len(record["boxes"]) == len(record["score"]) == len(record["kind"])
+    assert {found["class"] for found in record["detections"]} <= set(KINDS)
+    assert all(abs(found["x"]) < 60 < 1000 * found["length"] for found in record["detections"])
+    more = json.loads(run(*words[:-1], 0.02, "--json", "-").stdout)["detections"]
+    assert len(more) < len(record["detections"])
 
 
 @pytest.mark.parametrize(
@@ -66,4 +70,6 @@ def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
     found = run("train", trained / "set", *words, "--out", tmp_path / "run")
     assert "lss-eff needs pictures, and the cache was made without" in str(found.exception)
     found = run("train", trained / "set", "--pictures", "big", "--out", tmp_path / "run")
+    found_too = run("train", trained / "set", "--rate", "-1", "--out", tmp_path / "run")
+    assert "training: rate: input should be greater than 0" in str(found_too.exception)
     assert "--pictures big: width and height such as 400x300, or none" in str(found.exception)

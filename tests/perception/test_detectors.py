@@ -83,6 +83,14 @@ def test_agents_are_filled_up_and_never_left_out(cached):
             inputs_of(batch, few)
 
 
+def test_no_unit_is_lost_whichever_it_is(cached):
+    batch = loader_of("coalign", cached, "train", GRID, batch=2, shuffle=False)[0]
+    pillars = batch.lidars.pillars
+    pillars.counts[:, 0] = 0
+    with pytest.raises(InspeError, match="a frame has 2 units with LiDARs"):
+        inputs_of(batch, Agents(1, 0))
+
+
 def test_a_frame_without_agents_has_one_that_is_empty(cached):
     loader = loader_of("attfuse", cached, "train", GRID, batch=3, shuffle=False)
     batch = loader[0]  # two frames, and padding

@@ -3,12 +3,14 @@
 import shutil
 from importlib import import_module
 
+import jax
 import numpy as np
 import pytest
 from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario, write_set
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Settings, open_run, train
 from inspe_jax.perception.training.run import LOSSES, VALIDATION
@@ -30,18 +32,24 @@ class Stop(Exception):
     pass
 
 
+def stop_at(step: int, model: str | None = None):
+    """A stop by the user after a step, of a model if given."""
+
+    def stop(report):
+        if report.step == step and model in (None, report.model):
+            raise Stop
+
+    return stop
+
+
 @pytest.fixture(scope="module")
 def stopped_and_not(cached, tmp_path_factory):
     """A training in one go, and one that is stopped after three steps of four and goes on."""
     root = tmp_path_factory.mktemp("runs")
     whole = train(cached, root / "whole", SETTINGS, grid=GRID)
 
-    def stop(report):
-        if report.step == 3:
-            raise Stop
-
     with pytest.raises(Stop):
-        train(cached, root / "parts", SETTINGS, grid=GRID, progress=stop)
+        train(cached, root / "parts", SETTINGS, grid=GRID, progress=stop_at(3))
     run = open_run(root / "parts")
     assert run.steps == 2
     assert [row["step"] for row in run.rows(LOSSES)] == [1, 2, 3]
@@ -78,6 +86,60 @@ def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, c
     assert again.rows(LOSSES) == stopped_and_not[0].rows(LOSSES)
 
 
+def test_whatever_a_kill_leaves_is_mended(stopped_and_not, cached, tmp_path):
+    """A state without its mAP, files without a head, and parts of files."""
+    whole = stopped_and_not[0]
+    folder = tmp_path / "run"
+    shutil.copytree(whole.path, folder)
+    lines = (folder / VALIDATION).read_text().splitlines(keepends=True)
+    (folder / VALIDATION).write_text("".join(lines[:-1]))
+    (folder / ".step_00000004.eqx.abc.part").write_bytes(b"half")
+    again = train(cached, folder, SETTINGS, grid=GRID)
+    assert again.rows(VALIDATION) == whole.rows(VALIDATION)
+    assert not list(folder.glob(".*.part"))
+    for _, path in again.states:
+        path.unlink()
+    (folder / LOSSES).write_text("")
+    (folder / ".run.json.abc.part").write_text("{")
+    with pytest.raises(Stop):
+        train(cached, folder, SETTINGS, grid=GRID, progress=stop_at(1))
+    assert [row["step"] for row in again.rows(LOSSES)] == [1]
+    assert again.rows(LOSSES) == whole.rows(LOSSES)[:1]
+
+
+def test_a_run_without_a_state_may_be_begun_otherwise(cached, tmp_path):
+    many = SETTINGS.model_copy(update={"batch": 64})
+    with pytest.raises(InspeError, match="use a smaller batch"):
+        train(cached, tmp_path / "run", many, grid=GRID)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(InspeError, match=r"50 cells .* a multiple of 32 .* half 12\.8 m"):
+        train(cached, tmp_path / "run", SETTINGS, grid=BevGrid(half=20))
+
+
+def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path):
+    settings = Settings(model="disconet", steps=2, batch=2, every=1, validate_frames=0)
+    with pytest.raises(Stop):
+        train(cached, tmp_path / "run", settings, grid=GRID, progress=stop_at(2, "disconet"))
+    run = train(cached, tmp_path / "run", settings, grid=GRID)
+    assert run.done
+    assert open_run(tmp_path / "run" / "teacher").done
+    taught = [row["taught"] for row in run.rows(LOSSES)]
+    assert len(taught) == 2
+    assert min(taught) > 0
+    before = open_run(tmp_path / "run" / "teacher").states[-1][1].read_bytes()
+    train(cached, tmp_path / "run", settings, grid=GRID)
+    assert open_run(tmp_path / "run" / "teacher").states[-1][1].read_bytes() == before
+
+
+def test_distillation_is_a_divergence():
+    rng = np.random.default_rng(0)
+    own, teacher = rng.normal(size=(2, 1, 3, 4, 8)).astype(np.float32)
+    found, same = jax.jit(lambda a, b: (distillation(a, b), distillation(b, b)))(own, teacher)
+    p, q = (np.exp(x) / np.exp(x).sum(-1, keepdims=True) for x in (teacher, own))
+    assert found == pytest.approx((p * np.log(p / q)).sum(-1).mean(), rel=1e-4)
+    assert same == pytest.approx(0, abs=1e-6)
+
+
 def test_other_settings_are_refused_in_the_same_folder(stopped_and_not, cached, tmp_path):
     folder = stopped_and_not[0].path
     for key, value in (("steps", 5), ("model", "v2vnet"), ("rate", 0.1)):
@@ -107,14 +169,16 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
         return lambda detector, moments, *given: (detector, moments, losses)
 
     monkeypatch.setattr(room, "_compiled", broken)
-    with pytest.raises(InspeError, match=r"step 3 is not a number: try a lower rate .* 2 stays"):
+    with pytest.raises(
+        InspeError, match=r"step 3 gave no numbers: train into another folder.* 2 stays"
+    ):
         train(cached, folder, SETTINGS, grid=GRID)
     assert open_run(folder).steps == 2
 
 
 def test_only_one_process_trains_a_run(stopped_and_not, cached):
     run = stopped_and_not[1]
-    with run.lock(), pytest.raises(InspeError, match="another process trains this run"):
+    with run.locked(), pytest.raises(InspeError, match="another process trains this run"):
         train(cached, run.path, SETTINGS, grid=GRID)
 
 

@@ -167,6 +167,7 @@ class Assembly:
         index, own = stored.index, stored.boxes(t)
         boxes = np.array(index["boxes"][own])
         boxes[:, :3] -= stored.middle
+        boxes = moved.of_boxes(boxes)
         away = np.abs(boxes[:, :2]).max(1, initial=0)
         chosen = np.arange(len(boxes))
         if self.half is not None:
@@ -174,7 +175,7 @@ class Assembly:
         if len(chosen) > self.most_boxes:
             chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")[: self.most_boxes]])
         count = len(chosen)
-        found.boxes[b, :count] = moved.of_boxes(boxes[chosen])
+        found.boxes[b, :count] = boxes[chosen]
         for name in ("kind", "track"):
             getattr(found, name)[b, :count] = index[name][own][chosen]
         found.returns[b, :count, : len(present)] = index["returns"][own][chosen] * present

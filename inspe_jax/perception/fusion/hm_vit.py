@@ -39,6 +39,7 @@ class GraphAttention(eqx.Module):
     keys: ByModality
     values: ByModality
     relations: ByModality
+    messages: ByModality
     outputs: ByModality
     last_norm: CellNorm
     perceptron: Perceptron
@@ -47,13 +48,15 @@ class GraphAttention(eqx.Module):
 
     def __init__(self, channels: int, modalities: Sequence[int], sparse: bool, key: Array) -> None:
         kinds, each = max(modalities) + 1, channels // HEADS
-        a, b, c, d, e, f = jax.random.split(key, 6)
+        a, b, c, d, e, f, g = jax.random.split(key, 7)
         self.norm, self.last_norm = CellNorm(channels), CellNorm(channels)
         self.queries, self.keys, self.values, self.outputs = (
             ByModality((kinds,), channels, channels, own) for own in (a, b, c, d)
         )
-        self.relations = ByModality((kinds, kinds, HEADS), each, each, e)
-        self.perceptron = Perceptron(channels, 2 * channels, channels, f)
+        self.relations, self.messages = (
+            ByModality((kinds, kinds, HEADS), each, each, own) for own in (e, f)
+        )
+        self.perceptron = Perceptron(channels, 2 * channels, channels, g)
         self.modalities, self.sparse = tuple(modalities), sparse
 
     def __call__(
@@ -72,12 +75,16 @@ class GraphAttention(eqx.Module):
             jnp.einsum("bamtc,acd->bamtd", x, part.weight[kinds]).reshape(*x.shape[:4], HEADS, -1)
             for part in (self.queries, self.keys, self.values)
         )
-        relation = self.relations.weight[kinds[:, None], kinds[None, :]]  # (A, A, heads, c, c)
+        # Matrices by the modalities of receiver and sender, (A, A, heads, c, c).
+        relation, message = (
+            part.weight[kinds[:, None], kinds[None, :]] for part in (self.relations, self.messages)
+        )
         asked = jnp.einsum("bimtuc,ijucd->bimtjud", query, relation)
+        sent = jnp.einsum("bjmsuc,ijucd->bijmsud", value, message)
         scores = jnp.einsum("bimtjud,bjmsud->bmuitjs", asked, key) * query.shape[-1] ** -0.5
         scores = jnp.where(present[:, None, None, None, None, :, None], scores, -jnp.inf)
         weights = jax.nn.softmax(scores, (-2, -1))
-        found = jnp.einsum("bmuitjs,bjmsud->bimtud", weights, value).reshape(x.shape)
+        found = jnp.einsum("bmuitjs,bijmsud->bimtud", weights, sent).reshape(x.shape)
         return jnp.einsum("bamtc,acd->bamtd", found, self.outputs.weight[kinds])
 
 

@@ -8,7 +8,8 @@
 import csv
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,8 @@ from inspe_jax.perception.training.settings import Content
 
 RECORD, LOSSES, VALIDATION, LOCK = "run.json", "losses.csv", "validation.csv", ".run.lock"
 FORMAT = "inspe_jax run 1"
+TEACHER_RUN = "teacher"
+"""The folder in a run of a model that is taught: that of its teacher's training."""
 KEPT = 2
 """States that are kept: the last, and the one before it in case the last is damaged."""
 
@@ -57,7 +60,7 @@ class Run:
     @property
     def states(self) -> list[tuple[int, Path]]:
         """The steps after which there are states, and their files, earliest first."""
-        found = sorted(self.path.glob("step_*.eqx"))
+        found = sorted(self.path.glob(f"step_{'[0-9]' * 8}.eqx"))
         return [(int(path.stem.removeprefix("step_")), path) for path in found]
 
     @property
@@ -83,10 +86,9 @@ class Run:
     def write(self, name: str, row: Mapping[str, float]) -> None:
         """Append a row; numbers are written so that they read back the same."""
         path = self.path / name
-        new = not path.is_file()
         with path.open("a", newline="", encoding="utf-8") as file:
             table = csv.DictWriter(file, list(row), lineterminator="\n")
-            if new:
+            if not file.tell():
                 table.writeheader()
             table.writerow(row)
 
@@ -94,10 +96,12 @@ class Run:
         """Drop the rows of steps after ``after``: they are told again, and come out the same."""
         for name in (LOSSES, VALIDATION):
             path = self.path / name
-            if path.is_file():
-                head, *lines = path.read_text(encoding="utf-8").splitlines()
-                kept = [line for line in lines if _step(line) <= after]
-                write_text(path, "\n".join([head, *kept]) + "\n")
+            lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+            kept = [line for line in lines[1:] if _step(line) <= after]
+            if kept:
+                write_text(path, "\n".join([lines[0], *kept]) + "\n")
+            else:  # a kill may have left a file without its head
+                path.unlink(missing_ok=True)
 
     def keep(self, step: int, state: State) -> None:
         """Write the state after ``step`` steps, whole or not at all; older ones go."""
@@ -142,34 +146,51 @@ class Run:
         _, (detector, _) = self.restore()
         return detector
 
-    def lock(self) -> FileLock:
-        """A lock that is held while the run is trained. Raises InspeError if another holds it."""
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """While the run is trained: nobody else trains it, and what a kill left unfinished goes.
+
+        Raises InspeError if another process trains it.
+        """
         lock = FileLock(self.path / LOCK)
         try:
             lock.acquire(timeout=0)
         except Timeout as e:
             raise InspeError(f"{self.path}: another process trains this run") from e
-        return lock
+        try:
+            for part in self.path.glob(".*.part"):
+                part.unlink()
+            yield
+        finally:
+            lock.release()
 
 
 def begin(folder: str | os.PathLike[str], content: Content) -> Run:
     """A run in ``folder``, new or begun before with the same content.
 
-    Raises InspeError if the folder has another run, saying what is different, or other files.
+    A run without a state is replaced: nothing of it would be lost. Raises InspeError if the folder
+    has another run, saying what is different, or other files.
     """
     path = prepare_folder(folder).resolve()
     if (path / RECORD).is_file():
         run = open_run(path)
-        here, there = (each.model_dump() for each in (run.content, content))
-        for key, value in {**there, **there["settings"]}.items():
-            had = {**here, **here["settings"]}[key]
-            if had != value and key != "settings":
-                raise InspeError(
-                    f"{folder}: this run has {key} {had}, not {value}: name another folder, or "
-                    f"give the same again to go on"
-                )
-        return run
-    others = sorted(child.name for child in path.iterdir() if child.name != LOCK)
+        if run.content == content:
+            return run
+        if run.states:
+            here, there = (each.model_dump() for each in (run.content, content))
+            had, given = ({**each, **each["settings"]} for each in (here, there))
+            key = next(key for key in given if key != "settings" and had[key] != given[key])
+            what = f"{key} {had[key]}, not {given[key]}"
+            raise InspeError(
+                f"{folder}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
+                f"another folder, or give the same again to go on"
+            )
+    own = {RECORD, LOCK, LOSSES, VALIDATION}
+    others = sorted(
+        child.name
+        for child in path.iterdir()
+        if child.name not in own and child.suffix != ".part" and child.name != TEACHER_RUN
+    )
     if others:
         raise InspeError(f"{folder}: has other files, such as {others[0]}: name an empty folder")
     record = _Record(format=FORMAT, content=content)

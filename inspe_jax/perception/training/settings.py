@@ -53,6 +53,8 @@ class Content(BaseModel):
     cameras: int
     half: float
     cell: float
+    low: float
+    high: float
 
     @property
     def agents(self) -> Agents:
@@ -62,7 +64,7 @@ class Content(BaseModel):
     @property
     def grid(self) -> BevGrid:
         """The cells that the detector is made for."""
-        return BevGrid(half=self.half, cell=self.cell)
+        return BevGrid(half=self.half, cell=self.cell, low=self.low, high=self.high)
 
 
 def agents_of(cache: Cache) -> Agents:

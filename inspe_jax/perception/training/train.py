@@ -13,14 +13,14 @@ from jaxtyping import Array, Float
 from inspe_jax.core import sharding
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.loading import Cache, Targets
+from inspe_jax.dataset.loading import Cache, Loader, Targets
 from inspe_jax.perception.detector import TEACHER, Detector, model_of
 from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.training.optimiser import optimiser
-from inspe_jax.perception.training.predict import Predictor, loader_of
-from inspe_jax.perception.training.run import LOSSES, VALIDATION, Run, begin
+from inspe_jax.perception.training.predict import NoTruth, Predictor, loader_of
+from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begin
 from inspe_jax.perception.training.settings import (
     AUGMENT,
     Content,
@@ -63,6 +63,8 @@ def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
         cameras=agents.cameras,
         half=grid.half,
         cell=grid.cell,
+        low=grid.low,
+        high=grid.high,
     )
 
 
@@ -77,8 +79,8 @@ def train(
 ) -> Run:
     """Train a detector on the split ``train`` of a cache; the run is in ``folder``.
 
-    After a kill, call this again: it goes on from the last state, and its losses are the same to
-    the last digit as without the kill, on the same machine. A model that is taught has its teacher
+    After a kill, call this again: it goes on from the last state. On a CPU, its losses are then the
+    same to the last digit as without the kill. A model that is taught has its teacher
     trained first, in ``folder/teacher``. With several devices, each takes its share of a batch.
 
     Raises InspeError if the cache has no data of the model's sensors or no split ``train``; if the
@@ -86,32 +88,9 @@ def train(
     case the states before it stay.
     """
     grid = grid or BevGrid()
+    grid.check()
     model = model_of(settings.model)
     check_sensors(settings.model, cache)
-    run = begin(folder, content_of(cache, settings, grid))
-    teacher = None
-    if model.taught:
-        own = settings.model_copy(update={"model": TEACHER})
-        teacher = train(
-            cache, run.path / "teacher", own, grid=grid, workers=workers, progress=progress
-        ).detector()
-    with run.lock():
-        _train(cache, run, teacher, workers, progress)
-    return run
-
-
-def _train(
-    cache: Cache,
-    run: Run,
-    teacher: Detector | None,
-    workers: int,
-    progress: Callable[[Report], None] | None,
-) -> None:
-    settings, grid, agents = run.content.settings, run.content.grid, run.content.agents
-    first, (detector, moments) = run.restore()
-    run.forget(first)
-    if first >= settings.steps:
-        return
     loader = loader_of(
         settings.model,
         cache,
@@ -122,33 +101,65 @@ def _train(
         augment=AUGMENT if settings.augment else None,
         workers=workers,
     )
-    step, predictor = _compiled(settings, grid), Predictor(detector, agents, grid)
+    run = begin(folder, content_of(cache, settings, grid))
+    teacher = None
+    if model.taught:
+        own = settings.model_copy(update={"model": TEACHER})
+        into = run.path / TEACHER_RUN
+        teacher = train(cache, into, own, grid=grid, workers=workers, progress=progress).detector()
+    with run.locked():
+        _train(loader, run, teacher, progress)
+    return run
+
+
+def _train(
+    loader: Loader,
+    run: Run,
+    teacher: Detector | None,
+    progress: Callable[[Report], None] | None,
+) -> None:
+    settings, grid, agents = run.content.settings, run.content.grid, run.content.agents
+    first, (detector, moments) = run.restore()
+    run.forget(first)
+    predictor = Predictor(detector, agents, grid)
+    if first and not any(row["step"] == first for row in run.rows(VALIDATION)):
+        _validate(loader.cache, run, predictor, first)  # a kill came between state and mAP
+    if first >= settings.steps:
+        return
+    step = _compiled(settings, grid)
     late, mean_ap = None, _last_map(run)
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
         inputs = _placed((inputs_of(batch, agents), batch.targets))
-        detector, moments, told = step(detector, moments, teacher, *inputs)
-        row = {name: float(value) for name, value in told._asdict().items()}
+        detector, moments, losses = step(detector, moments, teacher, *inputs)
+        row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
-        if not np.isfinite(total):
+        due = number % settings.every == 0 or number == settings.steps
+        if not np.isfinite(total) or (due and not _finite(detector)):
             raise InspeError(
-                f"{run.path}: the loss of step {number} is not a number: try a lower rate than "
-                f"{settings.rate:g}; the state after step {run.steps} stays"
+                f"{run.path}: step {number} gave no numbers: train into another folder, at a lower "
+                f"rate than {settings.rate:g}; the state after step {run.steps} stays"
             )
         run.write(LOSSES, {"step": number, **row})
         late = total if late is None else 0.95 * late + 0.05 * total
-        if number % settings.every == 0 or number == settings.steps:
+        if due:
             run.keep(number, (detector, moments))
             predictor.detector = detector
-            mean_ap = _validate(cache, run, predictor, number)
+            mean_ap = _validate(loader.cache, run, predictor, number)
         if progress:
             progress(Report(settings.model, number, settings.steps, late, mean_ap))
 
 
+def _finite(detector: Detector) -> bool:
+    """Whether all weights are numbers: a loss is of the weights before its step."""
+    leaves = jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array))
+    return all(np.isfinite(np.asarray(leaf)).all() for leaf in leaves)
+
+
 def _compiled(settings: Settings, grid: BevGrid) -> Callable[..., Any]:
     """A step: (detector, moments, teacher, inputs, targets) to the next two, and the losses."""
-    change = optimiser(settings)
+    chain = optimiser(settings)
 
-    def told(
+    def objective(
         detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets
     ) -> tuple[Float[Array, ""], _Losses]:
         found, fused = detector(inputs)
@@ -163,10 +174,12 @@ def _compiled(settings: Settings, grid: BevGrid) -> Callable[..., Any]:
         constant: tuple[Detector | None, Inputs, Targets], detector: Detector, moments: Any
     ) -> tuple[Detector, Any, _Losses]:
         teacher, inputs, targets = constant
-        slope, losses = eqx.filter_grad(told, has_aux=True)(detector, teacher, inputs, targets)
+        gradient, losses = eqx.filter_grad(objective, has_aux=True)(
+            detector, teacher, inputs, targets
+        )
         weights = eqx.filter(detector, eqx.is_inexact_array)
         with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions
-            updates, moments = change.update(slope, moments, weights)
+            updates, moments = chain.update(gradient, moments, weights)
         return eqx.apply_updates(detector, updates), moments, losses
 
     return lambda detector, moments, *constant: step(constant, detector, moments)
@@ -191,7 +204,10 @@ def _validate(cache: Cache, run: Run, predictor: Predictor, step: int) -> float 
     loader = loader_of(
         content.settings.model, cache, "validate", content.grid, batch=1, shuffle=False
     )
-    found = predictor.evaluate(loader, content.settings.validate_frames)
+    try:
+        found = predictor.evaluate(loader, content.settings.validate_frames)
+    except NoTruth:
+        return None
     classes = dict(zip(KINDS, found.class_ap.tolist(), strict=True))
     run.write(VALIDATION, {"step": step, "mean_ap": found.mean_ap, **classes})
     return found.mean_ap

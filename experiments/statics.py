@@ -1,4 +1,4 @@
-"""Claim: static bodies matter to placements, and cost an exact score at most half as much again.
+"""Claim: static bodies matter to placements.
 
 1. P_sm of the nine placements on the built-in four-way and on a junction of a CARLA town map, where
    the maps are beside the checkout: in the open, and with street furniture, which is parked

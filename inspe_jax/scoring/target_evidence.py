@@ -125,6 +125,9 @@ def target_evidence_of_sensor(
     dense *= jnp.asarray(pixels, kind) if camera else _NOISE.share_returned(distance, jnp)
     dense /= high - low  # per square metre of the face
     sight *= bitmask.chances(tile.there, len(tile.heights))
+    # A level that no frame shows counts for no other: below one that traffic hides all are hidden,
+    # but below a crown they may be in sight.
+    shown = jnp.where(sight > 0, dense, 0.0)
 
     tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in (SIZES[:, 2], WIDTH, CHORD))
     front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
@@ -140,7 +143,8 @@ def target_evidence_of_sensor(
         state: tuple[Array, Array, Array, Array], level: tuple[Array, Array, Array, Array]
     ) -> tuple[tuple[Array, Array, Array, Array], None]:
         """One level further down. Traffic hides a road user from below, so that the chance and the
-        number rise by what a level adds, in the frames in which it is in sight."""
+        number rise by what a level adds, in the frames in which it is in sight. What stands for all
+        frames hides some levels altogether."""
         number, before, chance, amount = state
         dense, sight, low, high = jax.tree.map(lambda x: x[None], level)
         top = (low < tall) & (high >= tall)
@@ -153,11 +157,11 @@ def target_evidence_of_sensor(
     # Above the highest level: in a slab below others what they have, else as that level is seen.
     rest = jnp.maximum(tall - high[-1][None], 0.0) * front
     rest += jnp.where(tall > high[-1][None], roof, 0.0)
-    above = wide * dense[-1][None] * rest
+    above = wide * shown[-1][None] * rest
     none = jnp.zeros_like(above)
     seen = jnp.where(last, above, none) * sight[-1][None]
     begin = above, jnp.where(last, none, chances(above)), none, seen
-    levels = dense, sight, low, high
+    levels = shown, sight, low, high
     (_, _, chance, amount), _ = jax.lax.scan(add_level, begin, levels, reverse=True)
     return TargetEvidence(
         chance,

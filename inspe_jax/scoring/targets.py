@@ -123,8 +123,9 @@ def _found(
     curve: DetectionCurve, on: Float[np.ndarray, "L Z"], sight: Float[np.ndarray, "L Z"]
 ) -> Float[np.ndarray, " L"]:
     """The mean over frames of the chance of detection. Traffic hides a target from below, so that
-    what is in sight with a level is that level and all above it."""
-    above = np.cumsum(on[:, ::-1], 1)[:, ::-1]
+    what is in sight with a level is that level and all above it, but for those that nothing shows,
+    as behind a crown."""
+    above = np.cumsum(np.where(sight > 0, on, 0.0)[:, ::-1], 1)[:, ::-1]
     chance = np.asarray(curve.chance(jnp.asarray(above, float)))
     return ((chance - np.pad(chance[:, 1:], ((0, 0), (0, 1)))) * sight).sum(1)
 

@@ -9,8 +9,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_record, targets_view
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import BANDS
-from inspe_jax.scoring.targets import target_view
+from inspe_jax.scoring.detection import BANDS, detection_curves
+from inspe_jax.scoring.targets import _found, target_view
 from inspe_jax.sensing.lidar_returns import LidarNoise
 
 ALL_RETURN = LidarNoise(lost=0.0, weakest_lost=0.0)
@@ -174,3 +174,14 @@ def test_a_target_is_found_by_what_is_in_sight_of_it():
         found.append(target_view(scene, layout, "pedestrian").detectability[place])
     assert found[0] > found[1] > 0.1
     assert found[2] == 0
+
+
+def test_what_is_in_sight_below_a_crown_counts_for_itself():
+    """Of three levels, traffic hides the lowest ones, and a crown the highest in all frames."""
+    curve = detection_curves().lidar[0]
+    on = np.array([[20.0, 0.0, 500.0], [20.0, 0.0, 500.0], [20.0, 30.0, 0.0]])
+    sight = np.array([[1.0, 1.0, 0.0], [0.5, 0.5, 1.0], [0.25, 1.0, 1.0]])
+    twenty, thirty, fifty, most = (float(curve.chance(n)) for n in (20.0, 30.0, 50.0, 520.0))
+    below = float(curve.chance(500.0))
+    expected = [twenty, below + 0.5 * (most - below), thirty + 0.25 * (fifty - thirty)]
+    np.testing.assert_allclose(_found(curve, on, sight), expected, rtol=1e-5)

@@ -124,7 +124,7 @@ def pytest_terminal_summary(terminalreporter) -> None:
         terminalreporter.write_line(line)
 
 
-LONG = ("test_soft", "test_exact", "test_visibility", "test_gradient", "test_sweep", "test_page")
+LONG = ("test_soft", "test_exact", "test_queries", "test_gradient", "test_sweep", "test_page")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -9,63 +9,17 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from inspe_jax.perception.fusion.heterogeneous import HeterogeneousAttention
 from inspe_jax.perception.fusion.mean import mean_of
-from inspe_jax.perception.fusion.windows import ByModality, from_windows, offsets, to_windows
+from inspe_jax.perception.fusion.windows import from_windows, offsets, to_windows
 from inspe_jax.perception.layers import CellNorm, Linear, Perceptron, attend
 
 LAYERS = 3
 HEADS = 4
 WINDOWS = {4: 4, 8: 2, 16: 1}
 """Sides of windows [cells], and heads of each: larger windows have fewer, as in the paper."""
-
-
-class AgentAttention(eqx.Module):
-    """At each cell, agents attend to agents.
-
-    Queries, keys and values have matrices by the type of agent, and what a receiver takes of a
-    sender has matrices by both types.
-    """
-
-    queries: ByModality
-    keys: ByModality
-    values: ByModality
-    relations: ByModality
-    messages: ByModality
-    outputs: ByModality
-    types: tuple[int, ...] = eqx.field(static=True)
-
-    def __init__(self, channels: int, types: Sequence[int], key: Array) -> None:
-        kinds, each = max(types) + 1, channels // HEADS
-        a, b, c, d, e, f = jax.random.split(key, 6)
-        self.queries, self.keys, self.values, self.outputs = (
-            ByModality((kinds,), channels, channels, own) for own in (a, b, c, d)
-        )
-        self.relations, self.messages = (
-            ByModality((kinds, kinds, HEADS), each, each, own) for own in (e, f)
-        )
-        self.types = tuple(types)
-
-    def __call__(
-        self, x: Float[Array, "B A H W C"], present: Bool[Array, "B A"]
-    ) -> Float[Array, "B A H W C"]:
-        types = np.array(self.types)
-        query, key, value = (
-            jnp.einsum("bahwc,acd->bhwad", x, part.weight[types]).reshape(
-                *x.shape[:1], *x.shape[2:4], len(types), HEADS, -1
-            )
-            for part in (self.queries, self.keys, self.values)
-        )
-        of_pair = types[:, None], types[None, :]
-        asked = jnp.einsum("bhwiuc,ijucd->bhwijud", query, self.relations.weight[of_pair])
-        scores = jnp.einsum("bhwijud,bhwjud->bhwuij", asked, key) * query.shape[-1] ** -0.5
-        scores = jnp.where(present[:, None, None, None, None], scores, -jnp.inf)
-        told = jnp.einsum("bhwjuc,ijucd->bhwijud", value, self.messages.weight[of_pair])
-        found = jnp.einsum("bhwuij,bhwijud->bhwiud", jax.nn.softmax(scores, -1), told)
-        found = found.reshape(*found.shape[:4], -1)
-        return jnp.einsum("bhwac,acd->bahwd", found, self.outputs.weight[types])
 
 
 class WindowAttention(eqx.Module):
@@ -99,7 +53,7 @@ class Layer(eqx.Module):
     """Attention between agents, attention within windows, and a perceptron, each added on."""
 
     norms: tuple[CellNorm, CellNorm, CellNorm]
-    agents: AgentAttention
+    agents: HeterogeneousAttention
     windows: tuple[WindowAttention, ...]
     weigh: Perceptron
     perceptron: Perceptron
@@ -107,7 +61,7 @@ class Layer(eqx.Module):
     def __init__(self, channels: int, types: Sequence[int], key: Array) -> None:
         a, b, c, *keys = jax.random.split(key, 3 + len(WINDOWS))
         self.norms = (CellNorm(channels), CellNorm(channels), CellNorm(channels))
-        self.agents = AgentAttention(channels, types, a)
+        self.agents = HeterogeneousAttention(channels, types, HEADS, a)
         self.windows = tuple(
             WindowAttention(channels, side, heads, own)
             for (side, heads), own in zip(WINDOWS.items(), keys, strict=True)
@@ -118,9 +72,16 @@ class Layer(eqx.Module):
     def __call__(
         self, x: Float[Array, "B A H W C"], present: Bool[Array, "B A"]
     ) -> Float[Array, "B A H W C"]:
-        x = x + self.agents(self.norms[0](x), present)
+        x = x + self._agents(self.norms[0](x), present)
         x = x + self._windows(self.norms[1](x))
         return x + self.perceptron(self.norms[2](x))
+
+    def _agents(
+        self, x: Float[Array, "B A H W C"], present: Bool[Array, "B A"]
+    ) -> Float[Array, "B A H W C"]:
+        """Each cell is a window by itself."""
+        cells = x.reshape(*x.shape[:2], -1, 1, x.shape[-1])
+        return self.agents(cells, present).reshape(x.shape)
 
     def _windows(self, x: Float[Array, "B A H W C"]) -> Float[Array, "B A H W C"]:
         branches = jnp.stack([window(x) for window in self.windows])  # (S, B, A, H, W, C)

@@ -1,7 +1,5 @@
-"""Maps as windows of cells, and what heterogeneous attention has for each modality."""
+"""Maps as windows of cells."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -44,14 +42,3 @@ def offsets(side: int) -> Int[np.ndarray, "t t"]:
     at = np.stack(np.meshgrid(*[np.arange(side)] * 2, indexing="ij"), -1).reshape(-1, 2)
     apart = at[:, None] - at[None] + side - 1
     return apart[..., 0] * (2 * side - 1) + apart[..., 1]
-
-
-class ByModality(eqx.Module):
-    """A matrix for each modality, or for each pair of them."""
-
-    weight: Float[Array, "*k c d"]
-
-    def __init__(self, modalities: tuple[int, ...], inputs: int, outputs: int, key: Array) -> None:
-        # For a linear map with nothing behind: variance is kept.
-        shape = (*modalities, inputs, outputs)
-        self.weight = jax.random.normal(key, shape, jnp.float32) * inputs**-0.5

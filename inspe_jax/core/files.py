@@ -14,6 +14,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 import yaml
+from filelock import FileLock, Timeout
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from inspe_jax.core.errors import InspeError, nearest
@@ -202,6 +203,19 @@ def check_folder(folder: str | os.PathLike[str]) -> None:
     place = folder if folder.exists() else folder.parent
     if not os.access(place, os.W_OK):
         raise InspeError(f"{folder}: cannot be written: no permission in {place}")
+
+
+def lock_folder(folder: Path, name: str) -> FileLock:
+    """Take the lock ``name`` of a folder, until its ``release``.
+
+    A killed process leaves no lock. Raises InspeError if another run has it.
+    """
+    lock = FileLock(folder / name)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise InspeError(f"{folder}: is in use by another run; wait until it is done") from None
+    return lock
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

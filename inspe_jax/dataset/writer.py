@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from filelock import FileLock, Timeout
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import prepare_folder, read_yaml, write_text
+from inspe_jax.core.files import lock_folder, prepare_folder, read_yaml, write_text
 from inspe_jax.dataset.check import GENERATION
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
@@ -65,11 +64,7 @@ class DatasetWriter:
         self.folder = prepare_folder(folder)
         self.format_name = generation.format
         self.format = FORMATS[generation.format]
-        self._lock = FileLock(self.folder / f".{RECORD}.lock")
-        try:
-            self._lock.acquire(timeout=0)
-        except Timeout:
-            raise InspeError(f"{self.folder}: is in use by another run") from None
+        self._lock = lock_folder(self.folder, f".{RECORD}.lock")
         try:
             self._check(record_of(generation, backend))
             self.there: dict[str, set[int]] = {}

@@ -12,10 +12,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import IO
 
-from filelock import FileLock, Timeout
-
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import csv_text, prepare_folder, write_text
+from inspe_jax.core.files import csv_text, lock_folder, prepare_folder, write_text
 from inspe_jax.study.plan import Study
 from inspe_jax.study.work import Row, columns, tag_columns, versions
 
@@ -40,11 +38,7 @@ class Results:
         self.columns = columns(study)
         self.folder = prepare_folder(folder)
         self.path = self.folder / TABLE
-        self._lock = FileLock(self.folder / f".{TABLE}.lock")
-        try:
-            self._lock.acquire(timeout=0)
-        except Timeout:
-            raise InspeError(f"{self.folder}: another run is using this folder") from None
+        self._lock = lock_folder(self.folder, f".{TABLE}.lock")
         self._file: IO[str] | None = None
         try:
             self.rows = self._taken_up()

@@ -178,7 +178,7 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
 
 def test_only_one_process_trains_a_run(stopped_and_not, cached):
     run = stopped_and_not[1]
-    with run.locked(), pytest.raises(InspeError, match="another process trains this run"):
+    with run.locked(), pytest.raises(InspeError, match="is in use by another run"):
         train(cached, run.path, SETTINGS, grid=GRID)
 
 

@@ -68,7 +68,7 @@ def test_tags_are_those_that_the_study_has_now(tmp_path):
 def test_only_one_run_at_a_time(study, tmp_path):
     with (
         Results(study, tmp_path / "out"),
-        pytest.raises(InspeError, match="another run is using this folder"),
+        pytest.raises(InspeError, match="is in use by another run"),
     ):
         Results(study, tmp_path / "out")
     with Results(study, tmp_path / "out"):

@@ -18,11 +18,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from filelock import FileLock, Timeout
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import STRICT, check_model, prepare_folder, read_json, write_text
+from inspe_jax.core.files import (
+    STRICT,
+    check_model,
+    lock_folder,
+    prepare_folder,
+    read_json,
+    write_text,
+)
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
 from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
@@ -233,11 +239,7 @@ def _stored(path: Path) -> Iterator[StoredScenario]:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    lock = FileLock(path / LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise InspeError(f"{path}: is in use by another run; wait until it is done") from None
+    lock = lock_folder(path, LOCK)
     try:
         yield
     finally:

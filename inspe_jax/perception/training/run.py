@@ -16,13 +16,13 @@ from typing import Any
 
 import equinox as eqx
 import jax
-from filelock import FileLock, Timeout
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import (
     STRICT,
     check_model,
+    lock_folder,
     prepare_folder,
     read_json,
     whole_file,
@@ -150,13 +150,9 @@ class Run:
     def locked(self) -> Iterator[None]:
         """While the run is trained: nobody else trains it, and what a kill left unfinished goes.
 
-        Raises InspeError if another process trains it.
+        Raises InspeError if another process does.
         """
-        lock = FileLock(self.path / LOCK)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout as e:
-            raise InspeError(f"{self.path}: another process trains this run") from e
+        lock = lock_folder(self.path, LOCK)
         try:
             for part in self.path.glob(".*.part"):
                 part.unlink()

@@ -1,6 +1,6 @@
 """The exception for errors of the user, and hints for misspelt names."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 
@@ -10,6 +10,14 @@ class InspeError(ValueError):
     The message names what was given, where, and what is allowed. It is raised
     before any tracing; the command line prints it and exits with status 2.
     """
+
+
+def check_known(name: str, known: Iterable[str], what: str) -> None:
+    """Raise InspeError that says what is known, where ``name`` is not; ``what`` the name is of."""
+    known = tuple(known)
+    if name not in known:
+        hint = nearest(str(name), known)
+        raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}")
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

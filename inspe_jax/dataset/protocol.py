@@ -15,7 +15,7 @@ import yaml
 from pydantic import Field
 
 from inspe_jax.core import version
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS
@@ -190,10 +190,7 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
         ("split", entry.split, SPLITS),
         ("recording.backend", entry.recording.backend, tuple(BACKENDS)),
     ):
-        if value not in known:
-            raise InspeError(
-                f"{where}: {key}: '{value}': one of {', '.join(known)}{nearest(value, known)}"
-            )
+        check_known(value, known, f"{where}: {key}:")
     source = _source(entry.scene, folders, f"{where}: scene")
     recording = entry.recording.recording(f"{where}: recording")
     parse_layout(entry.layout, f"{where}: layout", "layout")  # raises where it is not valid

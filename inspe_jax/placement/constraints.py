@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.placement.site import CENTRAL_HEIGHTS, POLE_HEIGHTS
 from inspe_jax.sensing.kinds import SENSOR_KINDS
 from inspe_jax.sensing.layout import UNIT_HEIGHT
@@ -59,11 +59,7 @@ class Constraints:
     def check(self) -> None:
         """Raise InspeError if a value is unknown, out of range or contradicts another."""
         for places in [self.places] if isinstance(self.places, str) else self.places.values():
-            if places not in PLACES:
-                raise InspeError(
-                    f"places '{places}': one of {', '.join(PLACES)}"
-                    + nearest(str(places), tuple(PLACES))
-                )
+            check_known(places, PLACES, "places")
         for name in ("heights", "span_heights"):
             low, high = getattr(self, name)
             if not 0 <= low <= high < np.inf:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known, nearest
 from inspe_jax.core.files import check_output, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
@@ -344,10 +344,7 @@ def _settings(problem: Problem) -> dict[str, Any]:
 
 
 def _method(name: str, objective: Objective | None) -> Method:
-    if name not in METHODS:
-        raise InspeError(
-            f"no method '{name}': one of {', '.join(METHODS)}{nearest(name, tuple(METHODS))}"
-        )
+    check_known(name, METHODS, "method")
     if others := METHODS[name].unknown((objective or Objective()).weights_by_name):
         raise InspeError(
             f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from enum import IntEnum
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 
 
 class Region(IntEnum):
@@ -45,8 +45,5 @@ def regions_of(names: Sequence[str]) -> tuple[Region, ...]:
     known = {region.key: region for region in Region}
     names = (names,) if isinstance(names, str) else names
     for name in names:
-        if name not in known:
-            raise InspeError(
-                f"region '{name}': one of {', '.join(known)}{nearest(name, tuple(known))}"
-            )
+        check_known(name, known, "region")
     return tuple(known[name] for name in names)

@@ -16,7 +16,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry import LineString, Point, Polygon
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.polygons import merge
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.voxels import VoxelGrid
@@ -109,8 +109,7 @@ def body(
     outline has fewer than three corners, crosses itself or has no area, a number is not finite, the
     height is not above the base, or the transmittance is not 0 … 1.
     """
-    if kind not in KINDS:
-        raise InspeError(f"body '{kind}': one of {', '.join(KINDS)}{nearest(str(kind), KINDS)}")
+    check_known(kind, KINDS, "body")
     try:
         corners = np.array(outline, float)
         numbers = np.array([height, base, transmittance, trunk], float)

@@ -18,7 +18,7 @@ from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pole, tree, upright_box
@@ -76,10 +76,7 @@ def statics_of(
 
 def check_statics(name: str) -> None:
     """Raise InspeError where ``name`` is none of :data:`STATICS`."""
-    if name not in STATICS:
-        raise InspeError(
-            f"statics '{name}': one of {', '.join(STATICS)}{nearest(str(name), STATICS)}"
-        )
+    check_known(name, STATICS, "statics")
 
 
 def street_bodies(place: Intersection, radius: float, seed: int = 0) -> tuple[StaticBody, ...]:

@@ -27,7 +27,7 @@ from pydantic import BaseModel, create_model
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import (
     STRICT,
     check_input,
@@ -112,8 +112,8 @@ class DetectionCurves:
         """
         new = {kind: list(self.of(kind)) for kind in KINDS}
         for (kind, road_user), curve in fitted.items():
-            _check_word(kind, KINDS, "kind of sensor")
-            _check_word(road_user, CLASSES, "road user")
+            check_known(kind, KINDS, "kind of sensor")
+            check_known(road_user, CLASSES, "road user")
             new[kind][CLASSES.index(road_user)] = curve
         return replace(self, **{kind: tuple(of) for kind, of in new.items()})
 
@@ -131,11 +131,6 @@ class DetectionCurves:
 
 KINDS = tuple(f.name for f in fields(DetectionCurves))
 """The kinds of sensors that have curves."""
-
-
-def _check_word(word: str, known: tuple[str, ...], what: str) -> None:
-    if word not in known:
-        raise InspeError(f"{what} '{word}': one of {', '.join(known)}{nearest(word, known)}")
 
 
 @cache
@@ -248,7 +243,7 @@ def fit_detection(
                 "12, 1"
             ) from None
         for value, known in zip(key, (KINDS, CLASSES), strict=True):
-            _check_word(value, known, f"box {line}:")
+            check_known(value, known, f"box {line}:")
         if not 0 <= number < float("inf") or found not in (0.0, 1.0):
             raise InspeError(f"box {line}: number is 0 or more and found 0 or 1, not {dict(row)}")
         by.setdefault(key, []).append((number, found))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, RoadUser
 from inspe_jax.scoring.asked import Asked
@@ -131,9 +131,7 @@ def _found(
 
 
 def _road_user(name: str) -> RoadUser:
-    if name not in CLASSES:
-        hint = nearest(name, CLASSES)
-        raise InspeError(f"road user '{name}': one of {', '.join(CLASSES)}{hint}")
+    check_known(name, CLASSES, "road user")
     return ROAD_USERS[CLASSES.index(name)]
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.special import lambertw
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
@@ -51,10 +51,7 @@ class Conditions:
             ("light", self.light, lights()),
             ("weather", self.weather, (CLEAR, *_figures()["weather"])),
         ):
-            if given not in known:
-                raise InspeError(
-                    f"{kind} '{given}': one of {', '.join(known)}{nearest(given, known)}"
-                )
+            check_known(given, known, kind)
         if self.weather == CLEAR:
             if self.intensity is not None:
                 raise InspeError(

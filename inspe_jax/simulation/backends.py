@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
@@ -60,9 +60,7 @@ DEFAULT_BACKEND = "embedded"
 
 def check_backend(backend: str) -> None:
     """Raise InspeError for a backend that is not in :data:`BACKENDS`."""
-    if backend not in BACKENDS:
-        known = tuple(BACKENDS)
-        raise InspeError(f"backend '{backend}': one of {', '.join(known)}{nearest(backend, known)}")
+    check_known(backend, BACKENDS, "backend")
 
 
 def server_of(backend: str, server: "Server | None") -> "Server | None":

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.traffic.frames import CLASSES
 
 KINDS = CLASSES
@@ -173,9 +173,7 @@ def _check_counts(
 
 
 def _check_box(box: RoadUserBox, where: str) -> None:
-    if box.kind not in KINDS:
-        hint = nearest(str(box.kind), KINDS)
-        raise InspeError(f"{where}: kind '{box.kind}': one of {', '.join(KINDS)}{hint}")
+    check_known(box.kind, KINDS, f"{where}: kind")
     for key in ("center", "size", "velocity"):
         _numbers(getattr(box, key), (3,), f"{where}: {key}")
     _numbers(box.yaw, (), f"{where}: yaw")

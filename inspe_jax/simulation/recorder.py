@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from inspe_jax.core.digest import added
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.simulation.frame import Frame, Image, Scan, Station
@@ -61,10 +61,7 @@ class Recording:
         if not (np.isfinite(self.turn) and 0 <= self.turn <= 1):
             raise InspeError(f"turn {self.turn} s is out of range: 0 to 1")
         for name in self.layers:
-            if name not in LAYERS:
-                raise InspeError(
-                    f"layer '{name}': one of {', '.join(LAYERS)}{nearest(name, LAYERS)}"
-                )
+            check_known(name, LAYERS, "layer")
 
     def picture_size(self, width: int, height: int) -> tuple[int, int]:
         """Width and height of the pictures of a camera that has these itself [pixels]."""

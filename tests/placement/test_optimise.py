@@ -658,7 +658,7 @@ def test_digests_tell_contents_apart():
 
 
 BAD = [
-    (dict(method="adm"), "no method 'adm': one of adam, .*did you mean adam"),
+    (dict(method="adm"), "method 'adm': one of adam, .*did you mean adam"),
     (dict(seconds=0), "seconds 0: a budget must be more than 0"),
     (dict(evaluations=-1.0), "evaluations -1"),
     (dict(seed=-1), "seed -1: a whole number, 0 or more"),

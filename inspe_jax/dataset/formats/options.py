@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from inspe_jax.core.digest import added
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 
 PICTURES = ("png", "jpeg")
 MOST_CAMERAS = 16
@@ -30,11 +30,7 @@ class FileOptions:
 
     def check(self, where: str) -> None:
         """Raise InspeError where a value is out of range."""
-        if self.pictures not in PICTURES:
-            raise InspeError(
-                f"{where}: pictures: '{self.pictures}': one of {', '.join(PICTURES)}"
-                f"{nearest(self.pictures, PICTURES)}"
-            )
+        check_known(self.pictures, PICTURES, f"{where}: pictures:")
         if not 0 <= self.cameras_per_agent <= MOST_CAMERAS:
             raise InspeError(
                 f"{where}: cameras_per_agent: {self.cameras_per_agent} is out of range: 1 to "

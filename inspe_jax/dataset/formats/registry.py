@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.opv2v import reader as opv2v_reader
 from inspe_jax.dataset.formats.opv2v import writer as opv2v_writer
@@ -78,10 +78,7 @@ FORMATS: dict[str, DatasetFormat] = {
 
 def check_format(name: str, where: str) -> None:
     """Raise InspeError for a format that is not in :data:`FORMATS`."""
-    if name not in FORMATS:
-        raise InspeError(
-            f"{where}: '{name}': one of {', '.join(FORMATS)}{nearest(name, tuple(FORMATS))}"
-        )
+    check_known(name, FORMATS, f"{where}:")
 
 
 def format_of(folder: Path) -> DatasetFormat | None:

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Int
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known, nearest
 from inspe_jax.dataset.loading import order
 from inspe_jax.dataset.loading.assemble import Assembly
 from inspe_jax.dataset.loading.augment import Augment
@@ -222,9 +222,7 @@ class Loader:
         first = np.cumsum([0, *(scenario.record.frames for scenario in self.scenarios)])
         found = {}
         for name, share in by_class.items():
-            if name not in KINDS:
-                hint = nearest(name, KINDS)
-                raise InspeError(f"by_class: '{name}': one of {', '.join(KINDS)}{hint}")
+            check_known(name, KINDS, "by_class:")
             if not 0 <= share < np.inf:
                 raise InspeError(f"by_class: {name}: {share}: a share, 0 or more")
             parts = [
@@ -247,9 +245,7 @@ def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:
     if isinstance(sensors, str) or not sensors:
         raise InspeError(f"sensors {sensors!r}: a list with at least one of {', '.join(SENSORS)}")
     for name in sensors:
-        if name not in SENSORS:
-            hint = nearest(str(name), SENSORS)
-            raise InspeError(f"sensors: '{name}': one of {', '.join(SENSORS)}{hint}")
+        check_known(name, SENSORS, "sensors:")
     there = {
         "camera": max(each.record.cameras for each in cache.scenarios),
         "lidar": max(each.record.lidars for each in cache.scenarios),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.words import counted
 from inspe_jax.perception.detections import Detections, check
 from inspe_jax.perception.evaluation.matching import Places, by_score, match
@@ -103,9 +103,7 @@ def _indices(kinds: Sequence[str]) -> list[int]:
     if isinstance(kinds, str) or not kinds:
         raise InspeError(f"kinds {kinds!r}: a list with at least one of {', '.join(KINDS)}")
     for kind in kinds:
-        if kind not in KINDS:
-            hint = nearest(str(kind), KINDS)
-            raise InspeError(f"kinds: '{kind}': one of {', '.join(KINDS)}{hint}")
+        check_known(kind, KINDS, "kinds:")
     if len(set(kinds)) < len(kinds):
         raise InspeError(f"kinds: {', '.join(kinds)}: each only once")
     return [KINDS.index(kind) for kind in kinds]

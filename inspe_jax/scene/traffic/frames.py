@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
@@ -231,8 +231,7 @@ def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
 
     Raises InspeError if the mix is unknown.
     """
-    if mix not in MIXES:
-        raise InspeError(f"traffic mix '{mix}': one of {', '.join(MIXES)}{nearest(mix, [*MIXES])}")
+    check_known(mix, MIXES, "traffic mix")
     wanted = quota(MIXES[mix], [True] * len(CLASSES), count)
     off = traffic.mean_by_class - wanted
     much = np.maximum(NOTICEABLE * wanted, LEAST_NOTICED)
@@ -251,8 +250,7 @@ def check_traffic(
     *, radius: float, count: int, frames: int, mix: str, step: float, seed: int
 ) -> None:
     """Raise InspeError if a value is out of range or the mix is unknown."""
-    if mix not in MIXES:
-        raise InspeError(f"traffic mix '{mix}': one of {', '.join(MIXES)}{nearest(mix, [*MIXES])}")
+    check_known(mix, MIXES, "traffic mix")
     for name, value, least in (("count", count, 0), ("frames", frames, 1), ("seed", seed, 0)):
         if value < least:
             raise InspeError(f"traffic {name} {value} is out of range: at least {least}")

@@ -161,11 +161,15 @@ def trained(job: Job, data: Cache, folder: Path, settings: Settings, grid: BevGr
         return train(data, folder, settings, grid=grid, progress=report if bar else None)
 
 
-def measured(run: Run, data: Cache, split: str) -> Evaluation:
-    """What the detector of a training finds in a split."""
-    content = run.content
-    loader = loader_of(content.settings.model, data, split, content.grid, batch=1, shuffle=False)
-    return Predictor(run.detector(), content.agents, content.grid).evaluate(loader)
+def predictor_of(run: Run) -> Predictor:
+    """The detector of a training."""
+    return Predictor(run.detector(), run.content.agents, run.content.grid)
+
+
+def measured(predictor: Predictor, model: str, data: Cache, split: str) -> Evaluation:
+    """What a detector of the model ``model`` finds in a split."""
+    loader = loader_of(model, data, split, predictor.grid, batch=1, shuffle=False)
+    return predictor.evaluate(loader)
 
 
 def rows_of(
@@ -201,9 +205,9 @@ def run_all(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
         began = time.monotonic()
         run = trained(job, data, into / job.folder, settings, BevGrid())
         seconds = time.monotonic() - began
-        rows = []
+        rows, predictor = [], predictor_of(run)
         for of, frames, split in (("places", data, "test"), ("time", later, "test")):
-            found = measured(run, frames, split)
+            found = measured(predictor, job.model, frames, split)
             rows += rows_of(job, of, found, run.steps, seconds)
             console.print(f"{job.folder}, other {of}: mAP {found.mean_ap:.1%}", highlight=False)
         write_text(path, csv_text(rows))
@@ -225,7 +229,7 @@ def quick(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
         began = time.monotonic()
         run = trained(job, data, into / job.folder, settings, BevGrid(half=25.6))
         seconds = time.monotonic() - began
-        found = measured(run, data, "train")
+        found = measured(predictor_of(run), model, data, "train")
         console.print(
             f"{model}: AP of cars {found.class_ap[0]:.1%}, {seconds:.0f} s", highlight=False
         )

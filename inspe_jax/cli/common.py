@@ -55,6 +55,12 @@ ProfileOption = Annotated[
 PlotOption = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Draw a figure: .png, .svg or .pdf.")
 ]
+RecordOption = Annotated[
+    str | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write the result as JSON; - writes it to stdout only."
+    ),
+]
 PicturesOption = Annotated[
     str,
     typer.Option("--pictures", metavar="WxH", help="Width and height of pictures, or none."),

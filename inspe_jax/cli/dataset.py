@@ -11,6 +11,7 @@ import typer
 from inspe_jax.cli.common import (
     PicturesOption,
     PlotOption,
+    RecordOption,
     app,
     busy,
     check_record,
@@ -43,14 +44,7 @@ SHOWN = 20
 def stats(
     folder: SetArgument,
     plot: PlotOption = None,
-    record: Annotated[
-        str | None,
-        typer.Option(
-            "--json",
-            metavar="FILE",
-            help="Write the numbers as JSON; - writes them to stdout only.",
-        ),
-    ] = None,
+    record: RecordOption = None,
     row: Annotated[
         Path | None,
         typer.Option(
@@ -112,14 +106,7 @@ def check_files(
     deep: Annotated[
         bool, typer.Option("--deep", help="Read every file, and compare its SHA-256 as well.")
     ] = False,
-    record: Annotated[
-        str | None,
-        typer.Option(
-            "--json",
-            metavar="FILE",
-            help="Write the result as JSON; - writes it to stdout only.",
-        ),
-    ] = None,
+    record: RecordOption = None,
 ) -> None:
     """Check whether files of a data set are missing, cut short or changed.
 

@@ -12,6 +12,7 @@ import typer
 from inspe_jax.cli.common import (
     PicturesOption,
     PlotOption,
+    RecordOption,
     app,
     busy,
     check_record,
@@ -43,12 +44,6 @@ CacheOption = Annotated[
     ),
 ]
 SplitOption = Annotated[str, typer.Option(help="Split of the set.")]
-RecordOption = Annotated[
-    str | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write the result as JSON; - writes it to stdout only."
-    ),
-]
 
 
 @app.command("train")

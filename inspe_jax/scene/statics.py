@@ -316,7 +316,9 @@ def body_at(
     Above its top is not inside.
     """
     here = Point(point[0], point[1])
-    near = [one for one in bodies if one.polygon.dwithin(here, AT_SURFACE)]
+    outlines = np.array([one.polygon for one in bodies], object)
+    found = np.flatnonzero(shapely.dwithin(outlines, here, AT_SURFACE))
+    near = [bodies[n] for n in found.tolist()]
     for one, ground in zip(near, grounds(near, place), strict=True):
         for shape, bottom, top in _solids(one, float(ground)):
             if bottom < point[2] < top and shape.dwithin(here, AT_SURFACE):

@@ -1,4 +1,4 @@
-"""Agents with the same number of cameras each, for readers that want it so.
+"""Agents: the frame of each, and the same number of cameras for each where readers want it so.
 
 Readers of camera data sets put the pictures of an agent into one array, four of each in OPV2V. A
 station with more cameras becomes several agents; one with fewer is filled up with black pictures
@@ -9,11 +9,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from inspe_jax.simulation.frame import Image, Station
 
 UP = np.array([0.0, np.pi / 2, 0.0])
 """Roll, pitch and yaw of a camera that looks straight up [rad]."""
+
+
+def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
+    """The pose of the frame that readers know an agent by: that of its first LiDAR, or of its unit
+    where it has none (x, y, z [m], roll, pitch, yaw [rad])."""
+    return np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
 
 
 def with_cameras(stations: Sequence[Station], count: int) -> tuple[Station, ...]:

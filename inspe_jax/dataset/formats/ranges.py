@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset.formats.agents import frame_of
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.simulation.frame import Station
 
@@ -36,7 +37,7 @@ def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
     around = np.concatenate([ground - [0.0, 0.0, BELOW], ground + [0.0, 0.0, HIGHEST]])
     side, low, high = 0.0, np.inf, -np.inf
     for agent in agents:
-        pose = np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
+        pose = frame_of(agent)
         turn = rotation(pose[3:], np)
         at = (around - pose[:3]) @ turn  # (N, 3)
         tilted = BEYOND * float(np.hypot(*turn[:2, 2]))  # what BEYOND in plan is along z

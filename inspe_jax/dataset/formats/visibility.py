@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image, ImageDraw
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset.formats.agents import frame_of
 from inspe_jax.simulation.frame import RoadUserBox, Station
 
 PIXELS = 256
@@ -29,7 +30,7 @@ def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.nda
     white where at least one pixel of a camera shows it, or where it was not counted what pixels
     show.
     """
-    pose = np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
+    pose = frame_of(agent)
     turn = rotation(pose[3:], np)
     picture = Image.new("L", (PIXELS, PIXELS))
     draw = ImageDraw.Draw(picture)

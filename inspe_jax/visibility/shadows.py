@@ -91,6 +91,8 @@ def exact_sight(
 
 WINNERS = 2
 """Prisms that are read softly for a column: those that hide most of it."""
+LAST = 1e-6
+"""What a prism that seems to pass below a line counts in the order of those that hide it [m]."""
 WON = "won"
 """Name of the array of these prisms' numbers, which is kept for the gradient. Finding them is most
 of the work, and the numbers take little memory."""
@@ -146,10 +148,11 @@ def soft_sight(
         prism = table[:, jnp.arange(frames), index][:, :, None]
         line = _own_frame(prism, fixed[0], fixed[1], x, y)
         own_half = prism[4], prism[5]
-        # For t₀ and t₁ the ends of the stretch along the line will do.
+        # For t₀ and t₁ the ends of the stretch along the line will do, to find an order. Who is
+        # just too low by them may yet hide a little: it comes last, and is read as the others.
         ends = Cut(line.x, *stretch(line, own_half))
         below = top_of(ends, prism[6] - fixed[2], fixed[2] - heights[:1])
-        hides = aside_of(line, own_half, soft) * jnp.maximum(below + REACH * soft, 0.0)
+        hides = aside_of(line, own_half, soft) * jnp.maximum(below + REACH * soft, LAST)
         stands = _stands(line, own_half)
         # The prism's number replaces the last bits of how much it hides: max then keeps both.
         key = jax.lax.bitcast_convert_type(hides.astype(jnp.float32), jnp.uint32)

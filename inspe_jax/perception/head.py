@@ -62,7 +62,9 @@ class CenterHead(eqx.Module):
         self.heat_block = Block(HIDDEN, HIDDEN, b)
         self.value_block = Block(HIDDEN, HIDDEN, c)
         heat = Conv(HIDDEN, len(KINDS), d, width=1)
-        self.heat = eqx.tree_at(lambda conv: conv.bias, heat, jnp.full(len(KINDS), RARE))
+        self.heat = eqx.tree_at(
+            lambda conv: conv.bias, heat, jnp.full(len(KINDS), RARE, jnp.float32)
+        )
         self.values = Conv(HIDDEN, VALUES, e, width=1)
 
     def __call__(self, x: Float[Array, "B h w c"]) -> Found:

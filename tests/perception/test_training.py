@@ -164,11 +164,10 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
     run.states[-1][1].unlink()
     room = import_module("inspe_jax.perception.training.train")
 
-    def broken(settings, grid):
-        losses = room._Losses(np.nan, 0.0, 0.0)
-        return lambda detector, moments, *given: (detector, moments, losses)
+    def broken(constant, detector, moments):
+        return detector, moments, room._Losses(np.nan, 0.0, 0.0)
 
-    monkeypatch.setattr(room, "_compiled", broken)
+    monkeypatch.setattr(room, "_step", broken)
     with pytest.raises(
         InspeError, match=r"step 3 gave no numbers: train into another folder.* 2 stays"
     ):

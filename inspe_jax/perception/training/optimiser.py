@@ -1,8 +1,8 @@
 """The optimiser of every training, so that detectors differ in nothing else."""
 
-import optax
+from functools import cache
 
-from inspe_jax.perception.training.settings import Settings
+import optax
 
 RISE = 0.3
 """Share of the steps in which the learning rate rises; as in OneCycle's usual setting."""
@@ -14,9 +14,11 @@ MOST_GRADIENT = 10.0
 """Norm to which gradients are cut. A first step has 30 to 100; later ones are below it."""
 
 
-def optimiser(settings: Settings) -> optax.GradientTransformation:
-    """AdamW on cut gradients; its rate rises and falls once (Smith and Topin 2019)."""
-    rate = optax.cosine_onecycle_schedule(max(settings.steps, FEWEST), settings.rate, RISE)
+@cache  # equal ones are the same, so that a step is compiled once for all of them
+def optimiser(steps: int, rate: float) -> optax.GradientTransformation:
+    """AdamW on cut gradients; its rate rises to ``rate`` and falls once in ``steps`` (Smith and
+    Topin 2019)."""
+    rates = optax.cosine_onecycle_schedule(max(steps, FEWEST), rate, RISE)
     return optax.chain(
-        optax.clip_by_global_norm(MOST_GRADIENT), optax.adamw(rate, weight_decay=DECAY)
+        optax.clip_by_global_norm(MOST_GRADIENT), optax.adamw(rates, weight_decay=DECAY)
     )

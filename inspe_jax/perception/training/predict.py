@@ -35,17 +35,22 @@ class NoTruth(InspeError):
     """Frames without a road user: there is nothing to find, and no mAP."""
 
 
+@eqx.filter_jit
+def _peaks(detector: Detector, inputs: Inputs, grid: BevGrid) -> Peaks:
+    """Compiled once for a model and frames of one shape, whatever the weights."""
+    return peaks(detector(inputs)[0], grid)
+
+
 class Predictor:
-    """A detector that is compiled once, for frames of one shape, whatever its weights."""
+    """A detector, for frames."""
 
     def __init__(self, detector: Detector, agents: Agents, grid: BevGrid) -> None:
         self.detector, self.agents, self.grid = detector, agents, grid
-        self._peaks = eqx.filter_jit(lambda of, inputs: peaks(of(inputs)[0], grid))
 
     def __call__(self, batch: Batch) -> list[Detections]:
         """The detections in each frame of a batch that is ``valid``."""
         inputs: Inputs = inputs_of(batch, self.agents)
-        found: Peaks = self._peaks(self.detector, inputs)
+        found: Peaks = _peaks(self.detector, inputs, self.grid)
         found = Peaks(*[np.asarray(part) for part in found])  # type: ignore[arg-type]
         return [_kept(found, b) for b in np.flatnonzero(batch.valid).tolist()]
 

@@ -137,7 +137,7 @@ class Run:
         settings, agents, grid = self.content.settings, self.content.agents, self.content.grid
         detector = Detector(model_of(settings.model), agents, grid, jax.random.key(settings.seed))
         weights = eqx.filter(detector, eqx.is_inexact_array)
-        return detector, optimiser(settings).init(weights)
+        return detector, optimiser(settings.steps, settings.rate).init(weights)
 
     def detector(self) -> Detector:
         """The detector of the last state. Raises InspeError if there is none, or it is damaged."""

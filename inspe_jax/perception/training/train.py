@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Float
 
 from inspe_jax.core import sharding
@@ -126,11 +127,12 @@ def _train(
         _validate(loader.cache, run, predictor, first)  # a kill came between state and mAP
     if first >= settings.steps:
         return
-    step = _compiled(settings, grid)
+    chain = optimiser(settings.steps, settings.rate)
     late, mean_ap = None, _last_map(run)
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
-        inputs = _placed((inputs_of(batch, agents), batch.targets))
-        detector, moments, losses = step(detector, moments, teacher, *inputs)
+        inputs, targets = _placed((inputs_of(batch, agents), batch.targets))
+        constant = teacher, inputs, targets, grid, chain
+        detector, moments, losses = _step(constant, detector, moments)
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
         due = number % settings.every == 0 or number == settings.steps
@@ -155,34 +157,35 @@ def _finite(detector: Detector) -> bool:
     return all(np.isfinite(np.asarray(leaf)).all() for leaf in leaves)
 
 
-def _compiled(settings: Settings, grid: BevGrid) -> Callable[..., Any]:
-    """A step: (detector, moments, teacher, inputs, targets) to the next two, and the losses."""
-    chain = optimiser(settings)
+def _objective(
+    detector: Detector,
+    teacher: Detector | None,
+    inputs: Inputs,
+    targets: Targets,
+    grid: BevGrid,
+) -> tuple[Float[Array, ""], _Losses]:
+    """What is made small, and its parts."""
+    found, fused = detector(inputs)
+    heat, values = loss(found, aims(targets, grid))
+    taught = jnp.zeros(())
+    if teacher is not None:
+        taught = distillation(fused, teacher.fused(inputs))
+    return heat + values + taught, _Losses(heat, values, taught)
 
-    def objective(
-        detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets
-    ) -> tuple[Float[Array, ""], _Losses]:
-        found, fused = detector(inputs)
-        heat, values = loss(found, aims(targets, grid))
-        taught = jnp.zeros(())
-        if teacher is not None:
-            taught = distillation(fused, teacher.fused(inputs))
-        return heat + values + taught, _Losses(heat, values, taught)
 
-    @eqx.filter_jit(donate="all-except-first")
-    def step(
-        constant: tuple[Detector | None, Inputs, Targets], detector: Detector, moments: Any
-    ) -> tuple[Detector, Any, _Losses]:
-        teacher, inputs, targets = constant
-        gradient, losses = eqx.filter_grad(objective, has_aux=True)(
-            detector, teacher, inputs, targets
-        )
-        weights = eqx.filter(detector, eqx.is_inexact_array)
-        with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions
-            updates, moments = chain.update(gradient, moments, weights)
-        return eqx.apply_updates(detector, updates), moments, losses
-
-    return lambda detector, moments, *constant: step(constant, detector, moments)
+@eqx.filter_jit(donate="all-except-first")
+def _step(
+    constant: tuple[Detector | None, Inputs, Targets, BevGrid, optax.GradientTransformation],
+    detector: Detector,
+    moments: Any,
+) -> tuple[Detector, Any, _Losses]:
+    """The detector and the moments after a step, and the losses before it."""
+    *of, chain = constant
+    gradient, losses = eqx.filter_grad(_objective, has_aux=True)(detector, *of)
+    weights = eqx.filter(detector, eqx.is_inexact_array)
+    with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions
+        updates, moments = chain.update(gradient, moments, weights)
+    return eqx.apply_updates(detector, updates), moments, losses
 
 
 def _placed(arrays: Any) -> Any:

@@ -13,7 +13,10 @@ class InspeError(ValueError):
 
 
 def check_known(name: str, known: Iterable[str], what: str) -> None:
-    """Raise InspeError that says what is known, where ``name`` is not; ``what`` the name is of."""
+    """Raise InspeError, which lists the known names, where ``name`` is none of them.
+
+    ``what`` says in the message what it is the name of.
+    """
     known = tuple(known)
     if name not in known:
         hint = nearest(str(name), known)

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.core.arrays import wide_bucket
+from inspe_jax.core.arrays import on_host, wide_bucket
 from inspe_jax.sensing.rays import Edges, Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
@@ -70,8 +71,8 @@ class RayGrid:
 
     @property
     def rays(self) -> Rays:
-        """The grid in the form that scores use."""
-        return self.kind.rays(self.table)
+        """The grid in the form that scores use, in JAX's precision at the moment."""
+        return self.kind.rays(jax.tree.map(on_host, self.table))
 
     _rays: ClassVar[type[Rays]]
 

@@ -1,8 +1,11 @@
 """The optimiser of every training, so that detectors differ in nothing else."""
 
 from functools import cache
+from typing import TypeAlias
 
 import optax
+
+Optimiser: TypeAlias = optax.GradientTransformation
 
 RISE = 0.3
 """Share of the steps in which the learning rate rises; as in OneCycle's usual setting."""
@@ -15,7 +18,7 @@ MOST_GRADIENT = 10.0
 
 
 @cache  # equal ones are the same, so that a step is compiled once for all of them
-def optimiser(steps: int, rate: float) -> optax.GradientTransformation:
+def optimiser(steps: int, rate: float) -> Optimiser:
     """AdamW on cut gradients; its rate rises to ``rate`` and falls once in ``steps`` (Smith and
     Topin 2019)."""
     rates = optax.cosine_onecycle_schedule(max(steps, FEWEST), rate, RISE)

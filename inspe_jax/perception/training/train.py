@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float
 
 from inspe_jax.core import sharding
@@ -19,7 +18,7 @@ from inspe_jax.perception.detector import TEACHER, Detector, model_of
 from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.optimiser import optimiser
+from inspe_jax.perception.training.optimiser import Optimiser, optimiser
 from inspe_jax.perception.training.predict import NoTruth, Predictor, loader_of
 from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begin
 from inspe_jax.perception.training.settings import (
@@ -175,7 +174,7 @@ def _objective(
 
 @eqx.filter_jit(donate="all-except-first")
 def _step(
-    constant: tuple[Detector | None, Inputs, Targets, BevGrid, optax.GradientTransformation],
+    constant: tuple[Detector | None, Inputs, Targets, BevGrid, Optimiser],
     detector: Detector,
     moments: Any,
 ) -> tuple[Detector, Any, _Losses]:

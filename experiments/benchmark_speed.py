@@ -52,7 +52,7 @@ WORKLOADS: dict[str, dict[str, Any]] = {
     "W1": dict(radius=50.0, voxel=0.5, density=40, frames=100),
     "W2": dict(radius=50.0, voxel=0.2, density=40, frames=100),
     "W3": dict(radius=100.0, voxel=0.5, density=60, frames=300),
-    "quick": dict(radius=25.0, voxel=0.5, density=10, frames=5),
+    "quick": dict(radius=15.0, voxel=0.5, density=10, frames=4),
 }
 
 

@@ -57,9 +57,7 @@ PlotOption = Annotated[
 ]
 RecordOption = Annotated[
     str | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write the result as JSON; - writes it to stdout only."
-    ),
+    typer.Option("--json", metavar="FILE|-", help="Write the result as JSON; - prints it instead."),
 ]
 PicturesOption = Annotated[
     str,

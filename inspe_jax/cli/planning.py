@@ -15,6 +15,7 @@ from inspe_jax.cli.common import (
     LayoutArgument,
     LightOption,
     ProfileOption,
+    RecordOption,
     SceneArgument,
     WeatherOption,
     app,
@@ -130,12 +131,7 @@ def tolerance(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
-    record: Annotated[
-        str | None,
-        typer.Option(
-            "--json", metavar="FILE|-", help="Write the results as JSON; - prints them instead."
-        ),
-    ] = None,
+    record: RecordOption = None,
     *,
     options: WeightOptions,
 ) -> None:

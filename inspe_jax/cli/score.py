@@ -15,6 +15,7 @@ from inspe_jax.cli.common import (
     LightOption,
     PlotOption,
     ProfileOption,
+    RecordOption,
     SceneArgument,
     WeatherOption,
     app,
@@ -255,12 +256,7 @@ def layout(
 def score(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
-    record: Annotated[
-        str | None,
-        typer.Option(
-            "--json", metavar="FILE|-", help="Write the scores as JSON; - prints them instead."
-        ),
-    ] = None,
+    record: RecordOption = None,
     plot: PlotOption = None,
     occlusion_reference: Annotated[
         str | None,
@@ -332,12 +328,7 @@ def targets(
     road_user: Annotated[
         str, typer.Option(help="Who stands there: car, truck, cyclist or pedestrian.")
     ] = "pedestrian",
-    record: Annotated[
-        str | None,
-        typer.Option(
-            "--json", metavar="FILE|-", help="Write the numbers as JSON; - prints them instead."
-        ),
-    ] = None,
+    record: RecordOption = None,
     plot: PlotOption = None,
     light: LightOption = "midday",
     weather: WeatherOption = "clear",

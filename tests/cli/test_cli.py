@@ -498,7 +498,7 @@ BAD = [
     (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
     (("optimise", "s.npz", "layout.yaml", "--checkpoint", "s.npz"), "not a checkpoint of a search"),
     (("optimise", "empty.npz"), "information gain needs traffic"),
-    (("compare", "s.npz", "--methods", "grid,gird"), "method 'gird'"),
+    (("compare", "s.npz", "--methods", "grid,gird"), "method 'gird': one of adam"),
     (("compare", "s.npz", "--methods", "grid,grid"), "one is named twice"),
     (("compare", "s.npz", "--seeds", 0), "seeds 0: give at least 1"),
     (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),

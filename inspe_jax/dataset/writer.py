@@ -8,6 +8,7 @@ run records the missing frames only, and those of which a file is damaged.
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -135,8 +136,9 @@ class DatasetWriter:
         for top in (*SPLITS, UNFINISHED):
             for folder, _, names in os.walk(self.folder / top):
                 for name in names:
-                    facts = os.lstat(os.path.join(folder, name))
-                    found[facts.st_dev, facts.st_ino] = facts.st_size
+                    with suppress(FileNotFoundError):  # a worker's, which it renamed just now
+                        facts = os.lstat(os.path.join(folder, name))
+                        found[facts.st_dev, facts.st_ino] = facts.st_size
         return sum(found.values())
 
     def _check(self, record: dict[str, Any]) -> None:

@@ -435,6 +435,28 @@ def test_one_run_at_a_time(tmp_path):
         generate(generation, tmp_path / "out")
 
 
+def test_the_size_does_without_a_file_that_a_worker_renames(tmp_path, monkeypatch):
+    """A full disk is told of while the other workers still write."""
+    generation = load_generation(write(tmp_path))
+    with DatasetWriter(generation, tmp_path / "out", "embedded") as writer:
+        folder = writer.unfinished(generation.scenarios[0])
+        folder.mkdir(parents=True)
+        for name in (".a.pcd.part", "b.pcd"):
+            (folder / name).write_bytes(bytes(10))
+        before = writer.size
+        walk = os.walk
+
+        def renamed_meanwhile(top):
+            found = list(walk(top))
+            for place, _, names in found:
+                if ".a.pcd.part" in names:
+                    os.unlink(os.path.join(place, ".a.pcd.part"))
+            return found
+
+        monkeypatch.setattr(os, "walk", renamed_meanwhile)
+        assert writer.size == before - 10
+
+
 def test_workers_need_dask(tmp_path, monkeypatch):
     for name in ("distributed", "inspe_jax.study.cluster"):
         monkeypatch.setitem(sys.modules, name, None)

@@ -23,6 +23,7 @@ from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.simulation.backends import BACKENDS, recorder_of
+from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.study.work import scene_of
 
 
@@ -93,7 +94,7 @@ def estimate(
         scene = scene_of(plans[0].source, plans[0].build)
         built = time.perf_counter() - began
         seconds += built * min(workers, sum(map(_chunks, plans)))
-        boxes = _boxes(scene)
+        boxes = _boxes(scene, backend)
         if scene.shortfall:
             where = f"{plans[0].source.name}, {plans[0].settings['density']}"
             shortfalls[f"{where}: road users: {scene.shortfall}"] += len(plans)
@@ -111,10 +112,13 @@ def estimate(
     return Estimate(splits, size, seconds / workers, shortfalls)
 
 
-def _boxes(scene: Scene) -> Counter[str]:
-    """The number of boxes of each class in all frames of a scene."""
-    kinds = scene.traffic.kind[scene.traffic.valid]
-    return Counter(dict(zip(CLASSES, np.bincount(kinds, minlength=len(CLASSES)), strict=True)))
+def _boxes(scene: Scene, backend: str) -> Counter[str]:
+    """The number of boxes of each class in all frames of a scene, as the backend records it."""
+    count = np.bincount(scene.traffic.kind[scene.traffic.valid], minlength=len(CLASSES))
+    if BACKENDS[backend].statics:
+        parked, _ = parked_vehicles(scene)
+        count += scene.traffic.frame_count * np.bincount(parked.kind, minlength=len(CLASSES))
+    return Counter(dict(zip(CLASSES, count.tolist(), strict=True)))
 
 
 def _count(content: SplitContent, plan: ScenarioPlan, boxes: Counter[str]) -> None:

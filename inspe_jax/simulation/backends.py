@@ -26,13 +26,15 @@ class Backend:
     ``open`` takes a scene, a layout, conditions, a :class:`Recording`, a seed, a server and an
     appearance seed, and gives a recorder for a ``with`` block. ``packages`` are the libraries that
     the recorded bytes depend on. A ``remote`` backend records with a server. ``most_workers``
-    processes can record at the same time; None if there is no limit.
+    processes can record at the same time; None if there is no limit. ``statics``: it records the
+    scene's static bodies.
     """
 
     open: Opening
     packages: tuple[str, ...]
     remote: bool = False
     most_workers: int | None = None
+    statics: bool = False
 
 
 def _embedded(*given: Any) -> "AbstractContextManager[Recorder]":
@@ -51,7 +53,7 @@ def _carla(*given: Any) -> "AbstractContextManager[Recorder]":
 
 
 BACKENDS: dict[str, Backend] = {
-    "embedded": Backend(_embedded, ("embreex",)),
+    "embedded": Backend(_embedded, ("embreex",), statics=True),
     "carla": Backend(_carla, ("carla",), remote=True, most_workers=1),  # a server has one world
 }
 """The backends by name."""

@@ -10,6 +10,8 @@ import yaml
 from inspe_jax.dataset import chunk, load_generation, statistics
 from inspe_jax.dataset.estimate import Sample, estimate
 from inspe_jax.dataset.writer import DatasetWriter
+from inspe_jax.simulation.parked import parked_vehicles
+from inspe_jax.study.work import scene_of
 
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 
@@ -20,6 +22,7 @@ STUDY = dict(
     image_scale=0.1,
     splits=dict(train=1, test=1),
 )
+STREET = dict(statics="street", radius=30)
 
 
 def test_workers_share_the_frames_and_open_a_recorder_each(tmp_path, monkeypatch):
@@ -53,8 +56,9 @@ def test_the_backend_that_is_asked_for_is_tried(tmp_path, monkeypatch):
 
 
 def test_sizes_and_counts_are_those_of_the_set(tmp_path, monkeypatch):
+    """Parked vehicles are among the boxes."""
     path = tmp_path / "study.yaml"
-    path.write_text(yaml.safe_dump(STUDY))
+    path.write_text(yaml.safe_dump(STUDY | dict(settings=STUDY["settings"] | STREET)))
     generation = load_generation(path)
     told = []
     found = estimate(generation, progress=lambda done, total: told.append((done, total)))
@@ -69,6 +73,9 @@ def test_sizes_and_counts_are_those_of_the_set(tmp_path, monkeypatch):
             assert writer.finish(plan)
         writer.clear()
     made = statistics(tmp_path / "out")
+    plan = generation.scenarios[0]
+    parked, _ = parked_vehicles(scene_of(plan.source, plan.build))
+    assert len(parked.kind)
     for split in made.splits:
         expected = found.splits[split.name]
         assert (split.scenarios, split.frames) == (expected.scenarios, expected.frames)

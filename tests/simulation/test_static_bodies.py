@@ -7,10 +7,12 @@ import pytest
 from worlds import CAMERA, LIDAR, body_triangles, place_sensors, street_bodies, world
 
 from inspe_jax.scene.statics import tree, upright_box
+from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.materials import GROUND, KERB, MATERIALS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.static_world import build_static_world
+from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.simulation.recorder import Recording
 
 pytest.importorskip("embreex.rtcore_scene")
@@ -122,3 +124,35 @@ def test_bodies_are_in_pictures_and_scans(street):
     (scan,), (bare,) = with_[0].scans, without[0].scans
     high = [(points.points[:, 2] > -5.0).sum() for points in (scan, bare)]
     assert high[0] > 1.2 * high[1]
+
+
+def test_a_parked_vehicle_in_the_region_is_a_road_user_that_stands_still():
+    """It has a box, returns and pixels as a moving one has; one further out is scenery."""
+    traffic = world(count=3, seed=2)
+    away = np.array([[5.0, 0.0], [0.0, 9.0], [50.0, 0.0]]) + traffic.intersection.center[:2]
+    sizes = (4.6, 1.8, 1.5), (9.0, 2.5, 3.2), (4.6, 1.8, 1.5)
+    bodies = [
+        upright_box("parked vehicle", at, size, 0.4) for at, size in zip(away, sizes, strict=True)
+    ]
+    scene = traffic.with_statics([*bodies, upright_box("wall", away[0] + 8, (3, 0.3, 2))])
+    road_users, left = parked_vehicles(scene)
+    assert [one.kind for one in left] == ["parked vehicle", "wall"]
+    assert [CLASSES[kind] for kind in road_users.kind] == ["car", "truck"]
+
+    layout = place_sensors(
+        (LIDAR, [-12.0, 3.0, 4.0, 0.0, 0.0, 0.0]), (CAMERA, [-8.0, 0.0, 7.0, 0.0, -0.3, 0.0])
+    )
+    frames = [EmbeddedRecorder(scene, layout).frame(t) for t in (0, 1)]
+    (car, truck), (car_then, _) = (frame.boxes[-2:] for frame in frames)
+    tracks = [box.track for box in frames[0].boxes]
+    assert len(set(tracks)) == len(tracks)
+    assert (car.track, car.name) == (car_then.track, car_then.name)
+    level = scene.intersection.ground(away[:1])[0]
+    np.testing.assert_allclose(car.center, [*away[0], level + 0.75], atol=1e-9)
+    np.testing.assert_allclose(car.size, sizes[0])
+    np.testing.assert_allclose([car.yaw, truck.yaw], 0.4)
+    assert not np.any([car.velocity, truck.velocity])
+    lidar, camera = frames[0].stations[0].scans[0], frames[0].stations[1].images[0]
+    assert (lidar.returns[-2:] > 50).all()
+    assert camera.pixels[-2] > 50
+    assert camera.share[-2] == pytest.approx(1.0, abs=0.05)

@@ -156,6 +156,11 @@ class TrafficFrames:
         """Number of frames T."""
         return self.center.shape[0]
 
+    def at(self, t: int) -> "Snapshot":
+        """Frame t, without padding."""
+        parts = self.center, self.yaw, self.size, self.kind, self.track, self.velocity
+        return Snapshot(*(np.asarray(part)[t][self.valid[t]] for part in parts))
+
     @property
     def mean_by_class(self) -> Float[np.ndarray, " K"]:
         """Mean number of each of :data:`CLASSES` a frame."""

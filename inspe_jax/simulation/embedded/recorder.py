@@ -7,12 +7,13 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.headlights import GroundMap
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, boxes_of
 from inspe_jax.simulation.embedded.sensors import simulated_sensor
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import build_static_world
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Frame
+from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.simulation.recorder import Recording, stations_of
 
 BELOW = 2.5
@@ -46,8 +47,10 @@ class EmbeddedRecorder:
         layout = conditions.layout(layout)
         poses = np.asarray(layout.poses, float)
         self.layout = layout
+        parked, statics = parked_vehicles(scene)
+        self.parked = boxes_of(parked, appearance_seed)
         self.static_world = build_static_world(
-            scene.intersection, scene.voxels.radius, _masts(layout, poses), scene.statics
+            scene.intersection, scene.voxels.radius, _masts(layout, poses), statics
         )
         self.static_caster = Caster(self.static_world.triangles)
         shading = Shading(conditions, self.static_world.poles - self.static_world.center)
@@ -63,7 +66,7 @@ class EmbeddedRecorder:
 
     def frame(self, t: int) -> Frame:
         """Frame t of the scene's traffic, as every station recorded it."""
-        boxes = boxes_at(self.scene.traffic, t, self.appearance_seed)
+        boxes = boxes_at(self.scene.traffic, t, self.appearance_seed) + self.parked
         actors = FrameActors(boxes, self.static_world.center)
         recorded = [
             sensor.record(actors, np.random.default_rng([self.seed, t, s, 3]))

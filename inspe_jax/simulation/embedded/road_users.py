@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.scene.traffic.frames import CLASSES, TrafficFrames
+from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, fitting, paint, shape_of
 from inspe_jax.simulation.frame import RoadUserBox
@@ -28,24 +28,29 @@ class RoadUserTriangles:
     part: Int[np.ndarray, " F"]
 
 
-def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
-    """The road users of frame t.
+def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
+    """Road users as boxes with names.
 
     A road user's name, which is its shape, depends only on its track, its size and the seed, so it
     is the same in every frame.
     """
     return tuple(
         RoadUserBox(
-            track=int(traffic.track[t, b]),
-            kind=(kind := CLASSES[traffic.kind[t, b]]),
-            name=VARIANTS[kind][_variant(kind, int(traffic.track[t, b]), seed, traffic.size[t, b])],
-            center=np.asarray(traffic.center[t, b], float),
-            yaw=float(traffic.yaw[t, b]),
-            size=np.asarray(traffic.size[t, b], float),
-            velocity=np.asarray(traffic.velocity[t, b], float),
+            track=int(track),
+            kind=(name := CLASSES[kind]),
+            name=VARIANTS[name][_variant(name, int(track), seed, size)],
+            center=np.asarray(center, float),
+            yaw=float(yaw),
+            size=np.asarray(size, float),
+            velocity=np.asarray(velocity, float),
         )
-        for b in np.flatnonzero(traffic.valid[t])
+        for center, yaw, size, kind, track, velocity in zip(*seen, strict=True)
     )
+
+
+def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
+    """The road users of frame t as boxes with names."""
+    return boxes_of(traffic.at(t), seed)
 
 
 def _variant(kind: str, track: int, seed: int, size: Float[np.ndarray, "3"]) -> int:

@@ -2,7 +2,8 @@
 
 Buildings, walls, poles and furniture fill their prisms. Hedges are prisms of leaves. The crown of a
 tree is rounded, and fills some nine tenths of its prism; as much light passes between its leaves as
-the body says. A parked vehicle has the shape of a road user of its size, within its box.
+the body says. A parked vehicle has the shape of a road user of its size, within its box; in the
+region it is a road user (:mod:`inspe_jax.simulation.parked`) and not one of these.
 """
 
 import zlib
@@ -29,11 +30,10 @@ from inspe_jax.simulation.embedded.materials import (
     WALL,
 )
 from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
+from inspe_jax.simulation.parked import box_of, is_box, kind_of
 
 FOUNDATION = 0.5
 """What stands on the ground begins this far below the lowest ground at its corners [m]."""
-LARGEST_CAR = 6.5
-"""A parked vehicle that is longer than this has the shape of a truck [m]."""
 RINGS = ((0.0, 0.80), (0.15, 0.97), (0.4, 1.0), (0.65, 0.97), (0.85, 0.85), (1.0, 0.55))
 """The rings of a crown: height as a share of the crown's, and size as a share of its outline's."""
 _BETWEEN = 3  # points of a ring to each side of the crown's outline
@@ -145,15 +145,14 @@ def _parked(
     one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
 ) -> Iterator[Part]:
     """The shape of a vehicle that fits, in a colour of its own; a plain box on other outlines."""
-    if len(one.outline) != 4 or one.base > 0:
+    if not is_box(one):
         yield from _solid(FURNITURE, FURNITURE)(one, place, level, rng)
         return
-    (ahead, across), up = np.diff(one.outline[:3], axis=0), one.height
-    size = np.array([np.hypot(*ahead), np.hypot(*across), up])
-    kind = "truck" if size[0] > LARGEST_CAR else "car"
+    size, yaw = box_of(one)
+    kind = kind_of(size)
     shape, colours = shape_of(kind, int(rng.choice(fitting(kind, size)))), paint(kind, rng)
-    turn = rotation(np.array([0.0, 0.0, np.arctan2(ahead[1], ahead[0])]), np)
-    at = np.array([*one.middle, level + up / 2])
+    turn = rotation(np.array([0.0, 0.0, yaw]), np)
+    at = np.array([*one.middle, level + one.height / 2])
     corners = (shape.vertices * size) @ turn.T + at
     table = np.array([colours[part] for part in PARTS])
     material = PARKED_TRUCK if kind == "truck" else PARKED_CAR

@@ -262,10 +262,11 @@ class ShadowBounds(NamedTuple):
 def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> ShadowBounds:
     """The bounds of one sensor's shadows of prisms (T, B), the same for all tiles.
 
-    Prisms are taken ``wider`` and higher by so much [m].
+    Prisms are taken ``wider`` and higher by so much [m], along the sight line and across it: as
+    far as the sensor may go both ways in :func:`_passing`.
     """
     x, y = prisms.center[..., 0] - sensor[0], prisms.center[..., 1] - sensor[1]
-    span = jnp.hypot(prisms.half[..., 0] + wider, prisms.half[..., 1] + wider) + CLOSE
+    span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1]) + jnp.sqrt(2.0) * wider + CLOSE
     away = jnp.maximum(jnp.hypot(x, y), CLOSE)
     sin = jnp.minimum(span / away, 1.0)
     # Similar triangles: from the sensor over the far edge of the top down to the ground.

@@ -121,7 +121,7 @@ def measure_softly(tiled, poses, sensor_set, voxel, softness, asked=None):
 @pytest.mark.parametrize("reading", ["one width", slow("all but shadows"), slow("rays exact")])
 def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
-    scene = world(radius=25.0, voxel=1.0, frames=23, count=12)
+    scene = world(radius=18.0, voxel=1.0, frames=19, count=12)
     layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
     sensor_set, poses = SensorSet.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))

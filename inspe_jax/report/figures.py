@@ -23,6 +23,7 @@ from matplotlib.ticker import MaxNLocator
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.report.bodies import body_keys, draw_bodies
 from inspe_jax.report.layers import MapLayer, seen_layer
 from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
 from inspe_jax.report.sheet import (
@@ -89,6 +90,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
         draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
         ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
         draw_routes(ax, scene)
+        draw_bodies(ax, scene)
         draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
         near = _near_poles(scene)
         ax.plot(*near.T[:2], **_POLE, zorder=6)
@@ -225,6 +227,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
             (k in kinds, Patch(fc=c, ec="black", lw=0.3, label=name))
             for k, (name, c) in enumerate(classes)
         ),
+        *((True, key) for key in body_keys(scene)),
         (True, Line2D([], [], **CIRCLE, label="region of interest")),
     ]
     return [key for there, key in offered if there]
@@ -241,6 +244,7 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
         keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=words))
     if scene.traffic.valid.any():
         keys.append(Patch(**USER, label="road user"))
+    keys += body_keys(scene)
     keys.append(Line2D([], [], color=OUTLINE["ec"], lw=0.8, label="region outlined"))
     return [*keys, Line2D([], [], **CIRCLE, label="region of interest")]
 
@@ -301,6 +305,7 @@ def draw_layer(
         interpolation="nearest", zorder=0.5,
     )  # fmt: skip
     draw_regions(ax, scene, lambda _: OUTLINE)
+    draw_bodies(ax, scene)
     if layer.users:
         draw_users(ax, scene, frame, [USER] * len(CLASSES))
     for sensor, pose in zip(layout.sensors, poses, strict=True):

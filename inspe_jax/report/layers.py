@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.viewshed import Viewshed, Visibility
@@ -49,21 +49,29 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     """Every layer by its name, from the viewshed of a layout."""
     levels = scene.voxels.level_count
 
+    exists = free_of_bodies(scene)
+    number = exists.sum(1).astype(float)
+    number[number == 0] = np.nan
+
     def of_columns(values: np.ndarray) -> np.ndarray:
-        """(L, Z)"""
-        return np.asarray(values, float).reshape(-1, levels)
+        """(L, Z); 0 in static bodies."""
+        return np.asarray(values, float).reshape(-1, levels) * exists
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        """The mean over the levels of each column that are in no body; NaN if there is none."""
+        return values.sum(1) / number
 
     frames = shed.frame_count
     sensors, seen = of_columns(shed.sensors), of_columns(shed.seen)
     entropy, left = of_columns(shed.entropy), of_columns(shed.entropy * (1.0 - shed.resolved))
     most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
     found = (
-        seen_layer(seen.mean(1) / frames),
+        seen_layer(mean(seen) / frames),
         MapLayer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
         MapLayer(
             "redundancy",
             "sensors that have a column in view,\nmean over its levels",
-            sensors.mean(1),
+            mean(sensors),
             most=max(float(sensors.max(initial=0)), 1.0),
             colors="viridis",
         ),
@@ -93,10 +101,18 @@ def seen_layer(seen_share: Float[np.ndarray, " L"]) -> MapLayer:
 
 
 def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:
-    """The kind of each column, as its place in :data:`BLIND`."""
-    levels = scene.voxels.level_count
-    in_view = (shed.sensors > 0).reshape(-1, levels)
+    """The kind of each column, as its place in :data:`BLIND`; NaN inside a static body."""
+    levels, exists = scene.voxels.level_count, free_of_bodies(scene)
+    in_view = (shed.sensors > 0).reshape(-1, levels) & exists
     free = (shed.frame_count - shed.occupied).reshape(-1, levels) * in_view
-    seen = shed.seen.reshape(-1, levels).sum(1) / np.maximum(free.sum(1), 1)
-    kinds = [~in_view.any(1), ~in_view.all(1), (free.sum(1) > 0) & (seen < 1.0 - HIDDEN)]
-    return np.select(kinds, [3.0, 2.0, 1.0], 0.0)
+    seen = (shed.seen.reshape(-1, levels) * exists).sum(1) / np.maximum(free.sum(1), 1)
+    hidden = (free.sum(1) > 0) & (seen < 1.0 - HIDDEN)
+    kinds = [~exists.any(1), ~in_view.any(1), ~(in_view | ~exists).all(1), hidden]
+    return np.select(kinds, [np.nan, 3.0, 2.0, 1.0], 0.0)
+
+
+def free_of_bodies(scene: Scene) -> Bool[np.ndarray, "L Z"]:
+    """Whether each voxel is outside all static bodies."""
+    if scene.inside_statics is None:
+        return np.ones((len(scene.voxels.columns), scene.voxels.level_count), bool)
+    return ~np.asarray(scene.inside_statics)

@@ -273,7 +273,8 @@ def _search(
 
 def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     """(kind, colour, share of the columns) of blind spots."""
-    share = np.bincount(blind.values.astype(int), minlength=len(BLIND)) / len(blind.values)
+    kinds = blind.values[~np.isnan(blind.values)].astype(int)
+    share = np.bincount(kinds, minlength=len(BLIND)) / max(len(kinds), 1)
     rows = zip(BLIND, share.tolist(), strict=True)
     return [(name.replace("\n", " "), color, part) for (name, color), part in rows]
 

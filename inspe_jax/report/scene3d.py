@@ -15,6 +15,7 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.report.bodies import BODY_COLORS, body_meshes
 from inspe_jax.report.figures import SENSOR_COLORS, view_outline
 from inspe_jax.report.layers import SIGHT_COLORS, MapLayer
 from inspe_jax.report.server import AccessRules, quiet, serve
@@ -46,6 +47,8 @@ POLE = 4.0
 """Height at which standing poles are drawn [m]."""
 ABOVE = 0.8
 """Height of numbers above a unit's highest sensor [m]."""
+CROWN = 0.5
+"""Opacity of the crowns of trees."""
 LIFT = 0.05
 """Height of lines above the ground [m]."""
 
@@ -60,7 +63,7 @@ class Scene3D:
     """A scene on a viser server. The static parts are drawn at once, the rest by its methods."""
 
     def __init__(self, api: viser.SceneApi, scene: Scene) -> None:
-        """Draw the ground and the lanes."""
+        """Draw the ground, the lanes and the static bodies."""
         self.api, self.scene = api, scene
         self.shift = scene.voxels.center
         self.drawn: dict[str, Any] = {}
@@ -75,6 +78,7 @@ class Scene3D:
         api.add_light_directional("light/sun", intensity=1.0, position=(-60.0, -100.0, 200.0))
         self._draw_ground()
         self._draw_lanes()
+        self._draw_bodies()
 
     def draw_mounting(self) -> None:
         """Draw outlines of where units can stand, and the standing poles."""
@@ -273,6 +277,15 @@ class Scene3D:
         self.drawn[name] = self.api.add_line_segments(
             name, ends.astype(np.float32), colors=rgb(color), thickness=wide
         )
+
+    def _draw_bodies(self) -> None:
+        """Draw houses, trees and other bodies as their prisms; one sees through crowns."""
+        for kind, points, faces in body_meshes(self.scene):
+            self.api.add_mesh_simple(
+                f"ground/{kind}", (points - self.shift).astype(np.float32),
+                faces.astype(np.uint32), color=rgb(BODY_COLORS[kind]), flat_shading=True,
+                side="double", opacity=CROWN if kind == "tree" else None,
+            )  # fmt: skip
 
     def _boxes(
         self,

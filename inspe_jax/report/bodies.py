@@ -1,0 +1,81 @@
+"""Static bodies on maps and in three dimensions: houses, walls, trees, parked vehicles."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import Circle, Patch
+
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import KINDS, StaticBody
+
+SOLID, LEAVES, PARKED = "#9b938a", "#3f7d4b", "#c9c9c9"
+"""Greys of stone and of sheet metal, and the green of leaves."""
+BODY_COLORS: dict[str, str] = dict.fromkeys(KINDS, SOLID) | {
+    "hedge": LEAVES,
+    "tree": LEAVES,
+    "parked vehicle": PARKED,
+}
+"""Colours of bodies, by kind."""
+_EDGE = 0.4  # width of outlines [pt]
+
+
+def look_of(kind: str) -> dict[str, Any]:
+    """How a kind looks on a map: filled; a tree, beneath which the ground is seen, as outline."""
+    color = BODY_COLORS[kind]
+    if kind == "tree":
+        return dict(fc="none", ec=color, lw=2 * _EDGE)
+    return dict(fc=color, ec="black", lw=_EDGE)
+
+
+def draw_bodies(ax: Axes, scene: Scene) -> None:
+    """Draw the outlines of a scene's bodies within the circle."""
+    inside = Circle(tuple(scene.voxels.center[:2]), scene.voxels.radius, transform=ax.transData)
+    for kind, bodies in _by_kind(scene):
+        drawn = PolyCollection([one.outline for one in bodies], **look_of(kind), zorder=3.5)
+        ax.add_collection(drawn, autolim=False)
+        drawn.set_clip_path(inside)
+
+
+def body_keys(scene: Scene) -> list[Any]:
+    """Legend entries of the kinds that stand in the circle, kinds of one look in one entry."""
+    words: dict[str, list[str]] = {}
+    for kind, bodies in _by_kind(scene):
+        away = [np.hypot(*(one.middle - scene.voxels.center[:2])) for one in bodies]
+        if min(away) <= scene.voxels.radius:
+            words.setdefault(str(look_of(kind)), []).append(kind)
+    return [Patch(**look_of(kinds[0]), label=", ".join(kinds)) for kinds in words.values()]
+
+
+def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
+    """The kinds of bodies that a scene has, each with its bodies."""
+    for kind in KINDS:
+        if bodies := [one for one in scene.statics if one.kind == kind]:
+            yield kind, bodies
+
+
+def body_meshes(
+    scene: Scene,
+) -> Iterator[tuple[str, Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]]:
+    """Each kind of body with the corners [m] and faces of its prisms, as scores have them."""
+    for kind, bodies in _by_kind(scene):
+        points: list[np.ndarray] = []
+        faces: list[np.ndarray] = []
+        count = 0
+        for one in bodies:
+            level = float(scene.intersection.ground(one.middle[None])[0])
+            for piece in one.pieces:
+                n = len(piece)
+                for height in (one.base, one.height):
+                    points.append(np.column_stack([piece, np.full(n, level + height)]))
+                k = np.arange(n)
+                next_ = np.roll(k, -1)
+                fan = np.column_stack([np.zeros(n - 2, int), k[1:-1], k[2:]])
+                sides = [[k, next_, next_ + n], [k, next_ + n, k + n]]
+                both = [np.stack(side, -1) for side in sides]
+                faces.append(count + np.concatenate([*both, fan + n, fan[:, ::-1]]))
+                count += 2 * n
+        yield kind, np.concatenate(points), np.concatenate(faces)

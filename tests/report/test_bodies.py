@@ -1,0 +1,81 @@
+"""Static bodies on maps and in three dimensions: their outlines, volumes, and what is in them."""
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from worlds import street_bodies, world
+
+from inspe_jax.report.bodies import BODY_COLORS, body_keys, body_meshes, look_of
+from inspe_jax.report.figures import scene_view
+from inspe_jax.report.layers import layers
+from inspe_jax.scene.statics import KINDS, body, upright_box
+from inspe_jax.scoring.viewshed import Viewshed
+
+
+@pytest.fixture(scope="module")
+def street():
+    scene = world(count=0, slope=0.03, center=(40.0, -20.0, 3.0))
+    return scene.with_statics(street_bodies(scene.intersection))
+
+
+def test_a_map_has_the_outline_of_every_body(street):
+    (ax, *_) = scene_view(street).axes
+    drawn = [
+        path.vertices[:-1]
+        for collection in ax.collections
+        if isinstance(collection, PolyCollection) and collection.zorder == 3.5
+        for path in collection.get_paths()
+    ]
+    assert len(drawn) == len(street.statics)
+    for one in street.statics:
+        assert any(
+            len(found) == len(one.outline) and np.allclose(found, one.outline) for found in drawn
+        )
+
+
+def test_the_legend_has_the_kinds_in_the_circle_each_once(street):
+    far = upright_box("hedge", street.voxels.center[:2] + 400.0, (2, 2, 2))
+    others = tuple(one for one in street.statics if one.kind != "hedge")
+    scene = street.with_statics([*others, far])
+    found = ", ".join(key.get_label() for key in body_keys(scene)).split(", ")
+    assert sorted(found) == sorted({one.kind for one in others})
+    assert set(BODY_COLORS) == set(KINDS)
+    assert look_of("tree")["fc"] == "none"  # the ground beneath is seen
+
+
+def test_meshes_are_closed_and_have_the_volume_of_the_prisms(street):
+    """By the divergence theorem, which holds for closed surfaces that face outward."""
+    bent = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 5], [0, 5]], float)
+    house = body("building", bent + street.voxels.center[:2] + 5.0, 7.0, base=2.0)
+    scene = street.with_statics([*street.statics, house])
+    seen = set()
+    for kind, points, faces in body_meshes(scene):
+        corners = points[faces] - points.mean(0)
+        volume = np.linalg.det(corners).sum() / 6
+        own = [one for one in scene.statics if one.kind == kind]
+        expected = sum(one.polygon.area * (one.height - one.base) for one in own)
+        assert volume == pytest.approx(expected, rel=1e-6)
+        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        assert {tuple(edge) for edge in edges} == {tuple(edge[::-1]) for edge in edges}
+        seen.add(kind)
+    assert seen == {one.kind for one in scene.statics}
+
+
+def test_layers_have_no_value_within_a_body(street):
+    """Nor does a voxel within one count as not seen."""
+    grid = street.voxels
+    inside = np.asarray(street.inside_statics)
+    whole = inside.all(1)
+    part = inside.any(1) & ~whole
+    assert whole.any()
+    assert part.any()
+    free = ~inside.ravel()
+    everything = Viewshed(
+        sensors=3 * free, seen=5 * free, occupied=0 * free, resolved=1.0 * free, frame_count=5
+    )
+    found = layers(street, everything)
+    for name, value in (("seen", 1.0), ("redundancy", 3.0), ("blind", 0.0)):
+        values = found[name].values
+        assert np.isnan(values[whole]).all()
+        np.testing.assert_allclose(values[~whole], value, err_msg=name)
+    assert len(values) == len(grid.columns)

@@ -228,7 +228,8 @@ class Scene3D:
         return np.array([[foot, at]])
 
     def _view(self, spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "M 2 3"]:
-        return segments(self._on_ground(view_outline(spec, pose)))
+        level = self.scene.intersection.ground(pose[None, :2])[0]
+        return segments(self._on_ground(view_outline(spec, pose, level)))
 
     def _forget(self, name: str) -> None:
         if name in self.drawn:

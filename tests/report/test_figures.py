@@ -17,6 +17,7 @@ from matplotlib.text import Text
 from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
 from inspe_jax.report import figures, routes
 from inspe_jax.report.figures import (
     CLASS_COLORS,
@@ -134,15 +135,45 @@ def bearings(outline, pose):
 
 
 def test_a_camera_looks_50_degrees_to_either_side_as_deep_as_it_sees():
-    pose = np.array([3.0, -4.0, 6.0, 0.0, -0.4, 2.5])
-    outline = view_outline(CAMERA, pose)
+    pose = np.array([3.0, -4.0, 6.0, 0.0, 0.0, 2.5])
+    outline = view_outline(CAMERA, pose, 0.0)
     angle, far = bearings(outline, pose)
-    assert far == pytest.approx(30.0)
+    assert far.max() == pytest.approx(30.0)
     assert np.degrees([angle.min(), angle.max()]) == pytest.approx([-50, 50])
-    np.testing.assert_array_equal(outline[[0, -1]], [pose[:2]] * 2)
+    assert (np.hypot(*(outline - pose[:2]).T) < 1e-9).any()
     # Area of the sector, a little less for the chords.
     sector = math.radians(100) / 2 * 30**2
     assert 0.999 * sector < shapely.Polygon(outline).area < sector
+
+
+@pytest.mark.parametrize(
+    ("pitch", "height"), [(-20, 6.0), (-50, 8.0), (-75, 5.0), (10, 4.0), (-30, 20.0)]
+)
+def test_a_cameras_outline_holds_what_its_picture_shows_near_the_ground(pitch, height):
+    """Points at random are projected into the picture: another reading of the same camera."""
+    pose, level = np.array([3.0, -4.0, 2.0 + height, 0.0, np.radians(pitch), 2.5]), 2.0
+    outline = view_outline(CAMERA, pose, level)
+
+    def shown(points, slack=0.0):
+        x, y, z = rotation(pose[3:], np).T @ (points - pose[:3]).T
+        near = (x > 0) & (np.linalg.norm(points - pose[:3], axis=1) < CAMERA.depth)
+        across, down = CAMERA.focal * np.abs([y, z]) / np.maximum(x, 1e-9)
+        sides = CAMERA.width / 2 + slack, CAMERA.height / 2 + slack  # [pixels]
+        return near & (across < sides[0]) & (down < sides[1])
+
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-30, -34, level], [36, 26, pose[2] + 6], (40_000, 3))
+    points[::2, 2] = level
+    seen = points[shown(points)]
+    assert len(seen) > 300
+    within = shapely.Polygon(outline).buffer(0.05)  # chords cut off 3 cm at most
+    assert shapely.within(shapely.points(seen[:, :2]), within).all()
+    # And no more: above every corner, a hundredth of the way back, there is a point that it shows.
+    heights = np.linspace(level, pose[2] + 31, 4000)
+    for corner in outline:
+        at = pose[:2] + 0.99 * (corner - pose[:2])
+        column = np.column_stack([np.tile(at, (len(heights), 1)), heights])
+        assert shown(column, 0.5).any() or np.hypot(*(corner - pose[:2])) < 1e-9
 
 
 @pytest.mark.parametrize("principal", [(400.0, 300.0), (100.0, 300.0), (800.0, 300.0)])
@@ -153,7 +184,7 @@ def test_a_cameras_outline_holds_its_rays_and_no_more(principal):
     _, rays, _ = layout.rays(0)
     level = np.arctan2(rays[:, 1], rays[:, 0]) - 1.0
     angle, _ = bearings(
-        view_outline(spec, np.asarray(layout.poses)[0]), np.array([0, 0, 0, 0, 0, 1.0])
+        view_outline(spec, np.asarray(layout.poses)[0], 0.0), np.array([0, 0, 0, 0, 0, 1.0])
     )
     pixel = 10 / 336.0
     assert 0 < level.min() - angle.min() < pixel / 2 + 1e-9
@@ -162,11 +193,11 @@ def test_a_cameras_outline_holds_its_rays_and_no_more(principal):
 
 def test_a_lidar_looks_all_round_or_in_a_sector():
     pose = np.array([1.0, 2.0, 5.0, 0.0, 0.0, -2.0])
-    circle = view_outline(LIDAR, pose)
+    circle = view_outline(LIDAR, pose, 0.0)
     assert np.hypot(*(circle - pose[:2]).T) == pytest.approx(50.0)
     assert circle[0] == pytest.approx(circle[-1])
     assert shapely.Polygon(circle).area == pytest.approx(np.pi * 50**2, rel=1e-3)
-    angle, far = bearings(view_outline(SECTOR, pose), pose)
+    angle, far = bearings(view_outline(SECTOR, pose, 0.0), pose)
     assert far == pytest.approx(20.0)
     assert np.degrees([angle.min(), angle.max()]) == pytest.approx([-40, 40])
 
@@ -175,7 +206,8 @@ def test_outlines_are_drawn_as_computed(scene, pair):
     fig = plan_view(scene, pair, scores_of(scene, pair))
     lines = [line.get_xydata() for line in fig.axes[0].lines]
     for sensor, pose in zip(pair.sensors, np.asarray(pair.poses), strict=True):
-        wanted = view_outline(sensor.spec, pose)
+        level = scene.intersection.ground(pose[None, :2])[0]
+        wanted = view_outline(sensor.spec, pose, level)
         assert any(xy.shape == wanted.shape and np.allclose(xy, wanted) for xy in lines)
 
 

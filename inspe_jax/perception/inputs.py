@@ -51,14 +51,14 @@ class BevGrid:
             )
 
     def pillars(self, most_pillars: int = 6000, most_points: int = 16) -> PillarGrid:
-        """How points are divided among the same cells, for each unit."""
+        """How points are divided among the same cells, for each unit: no more than there are."""
         return PillarGrid(
             half=self.half,
             cell=self.cell,
             low=self.low,
             high=self.high,
             most_points=most_points,
-            most_pillars=most_pillars,
+            most_pillars=min(most_pillars, self.side**2),
             per="unit",
         )
 

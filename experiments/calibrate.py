@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 from cmaes import CMA
-from common import MAPS, METRICS, command_line, write_results
+from common import MAPS, METRICS, command_line, processes, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.interpolate import RBFInterpolator
@@ -91,7 +91,7 @@ QUICK_CHOICES = ("camera_downsample", "azimuths")
 NUMBERS = {name: limits for block in KNOBS.values() for name, limits in block.items()}
 LOW, FIRST, HIGH = np.array(list(NUMBERS.values())).T
 START |= dict(zip(NUMBERS, FIRST.tolist(), strict=True))
-QUICK_SEARCH = 1, 32, 6
+QUICK_SEARCH = 1, 24, 4
 """Scenes, design and rounds of a quick run: enough to be 0.0003 off the stand-in's table."""
 DESIGN, ROUNDS = 64, 8
 """Settings that a surrogate begins with, and rounds in which the search proposes more."""
@@ -473,7 +473,7 @@ def main() -> None:
     """The search, with workers that stay for all of it."""
     given = options()
     stem = begin(given, "calibrate")
-    with client(given.scheduler, given.workers) as workers:  # the same ones for every study
+    with client(given.scheduler, processes(given)) as workers:  # the same ones for every study
         address = str(workers.scheduler_info()["address"])
         calibrate(given, stem, Tables(given, given.out / f"{stem}_jobs", address))
 

@@ -81,6 +81,14 @@ def arguments(description: str | None) -> argparse.Namespace:
     return options
 
 
+def processes(given: argparse.Namespace) -> int | None:
+    """The worker processes that were asked for; a quick run has one if none were.
+
+    It works for less time than a second process takes to import and compile.
+    """
+    return given.workers or (1 if given.quick else None)
+
+
 @contextmanager
 def kept_folder(keep: Path | None) -> Iterator[Path]:
     """A folder for what is made: ``keep``, which stays, or one that is gone afterwards."""

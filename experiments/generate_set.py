@@ -9,7 +9,7 @@ one frame in each light. The set is thrown away unless --keep says where to leav
 from pathlib import Path
 from typing import Any
 
-from common import command_line, kept_folder, write_results
+from common import command_line, kept_folder, processes, write_results
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -25,7 +25,7 @@ PAPER = 144_000
 STUDY = """
 scenes: [{{built_in: four_way}}, {{built_in: roundabout}}]
 layouts: [Cam-d1/L-d1]
-settings: {{density: {densities}, light: [{light}], seconds: {seconds}}}
+settings: {{density: {densities}, light: [{light}], {size}}}
 rate_hz: 10
 """
 
@@ -36,7 +36,8 @@ def record(light: str, quick: bool, into: Path, workers: int | None) -> dict[str
     """All scenarios in one light: frames, seconds and megabytes."""
     study = into / f"{light}.yaml"
     densities = "[low]" if quick else "[low, medium, high]"
-    study.write_text(STUDY.format(light=light, densities=densities, seconds=0.3 if quick else 5))
+    size = "seconds: 0.2, radius: 25, voxel: 1" if quick else "seconds: 5"
+    study.write_text(STUDY.format(light=light, densities=densities, size=size))
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task(light)
         made = generate(
@@ -68,7 +69,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "generate_set.csv"
     with kept_folder(given.keep) as into:
-        rows = [record(light, given.quick, into, given.workers) for light in LIGHTS]
+        rows = [record(light, given.quick, into, processes(given)) for light in LIGHTS]
         for found in rows:
             scenario = open(into / found["light"]).scenarios[0]
             view = frame_view(scenario, scenario.frames[-1])
@@ -85,7 +86,7 @@ def main() -> None:
         table.add_row(*row(found["light"], found))
     table.add_row(*row("all", total))
     console.print(table)
-    write_results(path, rows, {"quick": given.quick, "workers": given.workers or cores()})
+    write_results(path, rows, {"quick": given.quick, "workers": processes(given) or cores()})
     console.print(f"wrote {path}, .json and .png, and a frame in each light")
 
 

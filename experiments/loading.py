@@ -69,7 +69,7 @@ def record(into: Path, quick: bool) -> Dataset:
     """The set: one scenario, recorded unless it is there."""
     study = into / "study.yaml"
     study.write_text(STUDY.format(seconds=0.4 if quick else 4))
-    made = generate(load_generation(study), into / "set")
+    made = generate(load_generation(study), into / "set", workers=1 if quick else None)
     assert not made.failures, made.failures
     return open(into / "set")
 

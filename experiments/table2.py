@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, METRICS, command_line, write_results
+from common import MAPS, METRICS, command_line, processes, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import spearmanr
@@ -109,7 +109,7 @@ def run(study: Study, folder: Path, given: argparse.Namespace) -> list[Row]:
             study,
             folder,
             scheduler=given.scheduler,
-            workers=given.workers,
+            workers=processes(given),
             progress=report,
         )
     for row in rows:

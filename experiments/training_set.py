@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, command_line, kept_folder, write_results
+from common import MAPS, command_line, kept_folder, processes, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -213,12 +213,12 @@ def main() -> None:
     stem = "training_set_quick" if given.quick else "training_set"
     with kept_folder(given.keep) as into:
         light = given.lights[0]
-        data = recorded(study(given), into / "set", given.workers)
+        data = recorded(study(given), into / "set", processes(given))
         rows = counted(data, given.mix, light)
         # As before the turn was a setting: it took as long as a frame.
         slow = study(given, lidar_turn_s=1, layouts=["L-d1"])
         slow["settings"] |= dict(light=[light])
-        before = counted(recorded(slow, into / "slow_turn", given.workers), given.mix, light)
+        before = counted(recorded(slow, into / "slow_turn", processes(given)), given.mix, light)
         draw(data).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(densities_table(rows))
     console.print(placements_table(rows, "What LiDARs return of road users"))

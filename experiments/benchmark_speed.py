@@ -139,9 +139,9 @@ def seconds(call: Callable[[], Any], repeats: int) -> float:
     return float(np.median(times))
 
 
-def every_fourth(layout: Layout) -> Layout:
-    """Every fourth sensor."""
-    return Layout(layout.poses[::4], layout.sensors[::4], layout.units, layout.name)
+def every(layout: Layout, n: int) -> Layout:
+    """Every ``n``-th sensor."""
+    return Layout(layout.poses[::n], layout.sensors[::n], layout.units, layout.name)
 
 
 def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
@@ -154,10 +154,10 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
 
     cases: dict[str, list[tuple[int, Scene, Layout]]] = {
         "sensors": [
-            (3, scene, every_fourth(whole)),
+            (3, scene, every(whole, 4)),
             *((len(whole) * n, scene, sensors(scene, n)) for n in (1, 2, 4)),
         ],
-        "frames": [(n, first(n), whole) for n in (frames // 4 + 1, frames // 2, frames)],
+        "frames": [(n, first(n), whole) for n in sorted({frames // 4 + 1, frames // 2, frames})],
         "objects": [(n, workload(name, seed, density=n), whole) for n in (10, 20, 40)],
     }
     rows = []
@@ -316,7 +316,7 @@ def measure_here(name: str, seed: int) -> dict[str, Any]:
     cold, warm = (seconds(lambda: inspe_jax.evaluate(scene, layout), n) for n in (1, 5))
     found: dict[str, Any] = dict(what=name, voxels=scene.voxels.count, sensors=len(layout))
     found |= dict(cold=cold, warm=warm, memory=peak_memory())
-    found |= slope(scene, every_fourth(layout) if name == "quick" else layout)
+    found |= slope(scene, every(layout, 6) if name == "quick" else layout)
     return found | dict(slope_memory=peak_memory())
 
 
@@ -382,7 +382,7 @@ def main() -> None:
         soft.add_row(row["what"], *floats)
     console.print(table, soft)
     grown = growth(name, options.seed, repeats)
-    many = many_at_once(name, options.seed, *((4, 3) if options.quick else (64, 20)))
+    many = many_at_once(name, options.seed, *((2, 4) if options.quick else (64, 20)))
     shell = from_the_shell(scene, layout, repeats // 2)
     roofline = least(scene, layout, warm)
 

@@ -79,9 +79,9 @@ def options() -> argparse.Namespace:
             if part and part not in known:
                 parser.error(f"--{name} {part}: some of {', '.join(known)}")
     if found.quick:
-        found.seconds, found.seeds = 5.0 if found.cold else 2.0, 1
+        found.seconds, found.seeds = 5.0 if found.cold else 0.5, 1
         if found.methods == parser.get_default("methods"):
-            found.methods = "greedy-adam,grid,greedy,cma-es"  # the others compile for a minute
+            found.methods = "greedy-adam,grid,cma-es"  # the others compile for a minute
             if found.cold:  # each of them for a quarter of one
                 found.methods = "greedy-adam,greedy"
     found.out.mkdir(parents=True, exist_ok=True)
@@ -92,7 +92,7 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
     """The junctions, one after another; towns where their maps are at hand."""
     size: dict[str, Any] = dict(radius=50, frames=40, seed=0)
     if quick:
-        size |= dict(radius=20, voxel=1.0, frames=5)
+        size |= dict(radius=20, voxel=1.0, frames=3)
     wanted = [name for name in only.split(",") if name]
     for name in BUILT_INS[:1] if quick else BUILT_INS:
         if not wanted or name in wanted:

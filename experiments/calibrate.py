@@ -91,7 +91,7 @@ QUICK_CHOICES = ("camera_downsample", "azimuths")
 NUMBERS = {name: limits for block in KNOBS.values() for name, limits in block.items()}
 LOW, FIRST, HIGH = np.array(list(NUMBERS.values())).T
 START |= dict(zip(NUMBERS, FIRST.tolist(), strict=True))
-QUICK_SEARCH = 1, 24, 4
+QUICK_SEARCH = 1, 32, 6
 """Scenes, design and rounds of a quick run: enough to be 0.0003 off the stand-in's table."""
 DESIGN, ROUNDS = 64, 8
 """Settings that a surrogate begins with, and rounds in which the search proposes more."""

@@ -59,7 +59,7 @@ def main() -> None:
     size: dict[str, Any] = dict(frames=40, seed=given.seed)
     if given.quick:
         size |= dict(radius=15, voxel=1.0, frames=4)
-    number = 8 if given.quick else 100
+    number = 4 if given.quick else 100
     rows: list[dict[str, Any]] = []
     place = inspe_jax.built_in("four_way")
     for profile in ("ideal", "paper"):

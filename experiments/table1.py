@@ -61,8 +61,6 @@ SETS: dict[str, dict[str, Any]] = {
     "later": dict(seed=1, splits=dict(test=1)),
 }
 """Held-out intersections are a split of the first set; held-out time is the second, on all."""
-QUICK_GRID = BevGrid(half=12.8)
-"""Of a quick run: the middle of the intersection, in the usual cells."""
 RESAMPLES = 10_000
 ROWS = "table1_rows.csv"
 KNOWN = 0.95
@@ -115,7 +113,7 @@ def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -
     size = list(PICTURES[::-1])
     if given.quick:
         content = dict(splits=dict(train=1))
-        lights, densities, seconds, size = ["midday"], ["high"], 8, [128, 96]
+        lights, densities, seconds, size = ["midday"], ["high"], 8, [200, 150]
         settings |= dict(radius=25.0, voxel=1.0)
     settings |= dict(density=densities, light=lights, seconds=seconds)
     scenes = places(given)[:1] if given.quick else places(given)
@@ -222,14 +220,14 @@ def run_all(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
 def quick(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
     """One detector of LiDARs and one of cameras, until they know eight frames."""
     rows = []
-    for model, placement, steps in (("coalign", "L-d1", 120), ("lss-resnet", "Cam-d1", 200)):
+    for model, placement, steps in (("coalign", "L-d1", 120), ("lss-resnet", "Cam-d1", 240)):
         job = Job(model, placement, 0)
         data = recorded(given, into, placement, "train")
         settings = Settings(
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )
         began = time.monotonic()
-        run = trained(job, data, into / job.folder, settings, QUICK_GRID)
+        run = trained(job, data, into / job.folder, settings, BevGrid(half=25.6))
         seconds = time.monotonic() - began
         found = measured(predictor_of(run), model, data, "train")
         console.print(

@@ -209,7 +209,7 @@ class Scene3D:
     def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
         """Draw the numbers of a unit's sensors as one label above it; several labels would
         overlap."""
-        units = layout.members()
+        units = [members for members in layout.members() if members]
         for u, members in enumerate(units):
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
             at = poses[list(members), :3]

@@ -16,7 +16,7 @@ from inspe_jax.report.scene3d import rgb
 from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
-from inspe_jax.sensing.layout import load_layout, save_layout
+from inspe_jax.sensing.layout import Unit, load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.panel import set_value
@@ -353,3 +353,14 @@ def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_pat
     viewer.close()
     page = (tmp_path / "layout.html").read_text()
     assert str(evaluate(scene, layout).surrogate) in page
+
+
+def test_a_unit_without_sensors_has_no_number(scene, layout, tmp_path):
+    bare = replace(layout, units=(*layout.units, Unit("spare", (0.0, 0.0, 0.0))))
+    found = Viewer(Case(scene), bare, tmp_path / "layout.yaml", port=0)
+    try:
+        done(found)
+        numbers = {name for name in found.scene3d.drawn if name.startswith("numbers/")}
+        assert len(numbers) == len([members for members in bare.members() if members])
+    finally:
+        found.close()

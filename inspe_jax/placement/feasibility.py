@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.coordinates import nearest_turn
 from inspe_jax.placement.site import Site
-from inspe_jax.scene.statics import body_at
+from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit
 
 TOLERANCE = 1e-3

@@ -20,10 +20,11 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, check_output, whole_file
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
+from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.statics import StaticBody, inside_bodies, pack_bodies, unpack_bodies
+from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.core.arrays import bucket, on_device, on_host
 from inspe_jax.core.convex import ConvexPrism, sides
 from inspe_jax.core.geometry import FAR, Prism
+from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.statics import convex_parts
 from inspe_jax.sensing.layout import Layout
 
 PRISMS = 16

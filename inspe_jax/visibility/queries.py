@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Bool, UInt
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.statics import body_at
 from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import (

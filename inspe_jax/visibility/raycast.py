@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.statics import convex_parts
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.sensing.layout import Layout
 

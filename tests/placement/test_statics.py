@@ -12,7 +12,8 @@ from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.space import Space
-from inspe_jax.scene.statics import body_at, tree, upright_box
+from inspe_jax.scene.placed_bodies import body_at
+from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scoring.tiled_scene import tiled_scene_without_masks
 from inspe_jax.sensing.layout import UNIT_PLAN
 from inspe_jax.visibility.centered_scene import poses_about_center

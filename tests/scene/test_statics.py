@@ -11,12 +11,11 @@ from worlds import crossing, world
 import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.placed_bodies import body_at, convex_parts
 from inspe_jax.scene.scene import load_scene, save_scene
 from inspe_jax.scene.statics import (
     CORNERS,
     body,
-    body_at,
-    convex_parts,
     octagon,
     pole,
     tree,

@@ -34,6 +34,7 @@ ROOMS = {
     ),
     "carla": ("scene/maps/opendrive/", "simulation/carla/"),
     "embreex": ("simulation/embedded/embree.py",),
+    "pyproj": ("scene/maps/sumo/",),
     "sumolib": ("scene/maps/sumo/", "scene/traffic/sumo/"),
     "sumo": ("scene/maps/sumo/", "scene/traffic/sumo/"),
     "jaxopt": ("placement/methods/solver_rounds.py",),

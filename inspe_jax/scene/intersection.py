@@ -12,7 +12,9 @@ from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
+from inspe_jax.core.digest import added
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import StaticBody
 
 CROSSWALK_WIDTH = 3.0
 """Width of a crosswalk that is added where a map has none [m]."""
@@ -69,6 +71,8 @@ class Intersection:
     the feet of existing poles, as of signals. ``ground_points`` (G, 3) give the
     height of the ground. ``notes`` say what was assumed. ``map`` is the file that
     it was read from, which SUMO's traffic needs; a saved scene does not keep it.
+    ``bodies`` are those that its map brings: buildings, trees, walls. A scene has them
+    with ``statics="map"``.
     """
 
     name: str
@@ -82,6 +86,7 @@ class Intersection:
     ground_points: Float[np.ndarray, "G 3"]
     notes: tuple[str, ...] = field(default=())
     map: Path | None = None
+    bodies: tuple[StaticBody, ...] = added(())
 
     @cached_property
     def _ground_index(self) -> cKDTree:

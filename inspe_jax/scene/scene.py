@@ -34,6 +34,8 @@ from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 FORMAT = "inspe_jax scene 2"
 WITH_STATICS = "inspe_jax scene 3"
 """The format of scenes with static bodies, which earlier versions would leave out in silence."""
+OF_MAP = "map_bodies"
+"""How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
 # What NumPy, shapely and the code below may raise on a file that is not a scene.
@@ -61,7 +63,7 @@ class Scene:
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
     ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
-    traffic, seed, and statics if there are made-up ones. ``statics`` are the bodies that stand in
+    traffic, seed, and statics if it was built with some. ``statics`` are the bodies that stand in
     every frame (:meth:`with_statics`).
     """
 
@@ -147,9 +149,10 @@ def build_scene(
 
     ``traffic`` is ``waypoints``, the paper's model; ``sumo``, for an intersection that was read
     from a map; another name of :data:`~inspe_jax.scene.traffic.registry.TRAFFIC_MODELS`; or a log
-    of CARLA's recorder (.log), which has its own density and mix. ``statics`` is ``none``, or
-    ``street`` for made-up street furniture (:mod:`inspe_jax.scene.street`); bodies of one's own are
-    for :meth:`Scene.with_statics`. ``progress`` is called with (steps done, steps).
+    of CARLA's recorder (.log), which has its own density and mix. ``statics`` is ``none``;
+    ``map`` for the buildings, trees and walls that the map brings; or ``street`` for made-up street
+    furniture (:mod:`inspe_jax.scene.street`). Bodies of one's own are for
+    :meth:`Scene.with_statics`. ``progress`` is called with (steps done, steps).
 
     Raises InspeError if a value is out of range, and as the model of the traffic does.
     """
@@ -282,7 +285,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
     arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
     arrays |= {f"traffic_{k}": np.asarray(getattr(scene.traffic, k)) for k in _TRAFFIC}
-    return arrays | pack_bodies(scene.statics)
+    return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)
 
 
 def _unpack(data: dict[str, np.ndarray]) -> Scene:
@@ -309,6 +312,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         poles=data["poles"],
         ground_points=data["ground_points"],
         notes=tuple(record["notes"]),
+        bodies=unpack_bodies(data, OF_MAP),
     )
     size, radius, level_count, *spacing = record["grid"]  # none in older files
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)

@@ -230,27 +230,28 @@ def octagon(at: Any, radius: float) -> Float[np.ndarray, "8 2"]:
 # ── In a file ───────────────────────────────────────────────────────────────
 
 
-def pack_bodies(bodies: Sequence[StaticBody]) -> dict[str, np.ndarray]:
-    """Bodies as plain arrays and one JSON text; nothing if there are none."""
+def pack_bodies(bodies: Sequence[StaticBody], name: str = "statics") -> dict[str, np.ndarray]:
+    """Bodies as plain arrays and one JSON text, whose names begin with ``name``; nothing if there
+    are none."""
     if not bodies:
         return {}
     return {
-        "statics_kinds": np.array(json.dumps([one.kind for one in bodies])),
-        "statics_lengths": np.array([len(one.outline) for one in bodies], int),
-        "statics_corners": np.concatenate([one.outline for one in bodies]),
-        "statics_numbers": np.array(
+        f"{name}_kinds": np.array(json.dumps([one.kind for one in bodies])),
+        f"{name}_lengths": np.array([len(one.outline) for one in bodies], int),
+        f"{name}_corners": np.concatenate([one.outline for one in bodies]),
+        f"{name}_numbers": np.array(
             [[one.height, one.base, one.transmittance, one.trunk] for one in bodies]
         ),
     }
 
 
-def unpack_bodies(data: dict[str, np.ndarray]) -> tuple[StaticBody, ...]:
+def unpack_bodies(data: dict[str, np.ndarray], name: str = "statics") -> tuple[StaticBody, ...]:
     """The bodies that :func:`pack_bodies` packed."""
-    if "statics_kinds" not in data:
+    if f"{name}_kinds" not in data:
         return ()
-    corners = np.split(data["statics_corners"], np.cumsum(data["statics_lengths"])[:-1])
-    kinds = json.loads(str(data["statics_kinds"]))
+    corners = np.split(data[f"{name}_corners"], np.cumsum(data[f"{name}_lengths"])[:-1])
+    kinds = json.loads(str(data[f"{name}_kinds"]))
     return tuple(
         StaticBody(kind, outline, *map(float, numbers))
-        for kind, outline, numbers in zip(kinds, corners, data["statics_numbers"], strict=True)
+        for kind, outline, numbers in zip(kinds, corners, data[f"{name}_numbers"], strict=True)
     )

@@ -18,15 +18,15 @@ from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import check_known
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pole, tree, upright_box
 from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
 
-STATICS = ("none", "street")
-"""The static bodies that a scene may be built with."""
+STATICS = ("none", "map", "street")
+"""The static bodies that a scene may be built with: none, those of its map, or made-up ones."""
 
 BEYOND = 10.0
 """Bodies stand up to this far outside the region of interest [m]."""
@@ -65,13 +65,32 @@ def statics_of(
 ) -> tuple[StaticBody, ...]:
     """The static bodies of a name of :data:`STATICS`, without those that traffic touches.
 
-    They do not depend on the seed of the traffic: a place stays what it is. Raises InspeError where
-    the name is another.
+    Buildings of a map stay, whoever touches them. They do not depend on the seed of the traffic: a
+    place stays what it is. Raises InspeError where the name is another, or the place's map brings
+    no bodies.
     """
     check_statics(name)
     if name == "none":
         return ()
-    return untouched(street_bodies(place, radius), traffic)
+    if name == "street":
+        return untouched(street_bodies(place, radius), traffic)
+    found = map_bodies(place, radius)
+    kept = {id(one) for one in untouched(found, traffic)}
+    return tuple(one for one in found if one.kind == "building" or id(one) in kept)
+
+
+def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
+    """The bodies that a place's map brings, out to :data:`BEYOND` its region of interest.
+
+    Raises InspeError where it brings none.
+    """
+    if not place.bodies:
+        raise InspeError(
+            f"{place.name}: {place.source} brings no bodies; an OpenStreetMap extract (.osm) does "
+            "that has buildings, trees, walls or poles here; statics 'street' makes some up"
+        )
+    area = Point(place.center[:2]).buffer(radius + BEYOND)
+    return tuple(one for one in place.bodies if one.polygon.intersects(area))
 
 
 def check_statics(name: str) -> None:

@@ -63,6 +63,32 @@ class RoadNet:
     net: Any
     shift: Float[np.ndarray, "2"]
 
+    @property
+    def has_degrees(self) -> bool:
+        """Whether it was projected from latitudes and longitudes."""
+        return bool(self.net.hasGeoProj())
+
+    @functools.cached_property
+    def _projection(self) -> Any:
+        """The projection that the network names. Raises InspeError where pyproj is missing."""
+        try:
+            import pyproj
+        except ImportError as error:
+            raise InspeError(
+                "OpenStreetMap's coordinates need: pip install 'inspe_jax[sumo]'"
+            ) from error
+        return pyproj.Proj(self.net._location["projParameter"])
+
+    def from_degrees(self, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        """World coordinates [m] of longitudes and latitudes [degrees], of a projected network."""
+        at = np.column_stack(self._projection(*np.asarray(degrees, float).T))
+        return at + self.net.getLocationOffset() - self.shift
+
+    def to_degrees(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        """Longitudes and latitudes [degrees] of world coordinates [m], of a projected network."""
+        at = np.asarray(points, float) + self.shift - self.net.getLocationOffset()
+        return np.column_stack(self._projection(*at.T, inverse=True))
+
     def to_world(self, points: Any) -> np.ndarray:
         """Points (N, 2 or 3) of the network in world coordinates (N, 3); height 0 if not given."""
         at = np.array([(*p, 0.0)[:3] for p in points], float).reshape(-1, 3)

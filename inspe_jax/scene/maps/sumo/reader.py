@@ -1,4 +1,4 @@
-"""Reads SUMO networks and OpenStreetMap extracts: lanes, crossings and sidewalks."""
+"""Reads SUMO networks and OpenStreetMap extracts: lanes, crossings, sidewalks and bodies."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -17,7 +17,9 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
+from inspe_jax.scene.maps.bodies import Shape, standing
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
+from inspe_jax.scene.maps.openstreetmap.bodies import shapes_of
 from inspe_jax.scene.maps.parts import (
     CLUSTER,
     MARGIN,
@@ -34,7 +36,7 @@ from inspe_jax.scene.maps.parts import (
     walking_routes,
 )
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
-from inspe_jax.scene.maps.sumo.network import load_net
+from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, load_net
 from inspe_jax.scene.regions import Region
 
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
@@ -91,6 +93,7 @@ def read_sumo(
     within 35 m of it count as one, as those of a roundabout. Coordinates are those of the map that
     the network was made from (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to
     ``radius`` + 10 m. Routes begin and end at ``radius``. Roads on another level are left out.
+    Extracts bring their buildings, trees, walls and poles, as far as lanes are read.
 
     Raises InspeError if SUMO or the file is missing, if the file is not a network, or if it has no
     such junction or no road near.
@@ -136,7 +139,6 @@ def read_sumo(
         mounting=mounting_of(regions, [], arms, disc),
         poles=np.zeros((0, 3)),
         ground_points=ground,
-        notes=tuple(notes),
         map=Path(path).resolve(),
     )
 
@@ -151,7 +153,20 @@ def read_sumo(
         *_vehicle_routes(streets, approaches, arm_of, members, interior, middle, radius),
         *walking_routes(found, people),
     ]
-    return replace(found, center=found.on_ground(middle[None])[0], routes=tuple(routes))
+    foot = found.on_ground(middle[None])[0]
+    found = replace(found, center=foot, routes=tuple(routes))
+    shapes = _shapes(streets, Path(path), middle, reach, notes)
+    return replace(found, bodies=standing(shapes, found, reach, notes), notes=tuple(notes))
+
+
+def _shapes(
+    streets: Streets, path: Path, middle: np.ndarray, reach: float, notes: list[str]
+) -> list[Shape]:
+    """The bodies of an OpenStreetMap extract; a network has none."""
+    road = streets.road
+    if not path.name.lower().endswith(OSM_SUFFIXES) or not road.has_degrees:
+        return []
+    return shapes_of(path, middle[:2], reach, road.from_degrees, road.to_degrees, notes)
 
 
 def _middle(streets: Streets, name: str) -> np.ndarray:

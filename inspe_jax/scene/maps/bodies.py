@@ -1,0 +1,201 @@
+"""Bodies of maps: shapes in plan, mended and cut, so that nothing stands where traffic goes."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+import shapely.affinity
+from shapely.geometry import LineString, Point, Polygon, box
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import StaticBody, body
+
+OVER_LANES = 4.5
+"""What begins this high hangs over lanes [m]: it is the usual clearance."""
+OVER_PATHS = 2.4
+"""What begins this high hangs over footpaths [m]."""
+BESIDE_PATH = 0.8
+"""Bodies are cut off this near to the middle of a footpath [m]: people walk up to 0.8 m beside
+it."""
+SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0}
+"""Parts of less than this are left out [m²]."""
+MOST_CORNERS = 0.05
+"""Edges of what was cut off keep within this of where they were [m]: arcs have few corners so."""
+
+
+class Shape(NamedTuple):
+    """What a map says of one body: its kind, its area in plan (any polygons) and heights [m].
+
+    As :class:`~inspe_jax.scene.statics.StaticBody`. ``whole``: a tree or a pole, which stands whole
+    where its ``foot`` is, or not at all.
+    """
+
+    kind: str
+    area: BaseGeometry
+    height: float
+    base: float = 0.0
+    transmittance: float = 0.0
+    trunk: float = 0.0
+
+    @property
+    def whole(self) -> bool:
+        """Whether it stands whole or not at all."""
+        return self.kind in ("tree", "pole")
+
+    @property
+    def foot(self) -> BaseGeometry:
+        """Where it stands, in plan."""
+        if self.trunk > 0:
+            return self.area.centroid.buffer(self.trunk)
+        return self.area
+
+
+class Ways(NamedTuple):
+    """Where traffic goes: the ground of vehicles and crossings, and with footpaths as well."""
+
+    lanes: BaseGeometry
+    paths: BaseGeometry
+
+    @classmethod
+    def of(cls, place: Intersection) -> "Ways":
+        """Those of a place that has its regions and routes."""
+        roads = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
+        lanes = unary_union([place.regions[r] for r in roads if r in place.regions])
+        walked = [
+            LineString(r.waypoints[:, :2]).buffer(
+                BESIDE_PATH, cap_style="square", join_style="mitre"
+            )
+            for r in place.routes
+            if r.user == "pedestrian" and len(r.waypoints) > 1
+        ]
+        return cls(lanes, unary_union([lanes, *walked]))
+
+    def under(self, base: float) -> BaseGeometry:
+        """The ground over which nothing may be that begins so high [m]; empty for high bodies."""
+        if base >= OVER_LANES:
+            return Polygon()
+        return self.lanes if base >= OVER_PATHS else self.paths
+
+
+def standing(
+    shapes: Iterable[Shape], place: Intersection, reach: float, notes: list[str]
+) -> tuple[StaticBody, ...]:
+    """The bodies of a place's map that come within ``reach`` [m] of its centre.
+
+    Outlines that cross themselves are mended. What is on lanes, crossings or the middle of
+    footpaths is cut off; a tree or a pole there is left out, and a crown begins above lanes or is
+    narrower. Polygons with holes are cut into simple ones. ``notes`` get what was done.
+    """
+    ways, disc = Ways.of(place), Point(place.center[:2]).buffer(reach)
+    for part in ways:
+        shapely.prepare(part)
+    found: list[StaticBody] = []
+    counts: Counter[str] = Counter()
+    for shape in shapes:
+        area = _mended(shape.area)
+        if not area.intersects(disc):
+            continue
+        counts["mended"] += not shape.area.is_valid
+        free = _free(shape._replace(area=area), ways, counts)
+        made = [] if free is None else list(_bodies(free))
+        counts["left out"] += not made
+        found += made
+    said = {
+        "mended": "whose outline crosses itself: mended",
+        "cut": "on lanes, crossings or footpaths: cut off there",
+        "over lanes": "with a crown over lanes: it begins at 4.5 m there, or is narrower",
+        "left out": "on lanes, crossings or footpaths, or without an area: left out",
+    }
+    notes += [
+        f"{counts[key]} {'body' if counts[key] == 1 else 'bodies'} of the map {words}"
+        for key, words in said.items()
+        if counts[key]
+    ]
+    return tuple(found)
+
+
+def _mended(area: BaseGeometry) -> BaseGeometry:
+    """The polygons of an area, each simple; empty if it has none."""
+    if not area.is_valid:
+        area = shapely.make_valid(area, method="structure")
+    parts = shapely.get_parts(area)
+    return unary_union([part for part in parts if part.geom_type in ("Polygon", "MultiPolygon")])
+
+
+def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
+    """A shape without what is where traffic goes; None if nothing is left."""
+    if shape.kind == "tree":
+        return _free_tree(shape, ways, counts)
+    taken = ways.under(shape.base)
+    if not shape.area.intersects(taken):
+        return shape
+    if shape.whole:
+        return None
+    left = shape.area.difference(taken)
+    left = unary_union([p for p in shapely.get_parts(left) if p.area > SMALL[shape.kind]])
+    if left.is_empty:
+        return None
+    if shape.area.area - left.area < SMALL[shape.kind]:  # it touches a kerb
+        return shape._replace(area=left)
+    counts["cut"] += 1
+    slim = left.simplify(MOST_CORNERS)
+    return shape._replace(area=slim.difference(taken) if slim.intersects(taken) else slim)
+
+
+def _free_tree(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
+    """A tree whose crown is over no lane below :data:`OVER_LANES`."""
+    if shape.foot.intersects(ways.paths):
+        return None
+    if not shape.area.intersects(ways.under(shape.base)):
+        return shape
+    counts["over lanes"] += 1
+    if shape.height >= OVER_LANES + 1.0:
+        return shape._replace(base=OVER_LANES)
+    middle = shape.area.centroid
+    away, radius = middle.distance(ways.under(shape.base)), np.sqrt(shape.area.area / np.pi)
+    share = float(away / radius) / 1.1  # its corners are up to 3 % farther out than its radius
+    area = shapely.affinity.scale(shape.area, share, share, origin=middle)
+    return shape._replace(area=area) if area.area > SMALL["tree"] else None
+
+
+def _bodies(shape: Shape) -> Iterator[StaticBody]:
+    """The bodies on the simple polygons of a shape."""
+    for part in shapely.get_parts(shape.area):
+        for simple in simple_pieces(part):
+            if simple.area <= SMALL[shape.kind]:
+                continue
+            try:
+                yield body(
+                    shape.kind,
+                    simple.exterior.coords,
+                    shape.height,
+                    base=shape.base,
+                    transmittance=shape.transmittance,
+                    trunk=shape.trunk,
+                )
+            except InspeError:  # less than a millimetre wide
+                continue
+
+
+def simple_pieces(area: BaseGeometry) -> Iterator[Polygon]:
+    """A polygon in pieces without holes that together cover it: cut in two through each hole."""
+    for part in shapely.get_parts(area):
+        if part.geom_type != "Polygon":
+            continue
+        if not part.interiors:
+            yield part
+            continue
+        hole = Polygon(part.interiors[0]).representative_point()
+        west, south, east, north = part.bounds
+        if east - west >= north - south:
+            halves = box(west, south, hole.x, north), box(hole.x, south, east, north)
+        else:
+            halves = box(west, south, east, hole.y), box(west, hole.y, east, north)
+        for half in halves:
+            yield from simple_pieces(part.intersection(half))

@@ -1,0 +1,1 @@
+"""OpenStreetMap extracts: the bodies that they have beside lanes."""

@@ -1,0 +1,252 @@
+"""The bodies of an OpenStreetMap extract: buildings, trees, walls, hedges, fences and poles.
+
+Not read: woods, bushes and other areas of plants, power towers, and fences that one sees through.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.scene.lines import distinct
+from inspe_jax.scene.maps.bodies import SMALL, Shape
+from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
+from inspe_jax.scene.maps.openstreetmap.sizes import (
+    BARRIERS,
+    POLES,
+    SOLID_FENCES,
+    TREE,
+    TREE_BASE,
+    TREE_SPACING,
+    Sizes,
+)
+from inspe_jax.scene.statics import LEAFY, octagon
+
+BEYOND = 200.0
+"""Nodes are read this far beyond the reach [m]: outlines that go farther are cut there."""
+NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none", "")
+"""Values of ``building`` of what hides nothing."""
+
+Projection = Callable[[Float[np.ndarray, "N 2"]], Float[np.ndarray, "N 2"]]
+"""World metres of degrees of longitude and latitude, or the other way round."""
+
+
+def shapes_of(
+    path: Path,
+    middle: Float[np.ndarray, "2"],
+    reach: float,
+    to_world: Projection,
+    to_degrees: Projection,
+    notes: list[str],
+) -> list[Shape]:
+    """The bodies of an extract about a point in world metres, as far as its box of degrees goes.
+
+    ``notes`` get what was assumed. Raises InspeError as
+    :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
+    """
+    far = reach + BEYOND
+    rim = np.linspace(-far, far, 9)
+    square = [(x, y) for x in rim for y in (-far, far)] + [(x, y) for y in rim for x in (-far, far)]
+    degrees = to_degrees(np.asarray(middle, float)[:2] + np.array(square))
+    extract = read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
+    disc = Point(*np.asarray(middle)[:2]).buffer(reach)
+    return _Reader(extract, to_world, disc, notes).shapes()
+
+
+class _Reader:
+    """Makes shapes of an extract's elements that come into a disc."""
+
+    def __init__(
+        self, extract: Extract, to_world: Projection, disc: Polygon, notes: list[str]
+    ) -> None:
+        self.extract, self.disc, self.notes, self.sizes = extract, disc, notes, Sizes()
+        names = list(extract.nodes)
+        degrees = np.array([extract.nodes[n] for n in names], float).reshape(-1, 2)
+        self.at = dict(zip(names, to_world(degrees), strict=True))
+        self.open = 0  # outlines that could not be closed
+
+    def shapes(self) -> list[Shape]:
+        """All of them, in the order of the file."""
+        trees = list(self._trees())
+        found = [*self._buildings(), *self._barriers(), *trees, *self._rows(trees), *self._poles()]
+        if self.open:
+            self.notes.append(
+                f"{self.open} outlines of the map go beyond the extract, or are not closed: left "
+                "out, or closed by a straight line"
+            )
+        self.notes += self.sizes.notes()
+        return found
+
+    def _near(self, *of: Float[np.ndarray, "N 2"] | Float[np.ndarray, "2"]) -> bool:
+        """Whether what lies between points may come into the disc."""
+        return bool(shapely.MultiPoint(np.vstack(of)).convex_hull.intersects(self.disc))
+
+    def _line(self, way: Way) -> Float[np.ndarray, "N 2"]:
+        """The known nodes of a way, in world metres."""
+        return np.array([self.at[n] for n in way.nodes if n in self.at], float).reshape(-1, 2)
+
+    def _outline(self, way: Way) -> BaseGeometry | None:
+        """The area within a closed way; None if it has none."""
+        line = self._line(way)
+        if not self._near(line):
+            return None
+        if len(line) < 3 or way.nodes[0] != way.nodes[-1]:
+            self.open += 1
+            return None
+        self.open += any(n not in self.at for n in way.nodes)
+        return Polygon(line)
+
+    # ── Buildings ───────────────────────────────────────────────────────────
+
+    def _areas(self) -> Iterator[tuple[Tags, BaseGeometry]]:
+        """Closed ways and multipolygons, with their tags."""
+        drawn = set()
+        for relation in self.extract.relations.values():
+            if relation.tags.get("type") != "multipolygon":
+                continue
+            ways = [(name, role) for name, role in relation.ways if name in self.extract.ways]
+            outer = [name for name, role in ways if role != "inner"]
+            tags = relation.tags
+            if not _is_area(tags):  # as was usual once: the tags are those of the outline
+                own = [self.extract.ways[name].tags for name in outer]
+                tags = next((t for t in own if _is_area(t)), {})
+            if not tags:
+                continue
+            drawn |= {name for name in outer if _is_area(self.extract.ways[name].tags)}
+            area = self._rings(outer)
+            if not self._near(*(self._line(self.extract.ways[name]) for name in outer)):
+                continue
+            missing = len(ways) < len(relation.ways)
+            self.open += area.is_empty or missing
+            if not area.is_empty:
+                holes = self._rings(name for name, role in ways if role == "inner")
+                yield tags, area.difference(holes)
+        for name, way in self.extract.ways.items():
+            if name not in drawn and _is_area(way.tags):
+                outline = self._outline(way)
+                if outline is not None:
+                    yield way.tags, outline
+
+    def _rings(self, names: Iterable[str]) -> BaseGeometry:
+        """The area within rings that ways make up together."""
+        lines = [self._line(self.extract.ways[name]) for name in names]
+        edges = [LineString(line) for line in lines if len(line) > 1]
+        if not edges:
+            return Polygon()
+        joined = shapely.get_parts(shapely.line_merge(unary_union(edges)))
+        return unary_union(list(shapely.get_parts(shapely.polygonize(joined))))
+
+    def _buildings(self) -> Iterator[Shape]:
+        """Buildings and their parts; parts stand in for the buildings that they are part of."""
+        whole, parts = list[Shape](), list[Shape]()
+        for tags, area in self._areas():
+            if "barrier" in tags and not _is_building(tags):
+                height, _ = BARRIERS["hedge"]
+                height = self.sizes.size_or(tags, "height", "wall", height)
+                yield Shape("hedge", area, height)
+                continue
+            part = "building" not in tags
+            base, height = self.sizes.heights(tags, tags["building:part" if part else "building"])
+            (parts if part else whole).append(Shape("building", area, height, base))
+        yield from parts
+        tree_of = shapely.STRtree([part.area for part in parts])
+        for one in whole:
+            area = one.area
+            within = [parts[k].area for k in tree_of.query(area)]
+            if within and area.is_valid:
+                left = area.difference(unary_union([w.buffer(0) for w in within]))
+                left = left.buffer(-0.05, join_style="mitre").buffer(0.05, join_style="mitre")
+                if left.area < SMALL["building"]:
+                    continue
+                if left.area < area.area - SMALL["building"]:
+                    area = left
+            yield one._replace(area=area)
+
+    # ── Walls, trees and poles ──────────────────────────────────────────────
+
+    def _barriers(self) -> Iterator[Shape]:
+        for way in self.extract.ways.values():
+            kind = way.tags.get("barrier", "")
+            if kind not in BARRIERS or _is_area(way.tags):
+                continue
+            if kind == "fence" and way.tags.get("fence_type") not in SOLID_FENCES:
+                continue
+            line = self._line(way)
+            if not self._near(line):
+                continue
+            height, width = BARRIERS[kind]
+            height = self.sizes.size_or(way.tags, "height", "wall", height)
+            width = self.sizes.size_or(way.tags, "width", "wall", width, least=0.02, most=10.0)
+            line = distinct(line) if len(line) > 1 else line
+            for ends in pairwise(line):
+                stretch = LineString(ends).buffer(width / 2, cap_style="flat")
+                yield Shape("hedge" if kind == "hedge" else "wall", stretch, height)
+
+    def _trees(self) -> Iterator[Shape]:
+        for name, tags in self.extract.node_tags.items():
+            if tags.get("natural") == "tree" and self._near(self.at[name]):
+                yield self._tree(tags, self.at[name])
+
+    def _rows(self, trees: list[Shape]) -> Iterator[Shape]:
+        """Trees along tree rows, where none are mapped on their own."""
+        mapped = shapely.STRtree([tree.area.centroid for tree in trees])
+        count = 0
+        for way in self.extract.ways.values():
+            line = self._line(way)
+            if way.tags.get("natural") != "tree_row" or len(line) < 2 or not self._near(line):
+                continue
+            row = LineString(line)
+            gaps = max(1, round(row.length / TREE_SPACING))
+            for k in range(gaps + 1):
+                at = row.interpolate(k / gaps, normalized=True)
+                if not at.intersects(self.disc):
+                    continue
+                if not len(mapped.query(at, "dwithin", TREE_SPACING / 2)):
+                    count += 1
+                    yield self._tree(way.tags, np.array(at.coords[0]))
+        if count:
+            self.notes.append(
+                f"{count} trees stand {TREE_SPACING:g} m apart in the map's tree rows"
+            )
+
+    def _tree(self, tags: Tags, at: Float[np.ndarray, "2"]) -> Shape:
+        height = self.sizes.size_or(tags, "height", "tree", TREE["height"], least=1.0, most=120.0)
+        across, around = (
+            self.sizes.size_or(tags, key, "tree", TREE[key], least=least, most=most)
+            for key, least, most in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
+        )
+        lowest, share = TREE_BASE
+        trunk = min(around / (2 * np.pi), across / 4)
+        return Shape(
+            "tree", Polygon(octagon(at, across / 2)), height, min(lowest, share * height),
+            LEAFY, trunk,
+        )  # fmt: skip
+
+    def _poles(self) -> Iterator[Shape]:
+        """Poles beside ways: a node of a road that has signals says only where drivers stop."""
+        on_roads = {n for way in self.extract.ways.values() if "highway" in way.tags
+                    for n in way.nodes}  # fmt: skip
+        for name, tags in self.extract.node_tags.items():
+            known = next((size for (k, v), size in POLES.items() if tags.get(k) == v), None)
+            if known is None or name in on_roads or not self._near(self.at[name]):
+                continue
+            height = self.sizes.size_or(tags, "height", "pole", known[0], least=1.0)
+            yield Shape("pole", Polygon(octagon(self.at[name], known[1])), height)
+
+
+def _is_building(tags: Tags) -> bool:
+    """Whether tags are those of a building, or a part of one, above ground."""
+    key = "building" if "building" in tags else "building:part"
+    sunk = tags.get("location") == "underground" or tags.get("layer", "").startswith("-")
+    return tags.get(key, "no") not in NOT_THERE and not sunk
+
+
+def _is_area(tags: Tags) -> bool:
+    """Whether tags are those of a body with an outline."""
+    return _is_building(tags) or (tags.get("barrier") == "hedge" and tags.get("area") == "yes")

@@ -1,0 +1,116 @@
+"""Reads an OpenStreetMap extract as a stream, and keeps what lies in a box of degrees."""
+
+import gzip
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from inspe_jax.core.errors import InspeError
+
+Tags = dict[str, str]
+
+
+class Box(NamedTuple):
+    """A box of degrees of longitude and latitude."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    def has(self, lon: float, lat: float) -> bool:
+        """Whether a point is in it. Longitude is as in the box: it knows no date line."""
+        return self.west <= lon <= self.east and self.south <= lat <= self.north
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way: the nodes that it goes through, and its tags."""
+
+    nodes: tuple[str, ...]
+    tags: Tags
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A relation: its ways with their roles, and its tags."""
+
+    ways: tuple[tuple[str, str], ...]
+    tags: Tags
+
+
+@dataclass
+class Extract:
+    """What an extract has in a box, by id: positions (longitude, latitude) of nodes, tags of those
+    that have some, ways with a node there, and relations with such a way."""
+
+    nodes: dict[str, tuple[float, float]] = field(default_factory=dict)
+    node_tags: dict[str, Tags] = field(default_factory=dict)
+    ways: dict[str, Way] = field(default_factory=dict)
+    relations: dict[str, Relation] = field(default_factory=dict)
+
+
+def read_extract(path: Path, area: Box) -> Extract:
+    """What an extract has in a box.
+
+    Memory grows with what lies in the box, and not with the file. Nodes come before the ways that
+    go through them in most files; where they do not, the file is read a second time. Raises
+    InspeError where it is not well-formed XML.
+    """
+    found = Extract()
+    try:
+        if not _read(path, area, found):
+            _read(path, area, found)
+    except (ET.ParseError, OSError, EOFError) as error:
+        raise InspeError(f"{path}: not well-formed XML: {error}") from error
+    return found
+
+
+def _read(path: Path, area: Box, found: Extract) -> bool:
+    """Adds a file's elements to what was found. Returns whether each came after its parts."""
+    behind, sorted_ = "", True
+    order = ("node", "way", "relation")
+    for element in _elements(path):
+        kind, name = element.tag, element.get("id", "")
+        sorted_ &= behind == "" or order.index(kind) >= order.index(behind)
+        behind = kind
+        if not name or element.get("action") == "delete" or element.get("visible") == "false":
+            continue
+        tags = {t.get("k", ""): t.get("v", "") for t in element.iterfind("tag")}
+        if kind == "node":
+            at = _position(element)
+            if at is not None and area.has(*at):
+                found.nodes[name] = at
+                if tags:
+                    found.node_tags[name] = tags
+        elif kind == "way":
+            nodes = tuple(nd.get("ref", "") for nd in element.iterfind("nd"))
+            if any(node in found.nodes for node in nodes):
+                found.ways[name] = Way(nodes, tags)
+        else:
+            members = [m for m in element.iterfind("member") if m.get("type") == "way"]
+            ways = tuple((m.get("ref", ""), m.get("role", "")) for m in members)
+            if any(way in found.ways for way, _ in ways):
+                found.relations[name] = Relation(ways, tags)
+    return sorted_
+
+
+def _elements(path: Path) -> Iterator[ET.Element]:
+    """The nodes, ways and relations of a file, one at a time: each is gone when the next comes."""
+    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
+        events = ET.iterparse(f, events=("start", "end"))
+        root = next(events)[1]
+        for event, element in events:
+            if event == "end" and element.tag in ("node", "way", "relation"):
+                yield element
+                root.clear()
+
+
+def _position(element: ET.Element) -> tuple[float, float] | None:
+    """Longitude and latitude of a node; None where they are no numbers."""
+    try:
+        return float(element.attrib["lon"]), float(element.attrib["lat"])
+    except (KeyError, ValueError):
+        return None

@@ -109,9 +109,10 @@ def scene(
     statics: Annotated[
         str | None,
         typer.Option(
-            metavar="none|street",
+            metavar="none|map|street",
             help="Bodies that stand in every frame and hide what is behind them: none (if not "
-            "given), or street, made-up parked vehicles, trees, walls, posts and bus shelters.",
+            "given); map, the buildings, trees, walls and poles of an OpenStreetMap extract; or "
+            "street, made-up parked vehicles, trees, walls, posts and bus shelters.",
         ),
     ] = None,
     save: Annotated[
@@ -127,6 +128,7 @@ def scene(
     - `inspe scene MAP.xodr --list`
     - `inspe scene MAP.xodr --junction 189 --radius 50 --density medium --out j189.npz`
     - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
+    - `inspe scene city.osm --junction 1 --statics map --out city.npz`
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """

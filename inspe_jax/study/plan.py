@@ -19,7 +19,7 @@ The form of the file. Paths are relative to it; every setting is one value or a 
     settings:
       density: [low, medium, high]   # for scenes: profile, radius, voxel, spacing, density, frames,
                                      #   step, mix, traffic (waypoints or sumo), seed,
-                                     #   statics (none or street)
+                                     #   statics (none, map or street)
       light: [midday, night]         # for sensors: light, weather
       weather: [clear, "rain:10"]
       weights:                       # for scores: weights, occlusion_reference, visibility

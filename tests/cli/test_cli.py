@@ -449,7 +449,7 @@ BAD = [
     (("score", "array.npz"), "not a scene saved by this package"),
     (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
-    (("scene", "four_way", "--statics", "stret"), "one of none, street; did you mean street?"),
+    (("scene", "four_way", "--statics", "stret"), "one of none, map, street; did you mean street?"),
     (("scene", "s.npz", "--statics", "street"), "leave out --statics"),
     (("scene", "four_way", "--junction", 3), "--junction and --center are only for maps"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),

@@ -116,5 +116,5 @@ def test_a_scene_says_that_it_has_them(tmp_path):
     assert digest(other.statics) == digest(street.statics)  # a place stays what it is
     save_scene(street, tmp_path / "s.npz")
     assert digest(load_scene(tmp_path / "s.npz").statics) == digest(street.statics)
-    with pytest.raises(InspeError, match="statics 'streets': one of none, street; did you mean"):
+    with pytest.raises(InspeError, match="one of none, map, street; did you mean"):
         inspe_jax.build_scene(place, **size, statics="streets")

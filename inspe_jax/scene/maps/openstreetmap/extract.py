@@ -10,6 +10,8 @@ from typing import NamedTuple
 from inspe_jax.core.errors import InspeError
 
 Tags = dict[str, str]
+ORDER = ("node", "way", "relation")
+"""Elements in the order in which each consists of those before it."""
 
 
 class Box(NamedTuple):
@@ -55,14 +57,15 @@ class Extract:
 def read_extract(path: Path, area: Box) -> Extract:
     """What an extract has in a box.
 
-    Memory grows with what lies in the box, and not with the file. Nodes come before the ways that
-    go through them in most files; where they do not, the file is read a second time. Raises
+    Memory grows with what lies in the box, and not with the file. Most files have all nodes, then
+    all ways, then all relations. Another is read again, until the parts of each are known. Raises
     InspeError where it is not well-formed XML.
     """
     found = Extract()
     try:
-        if not _read(path, area, found):
-            _read(path, area, found)
+        for _ in ORDER:
+            if _read(path, area, found):
+                break
     except (ET.ParseError, OSError, EOFError) as error:
         raise InspeError(f"{path}: not well-formed XML: {error}") from error
     return found
@@ -71,10 +74,9 @@ def read_extract(path: Path, area: Box) -> Extract:
 def _read(path: Path, area: Box, found: Extract) -> bool:
     """Adds a file's elements to what was found. Returns whether each came after its parts."""
     behind, sorted_ = "", True
-    order = ("node", "way", "relation")
     for element in _elements(path):
         kind, name = element.tag, element.get("id", "")
-        sorted_ &= behind == "" or order.index(kind) >= order.index(behind)
+        sorted_ &= behind == "" or ORDER.index(kind) >= ORDER.index(behind)
         behind = kind
         if not name or element.get("action") == "delete" or element.get("visible") == "false":
             continue
@@ -103,7 +105,7 @@ def _elements(path: Path) -> Iterator[ET.Element]:
         events = ET.iterparse(f, events=("start", "end"))
         root = next(events)[1]
         for event, element in events:
-            if event == "end" and element.tag in ("node", "way", "relation"):
+            if event == "end" and element.tag in ORDER:
                 yield element
                 root.clear()
 

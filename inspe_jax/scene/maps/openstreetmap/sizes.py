@@ -109,7 +109,7 @@ class Sizes:
             self.assumed["building"] += 1
             height = (LOW_BUILDING if kind in LOW else BUILDING) + (base or 0.0)
         if base is not None and base >= height:
-            self.senseless.append(f"{base:g} m to {height:g} m")
+            self.senseless.append(f"min_height={base:g} of height={height:g}")
             base = None
         return base or 0.0, height
 
@@ -131,9 +131,7 @@ class Sizes:
         }
         for kind, words in ways.items():
             if count := self.assumed[kind]:
-                found.append(
-                    f"{count} of the map's {kind}s have no height and are taken as {words}"
-                )
+                found.append(f"{count} of the map's {kind}s have no height: taken as {words}")
         if self.senseless:
             some = ", ".join(dict.fromkeys(self.senseless[:3]))
             found.append(f"{len(self.senseless)} sizes of the map's bodies make no sense ({some})")

@@ -1,0 +1,372 @@
+"""Bodies of OpenStreetMap extracts: what stands where, how high, and in which coordinates."""
+
+import gzip
+import sys
+import tracemalloc
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from osm_town import Town, box, degrees, full_town
+from shapely.geometry import LineString, Point, Polygon
+from worlds import LIDAR, embree_line_of_sight, place_sensors
+
+import inspe_jax
+from inspe_jax.core.digest import digest
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.maps.bodies import simple_pieces
+from inspe_jax.scene.maps.openstreetmap.extract import Box, read_extract
+from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
+from inspe_jax.scene.maps.registry import list_junctions, read_map
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+from inspe_jax.scene.street import map_bodies
+from inspe_jax.visibility.queries import line_of_sight
+
+pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
+pytest.importorskip("pyproj", reason="needs pyproj: extra [sumo]")
+
+from inspe_jax.scene.maps.sumo.network import load_net
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return full_town().write(tmp_path_factory.mktemp("osm") / "town.osm")
+
+
+@pytest.fixture(scope="module")
+def place(path):
+    return read_map(path, center=tuple(world(path, [(0, 0)])[0]), radius=50)
+
+
+@pytest.fixture(scope="module")
+def bodies(place):
+    return place.bodies
+
+
+def world(path, points):
+    """World coordinates of points of the town."""
+    return load_net(path).from_degrees(degrees(points))
+
+
+def at(path, bodies, point, kind=None):
+    """The bodies over a point of the town."""
+    here = Point(world(path, [point])[0])
+    return [b for b in bodies if b.polygon.contains(here) and kind in (None, b.kind)]
+
+
+# ── Coordinates ─────────────────────────────────────────────────────────────
+
+
+def test_the_middle_of_each_road_is_where_its_nodes_are(path, place):
+    """netconvert's lanes against the nodes' degrees: 25 m out on every arm, to 2 cm."""
+    road = shapely.union_all([place.regions[r] for r in Region if r is not Region.SIDEWALK])
+    for ahead in ((25, 0), (0, 25), (-25, 0), (0, -25)):
+        left = (-ahead[1] / 2.5, ahead[0] / 2.5)
+        ends = [(ahead[0] + s * left[0], ahead[1] + s * left[1]) for s in (-1, 1)]
+        across = LineString(world(path, ends)).intersection(road)
+        (middle,) = world(path, [ahead])
+        assert across.length == pytest.approx(6.4, abs=0.01)
+        assert np.hypot(*(np.array(across.centroid.coords[0]) - middle)) < 0.02
+
+
+def test_nodes_of_a_real_extract_are_where_netconvert_puts_them():
+    """An extract of the SUMO package, 90 km off the middle of its UTM zone; and sumolib's own
+    conversion."""
+    import sumo
+
+    file = f"{sumo.SUMO_HOME}/tools/game/racing/spreewaldring.osm"
+    road = load_net(Path(file))
+    root = ET.parse(file).getroot()
+    nodes = {n.get("id"): (n.get("lon"), n.get("lat")) for n in root.iter("node")}
+    kept = {node.getID() for node in road.net.getNodes()}
+    found = road.from_degrees(np.array([nodes[n] for n in kept if n in nodes], float))
+    own = np.array([road.net.getNode(n).getCoord() for n in kept if n in nodes])
+    assert len(own) > 10
+    assert np.abs(found - own).max() < 0.02  # what netconvert writes, rounded to 1 cm
+    assert np.allclose(road.to_degrees(found), np.array([nodes[n] for n in kept if n in nodes],
+                                                        float), atol=1e-9)  # fmt: skip
+    lon, lat = nodes[next(iter(kept & nodes.keys()))]
+    ours = road.from_degrees(np.array([[lon, lat]], float))[0]
+    assert np.allclose(ours, road.net.convertLonLat2XY(float(lon), float(lat)), atol=1e-6)
+
+
+def test_a_house_is_as_large_as_in_the_file(path, bodies):
+    """Degrees are written to 0.1 mm."""
+    (house,) = at(path, bodies, (16, 15))
+    corners = world(path, box(10, 10, 22, 20))
+    assert house.polygon.symmetric_difference(Polygon(corners)).area < 44 * 1e-4
+    assert house.polygon.area == pytest.approx(120, rel=1e-3)  # UTM's scale here: 1.0001
+
+
+# ── Heights ─────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(
+    ("point", "base", "height"),
+    [
+        ((16, 15), 0, 9),
+        ((-16, 14), 0, 10.5),
+        ((13, -17), 0, 3),
+        ((-36, -26), 0, 12),
+        ((32, 15), 0, 15),
+        ((37, 12), 5, 15),
+        ((37, 18), 0, 8),
+        ((27, 29), 0, 6),
+        ((35, 29), 0, 6),
+        ((27, 37), 0, 9),
+        ((0, -35), 5.5, 6),
+    ],
+)
+def test_heights(path, bodies, point, base, height):
+    (one,) = at(path, bodies, point)
+    assert (one.kind, one.base, one.height) == ("building", base, pytest.approx(height))
+
+
+@pytest.mark.parametrize("point", [(-26, -26), (-27, 25), (-27, 33), (0, 42), (505, 505)])
+def test_where_no_body_is(path, bodies, point):
+    """In the courtyard, over what is underground or gone, on the road, and far away."""
+    assert at(path, bodies, point) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [
+        ("12", 12), ("12 m", 12), ("12.5m", 12.5), ("12,5", 12.5), ("3'", 0.9144),
+        ("7'3\"", 2.2098), ("40 ft", 12.192), ("250 cm", 2.5), (" 4 ", 4), (".5", 0.5),
+        ("3;4", None), ("about 3", None), ("", None), ("-2", None), ("1e3", None), ("nan", None),
+        ("12 storeys", None), ("3 - 4", None),
+    ],
+)  # fmt: skip
+def test_lengths_with_units(text, metres):
+    assert length_of(text) == (metres if metres is None else pytest.approx(metres))
+
+
+@pytest.mark.parametrize(
+    ("tags", "expected"),
+    [
+        ({}, (0, 6)),
+        ({"building:levels": "4", "roof:levels": "1"}, (0, 15)),
+        ({"building:levels": "4", "height": "10"}, (0, 10)),
+        ({"building:levels": "four"}, (0, 6)),
+        ({"building:levels": "0"}, (0, 6)),
+        ({"building:levels": "5", "building:min_level": "2"}, (6, 15)),
+        ({"building:min_level": "2"}, (6, 12)),
+        ({"height": "0"}, (0, 6)),
+        ({"height": "99999"}, (0, 6)),
+        ({"height": "5", "min_height": "5"}, (0, 5)),
+    ],
+)
+def test_heights_of_buildings(tags, expected):
+    assert Sizes().heights(tags, "yes") == pytest.approx(expected)
+
+
+def test_notes_say_what_was_assumed(place):
+    said = "\n".join(place.notes)
+    assert "3 of the map's buildings have no height: taken as 6 m high" in said
+    assert "height=about ten, height=3;4" in said
+    assert "1 body of the map whose outline crosses itself: mended" in said
+    assert "1 body of the map on lanes, crossings or footpaths: cut off there" in said
+    assert "of the map on lanes, crossings or footpaths, or without an area: left out" in said
+
+
+# ── Shapes ──────────────────────────────────────────────────────────────────
+
+
+def test_a_courtyard_is_left_free_by_simple_pieces(path, bodies):
+    pieces = [b for b in bodies if b.height == 12 and b.kind == "building"]
+    assert len(pieces) > 1
+    whole = shapely.union_all([b.polygon for b in pieces])
+    ring = Polygon(world(path, box(-40, -40, -12, -12)), [world(path, box(-32, -32, -20, -20))])
+    assert whole.symmetric_difference(ring).area < 160 * 1e-4
+    assert sum(b.polygon.area for b in pieces) == pytest.approx(ring.area, abs=160e-4)
+
+
+def test_simple_pieces_of_many_holes():
+    plate = Polygon(box(0, 0, 40, 20), [box(x, y, x + 3, y + 2)[::-1] for x in (2, 9, 30)
+                                        for y in (3, 11)])  # fmt: skip
+    pieces = list(simple_pieces(plate))
+    assert all(not p.interiors and p.is_valid for p in pieces)
+    assert shapely.union_all(pieces).symmetric_difference(plate).area < 1e-9
+    assert sum(p.area for p in pieces) == pytest.approx(plate.area)
+
+
+def test_an_outline_that_crosses_itself_is_mended(path, bodies):
+    found = [*at(path, bodies, (13, 30)), *at(path, bodies, (19, 30))]
+    assert len(found) == 2
+    assert all(b.polygon.is_valid and b.height == 5 for b in found)
+    assert at(path, bodies, (16, 27)) == []
+
+
+def test_nothing_stands_on_lanes_crossings_or_footpaths(place, bodies):
+    roads = [Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK]
+    lanes = shapely.union_all([place.regions[r] for r in roads])
+    walked = shapely.union_all(
+        [LineString(r.waypoints[:, :2]) for r in place.routes if r.user == "pedestrian"]
+    )
+    assert not walked.is_empty
+    for one in bodies:
+        foot = one.polygon if one.base == 0 else Point(one.middle).buffer(one.trunk)
+        assert one.polygon.intersection(lanes).area < 1e-6 or one.base >= 4.5, one.words
+        if one.base == 0 or one.trunk > 0:
+            assert foot.distance(walked) > 0.7, one.words
+
+
+def test_a_house_over_the_road_is_cut_off_at_its_edge(path, bodies):
+    (house,) = at(path, bodies, (9, 28))
+    assert house.height == 7
+    assert 5 < house.polygon.area / 6 < 6.2  # beyond the middle of the footpath and 0.8 m
+    assert at(path, bodies, (0, 28), "building") == []
+
+
+def test_trees(path, bodies):
+    plain, tall, low = (at(path, bodies, p, "tree")[0] for p in ((8, 8), (8, -9), (-8, 8)))
+    assert (plain.height, plain.base, plain.transmittance) == (8, 2.5, 0.05)
+    assert plain.polygon.area == pytest.approx(np.pi * 2.5**2)
+    assert plain.trunk == pytest.approx(0.15, abs=0.001)
+    assert (tall.height, tall.base) == (12, 4.5)  # over the lanes
+    assert tall.trunk == pytest.approx(0.25, abs=0.001)
+    assert low.base == pytest.approx(1.6)
+    assert 2.0 < np.sqrt(low.polygon.area / np.pi) < 5.0  # up to the lanes
+    assert at(path, bodies, (0, 30), "tree") == []
+    row = [b for b in bodies if b.kind == "tree" and b.height == 10]
+    assert len(row) == 3  # of four, one is near a tree of its own
+    (own,) = at(path, bodies, (22, -8.5), "tree")
+    assert own.height == 6
+
+
+def test_walls_hedges_and_fences(path, bodies):
+    walls = [b for b in bodies if b.kind == "wall"]
+    assert sorted(round(b.height, 2) for b in walls) == [1.6, 2.21, 2.21]
+    assert sum(b.polygon.area for b in walls) == pytest.approx(0.25 * 18 + 0.1 * 10, rel=1e-3)
+    (hedge,) = (b for b in bodies if b.kind == "hedge")
+    assert (hedge.height, hedge.polygon.area) == (1.5, pytest.approx(7.0, rel=1e-3))
+
+
+def test_poles_stand_beside_the_road_only(bodies):
+    assert sorted(b.height for b in bodies if b.kind == "pole") == [3.4, 7.0, 9.0, 20.0]
+
+
+# ── Files ───────────────────────────────────────────────────────────────────
+
+
+def test_the_order_of_elements_and_compression_change_nothing(tmp_path, path, place):
+    head, *lines, tail = path.read_text().splitlines()[1:]
+    turned = "\n".join([head, *lines[::-1], tail])
+    other = tmp_path / "town.osm.gz"
+    other.write_bytes(gzip.compress(turned.encode()))
+    box_ = Box(11.57, 48.13, 11.58, 48.14)
+    one, two = read_extract(path, box_), read_extract(other, box_)
+    assert one == two
+    assert len(one.ways) > 20
+
+
+def test_memory_grows_with_what_is_near_and_not_with_the_file(tmp_path):
+    """30,000 nodes elsewhere: far less than a megabyte, where all of them would be over 10 MB."""
+    file = tmp_path / "large.osm"
+    with file.open("w") as f:
+        f.write('<osm version="0.6">')
+        for k in range(30_000):
+            f.write(f'<node id="{k}" lat="50.{k:06d}" lon="8.0"><tag k="a" v="b"/></node>')
+        f.write('<node id="n" lat="48.0" lon="11.0"><tag k="natural" v="tree"/></node></osm>')
+    tracemalloc.start()
+    found = read_extract(file, Box(10.99, 47.99, 11.01, 48.01))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.node_tags == {"n": {"natural": "tree"}}
+    assert peak < 1e6
+
+
+def test_what_is_deleted_or_rubbish_is_not_there(tmp_path):
+    file = tmp_path / "rubbish.osm"
+    file.write_text(
+        '<osm><node id="1" lat="x" lon="0"/><node id="2" lat="0"/><node lat="0" lon="0"/>'
+        '<node id="3" lat="0" lon="0" visible="false"/><node id="4" lat="nan" lon="0"/>'
+        '<node id="5" lat="0" lon="0" action="delete"/><node id="6" lat="0" lon="0"/>'
+        '<way id="1"><nd ref="1"/><nd/></way><way id="2"><nd ref="6"/><nd ref="9"/></way>'
+        '<relation id="1"><member type="node" ref="6"/></relation></osm>'
+    )
+    found = read_extract(file, Box(-1, -1, 1, 1))
+    assert (list(found.nodes), list(found.ways), found.relations) == (["6"], ["2"], {})
+    file.write_text("<osm><node")
+    with pytest.raises(InspeError, match=r"rubbish\.osm: not well-formed XML"):
+        read_extract(file, Box(-1, -1, 1, 1))
+
+
+def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):
+    town = Town()
+    nodes = [town.node(p) for p in box(10, 10, 20, 20)]
+    town.way([*nodes, 9999, nodes[0]], building="yes", height="4")
+    town.way(nodes, building="yes", height="5")
+    town.relation([(town.line(box(10, -20, 20, -10)), "outer")], building="yes", height="6")
+    town.relation([(town.area(box(-20, 10, -10, 20)), ""), (888, "outer")], building="yes",
+                  height="7")  # fmt: skip
+    path = town.write(tmp_path / "cut.osm")
+    (info,) = list_junctions(path)
+    place = read_map(path, junction=info.id, radius=40)
+    assert sorted(b.height for b in place.bodies) == [4, 7]
+    assert any(note.startswith("4 outlines of the map go beyond") for note in place.notes)
+
+
+def test_pyproj_is_named_where_it_is_missing(path, monkeypatch, tmp_path):
+    other = tmp_path / "other.osm"
+    other.write_text(path.read_text())
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.raises(InspeError, match=r"pip install 'inspe_jax\[sumo\]'"):
+        read_map(other, junction="1", radius=20)
+
+
+# ── In a scene ──────────────────────────────────────────────────────────────
+
+SIZE = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
+
+
+@pytest.fixture(scope="module")
+def scene(place):
+    return build_scene(place, **SIZE, statics="map")
+
+
+def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, scene, tmp_path):
+    assert dict(scene.settings)["statics"] == "map"
+    near = map_bodies(place, 30)
+    assert {b.kind for b in scene.statics} == {"building", "wall", "hedge", "tree", "pole"}
+    assert [b for b in near if b.kind == "building"] == [
+        b for b in scene.statics if b.kind == "building"
+    ]
+    assert len(near) < len(place.bodies)
+    bare = build_scene(place, **SIZE)
+    assert bare.statics == ()
+    save_scene(scene, tmp_path / "s.npz")
+    again = load_scene(tmp_path / "s.npz")
+    assert digest(again.statics) == digest(scene.statics)
+    assert digest(again.intersection.bodies) == digest(place.bodies)
+    rebuilt = build_scene(again.intersection, **SIZE, statics="map")
+    assert digest(rebuilt.statics) == digest(scene.statics)
+
+
+def test_a_place_without_bodies_says_which_maps_bring_some():
+    place = inspe_jax.built_in("four_way")
+    with pytest.raises(InspeError, match=r"brings no bodies; an OpenStreetMap extract \(\.osm\)"):
+        build_scene(place, **SIZE, statics="map")
+
+
+def test_line_of_sight_past_mapped_bodies_agrees_with_embree(scene, path):
+    """99.99 % of (sensor, voxel), from behind a house and from over the junction; and in plan: a
+    low sensor sees a voxel only where no house stands between."""
+    (x, y), (u, v) = world(path, [(24, 22), (-6.0, -6.5)])
+    layout = place_sensors((LIDAR, [x, y, 2.0, 0, 0, 0]), (LIDAR, [u, v, 5.0, 0, 0, 0]))
+    ours = line_of_sight(scene, layout, 0)
+    embree = embree_line_of_sight(scene, layout, 0)
+    known = scene.voxel_weight > 0
+    assert 0.05 < embree[:, known].mean() < 0.95
+    assert (ours != embree)[:, known].mean() <= 1e-4
+    houses = shapely.union_all(
+        [b.polygon for b in scene.statics if b.kind == "building" and b.base == 0]
+    )
+    low = scene.voxels.centers[:, 2] < 1.5
+    lines = shapely.linestrings([[(x, y), tuple(c[:2])] for c in scene.voxels.centers])
+    through = shapely.intersects(lines, houses.buffer(-0.01))
+    assert (through & low & known).sum() > 50
+    assert not (ours[0] & through & low & known).any()

@@ -487,7 +487,5 @@ def test_street_furniture_is_part_of_what_a_scenario_is(read, tmp_path):
         assert settings.get("statics") == (None if own is bare else "street")
         (again,) = load_generation(path).scenarios
         assert again.settings == own.settings
-    with pytest.raises(
-        InspeError, match=r"settings.statics: statics 'trees': one of none, map, street"
-    ):
+    with pytest.raises(InspeError, match=r"settings.statics: statics 'trees': one of none, map"):
         read(study, settings=dict(statics="trees"))

@@ -80,22 +80,21 @@ def _read(path: Path, area: Box, found: Extract) -> bool:
         behind = kind
         if not name or element.get("action") == "delete" or element.get("visible") == "false":
             continue
-        tags = {t.get("k", ""): t.get("v", "") for t in element.iterfind("tag")}
         if kind == "node":
             at = _position(element)
             if at is not None and area.has(*at):
                 found.nodes[name] = at
-                if tags:
-                    found.node_tags[name] = tags
+                if len(element):
+                    found.node_tags[name] = _tags(element)
         elif kind == "way":
             nodes = tuple(nd.get("ref", "") for nd in element.iterfind("nd"))
             if any(node in found.nodes for node in nodes):
-                found.ways[name] = Way(nodes, tags)
+                found.ways[name] = Way(nodes, _tags(element))
         else:
             members = [m for m in element.iterfind("member") if m.get("type") == "way"]
             ways = tuple((m.get("ref", ""), m.get("role", "")) for m in members)
             if any(way in found.ways for way, _ in ways):
-                found.relations[name] = Relation(ways, tags)
+                found.relations[name] = Relation(ways, _tags(element))
     return sorted_
 
 
@@ -108,6 +107,10 @@ def _elements(path: Path) -> Iterator[ET.Element]:
             if event == "end" and element.tag in ORDER:
                 yield element
                 root.clear()
+
+
+def _tags(element: ET.Element) -> Tags:
+    return {t.get("k", ""): t.get("v", "") for t in element.iterfind("tag")}
 
 
 def _position(element: ET.Element) -> tuple[float, float] | None:

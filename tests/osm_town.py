@@ -132,4 +132,5 @@ def full_town() -> Town:
     town.node((-9, 34), power="pole")
     town.node((25, 22.5), man_made="mast", height="20")
     town.node((2, 15), highway="street_lamp")
+    town.node((9.9, 15), highway="street_lamp", support="wall_mounted")
     return town

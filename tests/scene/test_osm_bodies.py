@@ -16,7 +16,8 @@ from worlds import LIDAR, embree_line_of_sight, place_sensors
 import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.maps.bodies import simple_pieces
+from inspe_jax.scene.maps.bodies import simple_pieces, standing
+from inspe_jax.scene.maps.openstreetmap.bodies import shapes_of
 from inspe_jax.scene.maps.openstreetmap.extract import Box, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
 from inspe_jax.scene.maps.registry import list_junctions, read_map
@@ -165,7 +166,7 @@ def test_heights_of_buildings(tags, expected):
 
 def test_notes_say_what_was_assumed(place):
     said = "\n".join(place.notes)
-    assert "3 of the map's buildings have no height: taken as 6 m high" in said
+    assert "no height is given for 3 of the map's buildings: taken as 6 m high" in said
     assert "height=about ten, height=3;4" in said
     assert "1 body of the map whose outline crosses itself: mended" in said
     assert "1 body of the map on lanes, crossings or footpaths: cut off there" in said
@@ -308,6 +309,46 @@ def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):
     place = read_map(path, junction=info.id, radius=40)
     assert sorted(b.height for b in place.bodies) == [4, 7]
     assert any(note.startswith("4 outlines of the map go beyond") for note in place.notes)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
+    """Ways on a few nodes over and over, with tags at random: bodies or notes, and no crash."""
+    rng = np.random.default_rng(seed)
+    nodes = [f'<node id="{k}" lon="{rng.integers(-40, 40)}" lat="{rng.integers(-40, 40)}"/>'
+             for k in range(25)]  # fmt: skip
+    tags = [("building", "yes"), ("building:part", "yes"), ("building", "roof"), ("height", "2"),
+            ("barrier", "wall"), ("barrier", "hedge"), ("area", "yes"), ("natural", "tree_row"),
+            ("min_height", "3"), ("height", "-"), ("building:levels", "-3"),
+            ("width", "0")]  # fmt: skip
+
+    def some():
+        return "".join(
+            f'<tag k="{k}" v="{v}"/>' for k, v in (tags[i] for i in rng.integers(0, 12, 4))
+        )
+
+    ways = []
+    for k in range(120):
+        refs = [*rng.integers(0, 30, rng.integers(1, 8))]
+        refs += refs[:1] * int(rng.integers(0, 3))
+        through = "".join(f'<nd ref="{n}"/>' for n in refs)
+        ways.append(f'<way id="{k}">{through}{some()}</way>')
+    roles = ["outer", "inner", ""]
+    rings = [
+        "".join(f'<member type="way" ref="{w}" role="{rng.choice(roles)}"/>'
+                for w in rng.integers(0, 125, 4))
+        for _ in range(40)
+    ]  # fmt: skip
+    made = [f'<relation id="{k}">{r}<tag k="type" v="multipolygon"/>{some()}</relation>'
+            for k, r in enumerate(rings)]  # fmt: skip
+    file = tmp_path / "odd.osm"
+    file.write_text(f"<osm>{''.join([*nodes, *ways, *made])}</osm>")
+    notes: list[str] = []
+    found = shapes_of(file, np.zeros(2), 60.0, np.asarray, np.asarray, notes)
+    bodies = standing(found, inspe_jax.built_in("four_way"), 60.0, notes)
+    assert len(bodies) > 50
+    assert all(b.polygon.is_valid and b.polygon.area > 0 for b in bodies)
+    assert any("mended" in note for note in notes)
 
 
 def test_pyproj_is_named_where_it_is_missing(path, monkeypatch, tmp_path):

@@ -32,6 +32,8 @@ BEYOND = 200.0
 """Nodes are read this far beyond the reach [m]: outlines that go farther are cut there."""
 NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none", "")
 """Values of ``building`` of what hides nothing."""
+HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "ground")
+"""The ``support`` of lamps that stand on no pole."""
 
 Projection = Callable[[Float[np.ndarray, "N 2"]], Float[np.ndarray, "N 2"]]
 """World metres of degrees of longitude and latitude, or the other way round."""
@@ -85,7 +87,9 @@ class _Reader:
 
     def _near(self, *of: Float[np.ndarray, "N 2"] | Float[np.ndarray, "2"]) -> bool:
         """Whether what lies between points may come into the disc."""
-        return bool(shapely.MultiPoint(np.vstack(of)).convex_hull.intersects(self.disc))
+        return bool(
+            shapely.MultiPoint(np.vstack([np.zeros((0, 2)), *of])).convex_hull.intersects(self.disc)
+        )
 
     def _line(self, way: Way) -> Float[np.ndarray, "N 2"]:
         """The known nodes of a way, in world metres."""
@@ -96,7 +100,7 @@ class _Reader:
         line = self._line(way)
         if not self._near(line):
             return None
-        if len(line) < 3 or way.nodes[0] != way.nodes[-1]:
+        if len(np.unique(line, axis=0)) < 3 or way.nodes[0] != way.nodes[-1]:
             self.open += 1
             return None
         self.open += any(n not in self.at for n in way.nodes)
@@ -234,7 +238,12 @@ class _Reader:
                     for n in way.nodes}  # fmt: skip
         for name, tags in self.extract.node_tags.items():
             known = next((size for (k, v), size in POLES.items() if tags.get(k) == v), None)
-            if known is None or name in on_roads or not self._near(self.at[name]):
+            if (
+                known is None
+                or name in on_roads
+                or tags.get("support") in HUNG
+                or not self._near(self.at[name])
+            ):
                 continue
             height = self.sizes.size_or(tags, "height", "pole", known[0], least=1.0)
             yield Shape("pole", Polygon(octagon(self.at[name], known[1])), height)

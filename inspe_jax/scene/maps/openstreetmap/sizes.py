@@ -131,7 +131,9 @@ class Sizes:
         }
         for kind, words in ways.items():
             if count := self.assumed[kind]:
-                found.append(f"{count} of the map's {kind}s have no height: taken as {words}")
+                found.append(
+                    f"no height is given for {count} of the map's {kind}s: taken as {words}"
+                )
         if self.senseless:
             some = ", ".join(dict.fromkeys(self.senseless[:3]))
             found.append(f"{len(self.senseless)} sizes of the map's bodies make no sense ({some})")

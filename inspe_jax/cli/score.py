@@ -111,8 +111,9 @@ def scene(
         typer.Option(
             metavar="none|map|street",
             help="Bodies that stand in every frame and hide what is behind them: none (if not "
-            "given); map, the buildings, trees, walls and poles of an OpenStreetMap extract; or "
-            "street, made-up parked vehicles, trees, walls, posts and bus shelters.",
+            "given); map, the buildings, trees, walls and poles of an OpenStreetMap extract or "
+            "of OpenDRIVE's objects; or street, made-up parked vehicles, trees, walls, posts and "
+            "bus shelters.",
         ),
     ] = None,
     save: Annotated[

@@ -86,8 +86,9 @@ def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
     """
     if not place.bodies:
         raise InspeError(
-            f"{place.name}: {place.source} brings no bodies; an OpenStreetMap extract (.osm) does "
-            "that has buildings, trees, walls or poles here; statics 'street' makes some up"
+            f"{place.name}: {place.source} brings no bodies here; an OpenStreetMap extract (.osm) "
+            "with buildings, trees, walls or poles does, and so does OpenDRIVE (.xodr) with such "
+            "<object> elements; statics 'street' makes some up"
         )
     area = Point(place.center[:2]).buffer(radius + BEYOND)
     return tuple(one for one in place.bodies if one.polygon.intersects(area))

@@ -389,7 +389,9 @@ def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, scene, tmp_path):
 
 def test_a_place_without_bodies_says_which_maps_bring_some():
     place = inspe_jax.built_in("four_way")
-    with pytest.raises(InspeError, match=r"brings no bodies; an OpenStreetMap extract \(\.osm\)"):
+    with pytest.raises(
+        InspeError, match=r"brings no bodies here; an OpenStreetMap extract \(\.osm\)"
+    ):
         build_scene(place, **SIZE, statics="map")
 
 

@@ -15,6 +15,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Approach, arms_of
+from inspe_jax.scene.maps.bodies import standing
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.opendrive.regions import approaches_of, areas_of, interior_of
 from inspe_jax.scene.maps.opendrive.road_network import (
@@ -122,7 +123,6 @@ def read_opendrive(
         mounting=mounting,
         poles=signals,
         ground_points=ground,
-        notes=tuple(notes),
         map=Path(path).resolve(),
     )
 
@@ -134,7 +134,9 @@ def read_opendrive(
     # Signals are at the height of their lights, or below ground; the poles' feet are on the ground.
     poles = found.on_ground(signals) if len(signals) else signals
     foot = found.on_ground(middle[None])[0]
-    return replace(found, center=foot, poles=poles, routes=tuple(routes))
+    found = replace(found, center=foot, poles=poles, routes=tuple(routes))
+    notes += town.notes
+    return replace(found, bodies=standing(town.shapes, found, reach, notes), notes=tuple(notes))
 
 
 def _vehicle_routes(

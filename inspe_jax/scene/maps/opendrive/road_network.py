@@ -17,7 +17,9 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import cached_by_file
+from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.lane_strips import LaneStrip
+from inspe_jax.scene.maps.opendrive.objects import shapes_of
 from inspe_jax.scene.maps.parts import STEP, distance_from
 
 TRAFFIC_LIGHT = "1000001"
@@ -55,6 +57,8 @@ class TownMap:
     junctions: tuple[int, ...]
     crosswalks: tuple[np.ndarray, ...]  # outlines, each (K, 3)
     signals: Float[np.ndarray, "P 3"]
+    shapes: tuple[Shape, ...] = ()
+    notes: tuple[str, ...] = ()  # on the shapes
 
     def at(self, road: int, lane: int, s: float) -> Any:
         """CARLA's waypoint in the middle of a lane, s [m] along the road; None beyond its ends."""
@@ -108,8 +112,9 @@ def load_map(path: Path) -> TownMap:
         raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
     signals = _deduplicate([position(m.transform.location) for m in marks])
     return TownMap(
-        path.stem, path.name, parsed, roads, tuple(junctions), tuple(_loops(corners)), signals
-    )
+        path.stem, path.name, parsed, roads, tuple(junctions), tuple(_loops(corners)), signals,
+        *shapes_of(root),
+    )  # fmt: skip
 
 
 def _root(path: Path, text: str) -> ET.Element:

@@ -17,15 +17,8 @@ from shapely.ops import unary_union
 from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import SMALL, Shape
 from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
-from inspe_jax.scene.maps.openstreetmap.sizes import (
-    BARRIERS,
-    POLES,
-    SOLID_FENCES,
-    TREE,
-    TREE_BASE,
-    TREE_SPACING,
-    Sizes,
-)
+from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, TREE_BASE
 from inspe_jax.scene.statics import LEAFY, octagon
 
 BEYOND = 200.0

@@ -5,26 +5,19 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from inspe_jax.scene.maps.openstreetmap.extract import Tags
+from inspe_jax.scene.maps.usual_sizes import BUILDING, TREE
 from inspe_jax.scene.statics import HIGHEST
 
 LEVEL = 3.0
 """Height of a level of a building [m]."""
-BUILDING = 6.0
-"""Height of a building of which the map says none [m]: two levels."""
 LOW_BUILDING = 3.0
 """The same, of those of :data:`LOW` [m]: one level."""
 LOW = ("garage", "garages", "carport", "shed", "hut", "kiosk", "bungalow", "static_caravan",
        "toilets", "greenhouse", "service", "boathouse", "container", "guardhouse")  # fmt: skip
 ROOF = 5.0, 0.5
 """Height and thickness of a roof without walls (``building=roof``), as of a filling station [m]."""
-BARRIERS = {"wall": (2.0, 0.25), "city_wall": (6.0, 1.0), "hedge": (1.5, 0.7), "fence": (1.8, 0.1)}
-"""Height and width of barriers [m]."""
 SOLID_FENCES = ("brick", "concrete", "corrugated_metal", "metal_sheet", "panel", "wood")
 """The ``fence_type`` of fences that one does not see through."""
-TREE = {"height": 8.0, "diameter_crown": 5.0, "circumference": 0.94}
-"""A tree of which the map says nothing [m]."""
-TREE_BASE = 2.5, 0.4
-"""Crowns begin at this height [m], or at this share of a lower tree's height."""
 TREE_SPACING = 8.0
 """Distance of the trees of a row [m]."""
 POLES = {

@@ -1,0 +1,232 @@
+"""The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them.
+
+Not read: guard rails, railings and fences, which one sees through; parking spaces, crosswalks,
+islands, marks and signs.
+"""
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from shapely.geometry import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from inspe_jax.scene.maps.bodies import Shape
+from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
+from inspe_jax.scene.maps.usual_sizes import (
+    BARRIERS,
+    BUILDING,
+    FURNITURE,
+    POLE,
+    TREE,
+    TREE_BASE,
+)
+from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
+
+KINDS = {
+    "building": ("building", BUILDING),
+    "tree": ("tree", TREE["height"]),
+    "vegetation": ("tree", TREE["height"]),
+    "pole": ("pole", POLE[0]),
+    "streetLamp": ("pole", POLE[0]),
+    "streetlamp": ("pole", POLE[0]),
+    "barrier": ("wall", BARRIERS["wall"][0]),
+    "soundBarrier": ("wall", BARRIERS["wall"][0]),
+    "obstacle": ("furniture", FURNITURE),
+}
+"""For each type of object, the kind of body and its height where the map has none [m]."""
+SEEN_THROUGH = ("guardRail", "railing", "fence")
+"""Subtypes of barriers that hide little."""
+LIFTED = 0.5
+"""What begins lower above the road stands on the ground [m]."""
+MOST_REPEATS = 1000
+"""Objects that a ``<repeat>`` places more often than this are taken as a strip without gaps."""
+STEP = 2.0
+"""Strips along a road have a corner this often [m]."""
+NOT_NUMBERS = (KeyError, ValueError, StopIteration)
+"""What reading an element raises that lacks a number or has another word."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where one object stands on its road, and how large it is [m]; sizes are 0 where unknown."""
+
+    s: float
+    t: float
+    z: float
+    height: float
+    length: float
+    width: float
+    radius: float
+
+
+def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """The bodies of all roads of a map, and notes on what was assumed and left out."""
+    found: list[Shape] = []
+    counts: Counter[str] = Counter()
+    for road in root.iter("road"):
+        elements = [o for o in road.iterfind("objects/object") if _kind(o) is not None]
+        if not elements:
+            continue
+        try:
+            line = ReferenceLine.of(road)
+        except NOT_NUMBERS:
+            counts["bad"] += len(elements)
+            continue
+        for element in elements:
+            try:
+                found += _shapes(element, line, counts)
+            except NOT_NUMBERS:
+                counts["bad"] += 1
+    said = {
+        "height": "without a height: taken as of a usual one",
+        "size": "without a size: left out",
+        "bad": "with a number missing or wrong: left out",
+    }
+    notes = tuple(f"{counts[k]} objects of the map {words}" for k, words in said.items()
+                  if counts[k])  # fmt: skip
+    return tuple(found), notes
+
+
+def _kind(element: ET.Element) -> tuple[str, float] | None:
+    """The kind of body of an object and its usual height; None if it is none."""
+    subtype = element.get("subtype", "")
+    if subtype in SEEN_THROUGH:
+        return None
+    if "hedge" in (subtype, element.get("name", "").lower()):
+        return "hedge", BARRIERS["hedge"][0]
+    return KINDS.get(element.get("type", ""))
+
+
+def _number(element: ET.Element, key: str, default: float = 0.0) -> float:
+    """A number of an element. Raises ValueError where it is none, or is not finite."""
+    value = float(element.get(key, default))
+    if not np.isfinite(value):
+        raise ValueError(key)
+    return value
+
+
+def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") -> Iterator[Shape]:
+    """The bodies of one object: one, or those of its repeats."""
+    own = Place(*(_number(element, k) for k in ("s", "t", "zOffset", "height", "length", "width",
+                                               "radius")))  # fmt: skip
+    turn = _number(element, "hdg")
+    outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
+    repeats = element.findall("repeat")
+    if outlines and not repeats:
+        for outline in outlines:
+            area, low, high = _outlined(outline, own, turn, line)
+            yield from _shape(element, area, own.z + low, own.z + high, counts)
+    elif not repeats:
+        yield from _shape(element, *_simple(element, own, turn, line), counts)
+    for repeat in repeats:
+        for place, area in _repeated(element, own, turn, repeat, line):
+            yield from _shape(element, area, place.z, place.z + place.height, counts)
+
+
+def _shape(
+    element: ET.Element, area: BaseGeometry | None, low: float, high: float, counts: "Counter[str]"
+) -> Iterator[Shape]:
+    """A body on an area between two heights over the road."""
+    known = _kind(element)
+    if area is None or known is None:
+        counts["size"] += 1
+        return
+    kind, usual = known
+    if kind == "tree" and next(element.iter("outline"), None) is not None:
+        kind = "hedge"  # a patch of plants
+    base = low if low >= LIFTED else 0.0
+    if not base < high <= HIGHEST or high - low <= 0:
+        counts["height"] += 1
+        high = base + usual
+    if kind == "tree":
+        lowest, share = TREE_BASE
+        crown = base or min(lowest, share * high)
+        trunk = min(TREE["circumference"] / (2 * np.pi), float(np.sqrt(area.area)) / 4)
+        yield Shape("tree", area, high, crown, LEAFY, trunk)
+    else:
+        yield Shape(kind, area, high, base)
+
+
+def _simple(
+    element: ET.Element, place: Place, turn: float, line: ReferenceLine
+) -> tuple[BaseGeometry | None, float, float]:
+    """The area and heights of an object without an outline; no area where it has no size."""
+    at, heading = line.at(place.s, place.t)
+    heights = place.z, place.z + place.height
+    if place.radius > 0:
+        return Polygon(octagon(at, place.radius)), *heights
+    if place.length > 0 and place.width > 0:
+        half = np.array([place.length, place.width]) / 2
+        corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return Polygon(at + corners @ _turned(heading + turn).T), *heights
+    kind, _ = _kind(element) or ("", 0.0)
+    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(kind)
+    return None if usual is None else Polygon(octagon(at, usual)), *heights
+
+
+def _outlined(
+    outline: ET.Element, own: Place, turn: float, line: ReferenceLine
+) -> tuple[BaseGeometry | None, float, float]:
+    """The area of an outline, and the lowest and highest of its corners over the object's base."""
+    at, heading = line.at(own.s, own.t)
+    axes, corners, low, high = _turned(heading + turn).T, [], [], []
+    for corner in outline:
+        if corner.tag == "cornerRoad":
+            point, _ = line.at(float(corner.attrib["s"]), float(corner.attrib["t"]))
+            low.append(_number(corner, "dz"))
+        elif corner.tag == "cornerLocal":
+            u, v = float(corner.attrib["u"]), float(corner.attrib["v"])
+            point = at + np.array([u, v]) @ axes
+            low.append(_number(corner, "z"))
+        else:
+            continue
+        corners.append(point)
+        high.append(low[-1] + _number(corner, "height", own.height))
+    if outline.get("closed") == "false" and len(corners) > 1:
+        strip = LineString(corners).buffer(BARRIERS["wall"][1] / 2, cap_style="flat")
+        return strip, min(low), max(high)
+    if len(corners) < 3 or not np.isfinite(corners).all():
+        return None, 0.0, 0.0
+    return Polygon(corners), min(low), max(high)
+
+
+def _repeated(
+    element: ET.Element, own: Place, turn: float, repeat: ET.Element, line: ReferenceLine
+) -> Iterator[tuple[Place, BaseGeometry | None]]:
+    """An object's places along a ``<repeat>``, and its areas; a strip where it has no gaps."""
+    start, reach = _number(repeat, "s", own.s), _number(repeat, "length")
+    distance = _number(repeat, "distance")
+
+    def place(share: float) -> Place:
+        def between(key: str, default: float) -> float:
+            first = _number(repeat, f"{key}Start", default)
+            return first + share * (_number(repeat, f"{key}End", first) - first)
+
+        return Place(
+            start + share * reach,
+            *(between(k, v) for k, v in (("t", own.t), ("zOffset", own.z), ("height", own.height),
+              ("length", own.length), ("width", own.width), ("radius", own.radius))),
+        )  # fmt: skip
+
+    if distance > 0 and reach / distance <= MOST_REPEATS:
+        for k in range(int(reach / distance + 1e-9) + 1):
+            here = place(min(1.0, k * distance / reach) if reach > 0 else 0.0)
+            yield here, _simple(element, here, turn, line)[0]
+        return
+    shares = np.linspace(0.0, 1.0, max(2, int(np.ceil(reach / STEP)) + 1))
+    for first, last in pairwise(shares.tolist()):
+        ends = place(first), place(last)
+        half = [max(e.width, BARRIERS["fence"][1]) / 2 for e in ends]
+        corners = [line.at(e.s, e.t + side * h)[0] for side in (-1, 1)
+                   for e, h in list(zip(ends, half, strict=True))[::-side]]  # fmt: skip
+        yield ends[0], Polygon(corners)
+
+
+def _turned(yaw: float) -> Float[np.ndarray, "2 2"]:
+    """The turn by an angle [rad]."""
+    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])

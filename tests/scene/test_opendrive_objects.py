@@ -1,0 +1,202 @@
+"""Bodies of OpenDRIVE maps: worked out on paper, and the reference line against CARLA's."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import Point, Polygon, box
+from worlds import MAPS
+
+import inspe_jax
+from inspe_jax.scene.maps.bodies import standing
+from inspe_jax.scene.maps.opendrive.objects import shapes_of
+from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
+
+LINE = '<geometry s="0" x="10" y="20" hdg="0" length="100"><line/></geometry>'
+ARC = '<geometry s="0" x="0" y="0" hdg="0" length="100"><arc curvature="0.02"/></geometry>'
+
+
+def read(objects: str, plan: str = LINE):
+    root = ET.fromstring(
+        f"<OpenDRIVE><road><planView>{plan}</planView><objects>{objects}</objects></road></OpenDRIVE>"
+    )
+    return shapes_of(root)
+
+
+def one(objects: str, plan: str = LINE):
+    ((shape,), notes) = read(objects, plan)
+    assert notes == ()
+    return shape
+
+
+def same(area, expected):
+    return area.symmetric_difference(expected).area < 1e-6
+
+
+# ── Objects ─────────────────────────────────────────────────────────────────
+
+
+def test_a_house_by_its_length_and_width():
+    house = one('<object type="building" s="30" t="15" hdg="0" length="12" width="8" height="7"/>')
+    assert (house.kind, house.base, house.height) == ("building", 0, 7)
+    assert same(house.area, box(34, 31, 46, 39))
+    turned = one(
+        f'<object type="building" s="30" t="15" hdg="{np.pi / 2}" length="12" width="8" '
+        'height="7"/>'
+    )
+    assert same(turned.area, box(36, 29, 44, 41))
+
+
+def test_outlines_of_either_kind_of_corner():
+    road = "".join(
+        f'<cornerRoad s="{s}" t="{t}" dz="0" height="9"/>' for s, t in ((20, 5), (30, 5), (30, 12))
+    )
+    by_road = one(f'<object type="building" s="0" t="0"><outline>{road}</outline></object>')
+    assert same(by_road.area, Polygon([(30, 25), (40, 25), (40, 32)]))
+    assert by_road.height == 9
+    local = "".join(
+        f'<cornerLocal u="{u}" v="{v}" z="1" height="4"/>'
+        for u, v in ((0, 0), (6, 0), (6, 2), (0, 2))
+    )
+    by_local = one(
+        f'<object type="building" s="20" t="-10" hdg="{np.pi / 2}" zOffset="3">'
+        f"<outlines><outline>{local}</outline></outlines></object>"
+    )
+    assert same(by_local.area, box(28, 10, 30, 16))
+    assert (by_local.base, by_local.height) == (4, 8)
+
+
+def test_trees_poles_and_barriers():
+    tree = one('<object type="tree" s="10" t="6" radius="2" height="9"/>')
+    assert (tree.kind, tree.height, tree.base) == ("tree", 9, 2.5)
+    assert tree.area.area == pytest.approx(4 * np.pi)
+    assert np.allclose(tree.area.centroid.coords[0], (20, 26))
+    pole = one('<object type="pole" s="10" t="6" height="5"/>')
+    assert (pole.kind, pole.height, pole.area.area) == ("pole", 5, pytest.approx(0.01 * np.pi))
+    wall = one(
+        '<object type="barrier" subtype="wall" s="5" t="4" length="20" width="0.3" height="2"/>'
+    )
+    assert (wall.kind, wall.area.area) == ("wall", pytest.approx(6))
+    hedge = one(
+        '<object type="vegetation" name="hedge" s="5" t="4" length="9" width="1" height="2"/>'
+    )
+    assert hedge.kind == "hedge"
+
+
+def test_repeats_with_gaps_and_without():
+    trees, notes = read(
+        '<object type="tree" s="0" t="6" radius="2" height="9"><repeat s="10" length="40" '
+        'distance="10" tStart="6" tEnd="10" heightStart="5" heightEnd="9"/></object>'
+    )
+    assert notes == ()
+    assert np.allclose([t.area.centroid.coords[0] for t in trees],
+                       [(20 + 10 * k, 26 + k) for k in range(5)])  # fmt: skip
+    assert [t.height for t in trees] == [5, 6, 7, 8, 9]
+    strips, _ = read(
+        '<object type="barrier" s="0" t="5" height="3"><repeat s="0" length="50" distance="0" '
+        'widthStart="0.4" widthEnd="0.4"/></object>',
+        ARC,
+    )
+    whole = shapely.union_all([s.area for s in strips])
+    ring = Point(0, 50).buffer(45.2, quad_segs=256) - Point(0, 50).buffer(44.8, quad_segs=256)
+    assert whole.difference(ring.buffer(0.02)).area < 1e-9
+    assert whole.area == pytest.approx(0.4 * 45, rel=2e-3)  # an arc of 1 rad about (0, 50)
+    many, _ = read('<object type="pole" s="0" t="5" height="3"><repeat s="0" length="50" '
+                   'distance="1e-9"/></object>')  # fmt: skip
+    assert len(many) == 25
+
+
+def test_what_is_no_body_or_makes_no_sense():
+    none, notes = read(
+        '<object type="parkingSpace" s="0" t="5" length="5" width="2"/><object type="-1"/>'
+        '<object type="barrier" subtype="guardRail" s="0" t="5" length="5" width="2" height="1"/>'
+        '<object type="crosswalk" s="0" t="0"><outline/></object><object/>'
+    )
+    assert (none, notes) == ((), ())
+    some, notes = read(
+        '<object type="building" s="x" t="0"/>'
+        '<object type="building" s="nan" length="5" width="5"/>'
+        '<object type="building" s="4" t="9"/>'
+        '<object type="building" s="9" t="9"><outline><cornerLocal u="1"/></outline></object>'
+        '<object type="building" s="9" t="9" length="5" width="5"/>'
+    )
+    assert [s.height for s in some] == [6]
+    assert notes == (
+        "1 objects of the map without a height: taken as of a usual one",
+        "1 objects of the map without a size: left out",
+        "3 objects of the map with a number missing or wrong: left out",
+    )
+    assert read('<object type="tree" s="0" t="0"/>', "<geometry/>")[0] == ()
+
+
+def test_they_stand_beside_the_lanes_of_a_place():
+    """Built-in: lanes along the axes. One house is cut at the sidewalk's middle, one is free."""
+    shapes, _ = read(
+        '<object type="building" s="0" t="0" length="16" width="16" height="7"/>'
+        '<object type="building" s="15" t="5" length="10" width="8" height="7"/>'
+        '<object type="pole" s="-10" t="-20" height="5"/>'
+    )
+    notes: list[str] = []
+    bodies = standing(shapes, inspe_jax.built_in("four_way"), 60.0, notes)
+    assert {b.kind for b in bodies} == {"building"}
+    assert any("cut off" in n for n in notes)
+    assert any("left out" in n for n in notes)
+
+
+# ── The reference line ──────────────────────────────────────────────────────
+
+
+def test_pieces_worked_out_on_paper():
+    def line(shape: str):
+        return ReferenceLine.of(ET.fromstring(
+            f'<road><planView><geometry s="0" x="1" y="2" hdg="{np.pi / 2}" length="10">{shape}'
+            "</geometry></planView></road>"))  # fmt: skip
+
+    at, heading = line("<line/>").at(4, 3)
+    assert np.allclose([*at, heading], [1 - 3, 2 + 4, np.pi / 2])
+    at, heading = line(f'<arc curvature="{np.pi / 20}"/>').at(10)
+    assert np.allclose([*at, heading], [1 - 20 / np.pi, 2 + 20 / np.pi, np.pi])
+    # A clothoid from 0 to c: Fresnel's integrals.
+    from scipy.special import fresnel
+
+    scale = np.sqrt(np.pi * 10 / 0.3)
+    s, c = fresnel(10 / scale)
+    at, heading = line('<spiral curvStart="0" curvEnd="0.3"/>').at(10)
+    assert np.allclose([*at, heading], [1 - s * scale, 2 + c * scale, np.pi / 2 + 1.5])
+    at, heading = line('<poly3 a="0" b="0" c="0.01" d="0.001"/>').at(5)
+    assert np.allclose([*at, heading], [1 - 0.375, 7, np.pi / 2 + np.arctan(0.175)])
+    for shape, at_end in (("arcLength", (10, 1.0)), ("normalized", (1, 0.1))):
+        cubic = f'<paramPoly3 pRange="{shape}" aU="0" bU="1" cU="0" dU="0" '
+        at, _ = line(cubic + 'aV="0" bV="0.1" cV="0" dV="0"/>').at(10)
+        assert np.allclose(at, [1 - at_end[1], 2 + at_end[0]])
+
+
+@pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
+@pytest.mark.parametrize("town", ["Town04", "Town10HD"])
+def test_the_line_is_carla_s(town):
+    """CARLA's lanes lie straight across from the same point of the line, and run along it: to
+    0.1 mm in single precision."""
+    pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
+    from inspe_jax.scene.maps.opendrive.road_network import heading_of, load_map, position
+
+    path = MAPS / f"{town}.xodr"
+    carla, rng = load_map(path), np.random.default_rng(0)
+    off, seen = [], 0
+    roads = {int(r.get("id")): r for r in ET.parse(path).getroot().iter("road")}
+    for number in rng.permutation([*carla.roads])[:60].tolist():
+        road = carla.roads[number]
+        line = ReferenceLine.of(roads[number])
+        start, end, lanes = road.sections[0]
+        if end - start < 2:
+            continue
+        for s in rng.uniform(start + 0.5, end - 0.5, 3):
+            found = carla.at(number, min(lanes, key=abs), float(s))
+            at, heading = line.at(float(s))
+            ahead = np.array([np.cos(heading), np.sin(heading)])
+            off.append([abs((position(found.transform.location)[:2] - at) @ ahead),
+                        1 - abs(heading_of(found) @ ahead)])  # fmt: skip
+            seen += 1
+    off = np.array(off)
+    assert seen > 100
+    assert (off.max(0) < [1e-4, 1e-9]).all()

@@ -102,6 +102,17 @@ def test_repeats_with_gaps_and_without():
     ring = Point(0, 50).buffer(45.2, quad_segs=256) - Point(0, 50).buffer(44.8, quad_segs=256)
     assert whole.difference(ring.buffer(0.02)).area < 1e-9
     assert whole.area == pytest.approx(0.4 * 45, rel=2e-3)  # an arc of 1 rad about (0, 50)
+    corners = "".join(
+        f'<cornerRoad s="{s}" t="{t}" height="4"/>' for s, t in ((0, 4), (2, 4), (2, 6))
+    )
+    row, _ = read(
+        f'<object type="building" s="0" t="5"><repeat s="20" length="30" distance="15" tStart="8" '
+        f'tEnd="8"/><outline>{corners}</outline></object>'
+    )
+    for k, shape in enumerate(row):
+        x = 10 + 20 + 15 * k  # and 3 m farther out than the object
+        assert same(shape.area, Polygon([(x, 27), (x + 2, 27), (x + 2, 29)]))
+    assert [shape.height for shape in row] == [4, 4, 4]
     many, _ = read('<object type="pole" s="0" t="5" height="3"><repeat s="0" length="50" '
                    'distance="1e-9"/></object>')  # fmt: skip
     assert len(many) == 25

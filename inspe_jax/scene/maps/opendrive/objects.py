@@ -117,15 +117,21 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
     turn = _number(element, "hdg")
     outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
     repeats = element.findall("repeat")
-    if outlines and not repeats:
-        for outline in outlines:
-            area, low, high = _outlined(outline, own, turn, line)
-            yield from _shape(element, area, own.z + low, own.z + high, counts)
-    elif not repeats:
+    rows = [_places(own, repeat) for repeat in repeats]
+    if outlines:
+        for place in [place for row in rows for place in row or ()] or [own]:
+            for outline in outlines:
+                area, low, high = _outlined(outline, own, place, turn, line)
+                yield from _shape(element, area, place.z + low, place.z + high, counts)
+        return
+    if not repeats:
         yield from _shape(element, *_simple(element, own, turn, line), counts)
-    for repeat in repeats:
-        for place, area in _repeated(element, own, turn, repeat, line):
-            yield from _shape(element, area, place.z, place.z + place.height, counts)
+    for repeat, row in zip(repeats, rows, strict=True):
+        for place in row or ():
+            yield from _shape(element, *_simple(element, place, turn, line), counts)
+        if row is None:
+            for place, area in _strip(own, repeat, line):
+                yield from _shape(element, area, place.z, place.z + place.height, counts)
 
 
 def _shape(
@@ -170,14 +176,16 @@ def _simple(
 
 
 def _outlined(
-    outline: ET.Element, own: Place, turn: float, line: ReferenceLine
+    outline: ET.Element, own: Place, place: Place, turn: float, line: ReferenceLine
 ) -> tuple[BaseGeometry | None, float, float]:
-    """The area of an outline, and the lowest and highest of its corners over the object's base."""
-    at, heading = line.at(own.s, own.t)
+    """The area of an outline, moved from the object's own place to another, and the lowest and
+    highest of its corners over its base."""
+    at, heading = line.at(place.s, place.t)
     axes, corners, low, high = _turned(heading + turn).T, [], [], []
     for corner in outline:
         if corner.tag == "cornerRoad":
-            point, _ = line.at(float(corner.attrib["s"]), float(corner.attrib["t"]))
+            s, t = float(corner.attrib["s"]), float(corner.attrib["t"])
+            point, _ = line.at(s + place.s - own.s, t + place.t - own.t)
             low.append(_number(corner, "dz"))
         elif corner.tag == "cornerLocal":
             u, v = float(corner.attrib["u"]), float(corner.attrib["v"])
@@ -195,36 +203,45 @@ def _outlined(
     return Polygon(corners), min(low), max(high)
 
 
-def _repeated(
-    element: ET.Element, own: Place, turn: float, repeat: ET.Element, line: ReferenceLine
-) -> Iterator[tuple[Place, BaseGeometry | None]]:
-    """An object's places along a ``<repeat>``, and its areas; a strip where it has no gaps."""
-    start, reach = _number(repeat, "s", own.s), _number(repeat, "length")
-    distance = _number(repeat, "distance")
+def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:
+    """The place of an object at a share of the length of its ``<repeat>``."""
 
-    def place(share: float) -> Place:
-        def between(key: str, default: float) -> float:
-            first = _number(repeat, f"{key}Start", default)
-            return first + share * (_number(repeat, f"{key}End", first) - first)
+    def between(key: str, default: float) -> float:
+        first = _number(repeat, f"{key}Start", default)
+        return first + share * (_number(repeat, f"{key}End", first) - first)
 
-        return Place(
-            start + share * reach,
-            *(between(k, v) for k, v in (("t", own.t), ("zOffset", own.z), ("height", own.height),
-              ("length", own.length), ("width", own.width), ("radius", own.radius))),
-        )  # fmt: skip
+    return Place(
+        _number(repeat, "s", own.s) + share * _number(repeat, "length"),
+        between("t", own.t),
+        between("zOffset", own.z),
+        between("height", own.height),
+        between("length", own.length),
+        between("width", own.width),
+        between("radius", own.radius),
+    )
 
-    if distance > 0 and reach / distance <= MOST_REPEATS:
-        for k in range(int(reach / distance + 1e-9) + 1):
-            here = place(min(1.0, k * distance / reach) if reach > 0 else 0.0)
-            yield here, _simple(element, here, turn, line)[0]
-        return
-    shares = np.linspace(0.0, 1.0, max(2, int(np.ceil(reach / STEP)) + 1))
+
+def _places(own: Place, repeat: ET.Element) -> list[Place] | None:
+    """An object's places along a ``<repeat>``; None where it has no gaps."""
+    reach, distance = _number(repeat, "length"), _number(repeat, "distance")
+    if distance <= 0 or reach / distance > MOST_REPEATS:
+        return None
+    count = int(reach / distance + 1e-9)
+    return [_place_at(own, repeat, k * distance / max(reach, 1e-9)) for k in range(count + 1)]
+
+
+def _strip(
+    own: Place, repeat: ET.Element, line: ReferenceLine
+) -> Iterator[tuple[Place, BaseGeometry]]:
+    """The stretches of an object that goes on along a ``<repeat>`` without gaps."""
+    reach = _number(repeat, "length")
+    shares = np.linspace(0.0, 1.0, int(np.clip(np.ceil(reach / STEP), 1, MOST_REPEATS)) + 1)
     for first, last in pairwise(shares.tolist()):
-        ends = place(first), place(last)
+        ends = [_place_at(own, repeat, first), _place_at(own, repeat, last)]
         half = [max(e.width, BARRIERS["fence"][1]) / 2 for e in ends]
-        corners = [line.at(e.s, e.t + side * h)[0] for side in (-1, 1)
-                   for e, h in list(zip(ends, half, strict=True))[::-side]]  # fmt: skip
-        yield ends[0], Polygon(corners)
+        right = [line.at(e.s, e.t - h)[0] for e, h in zip(ends, half, strict=True)]
+        left = [line.at(e.s, e.t + h)[0] for e, h in zip(ends, half, strict=True)]
+        yield ends[0], Polygon([*right, *left[::-1]])
 
 
 def _turned(yaw: float) -> Float[np.ndarray, "2 2"]:

@@ -134,9 +134,9 @@ def test_what_is_no_body_or_makes_no_sense():
     )
     assert [s.height for s in some] == [6]
     assert notes == (
-        "1 objects of the map without a height: taken as of a usual one",
-        "1 objects of the map without a size: left out",
-        "3 objects of the map with a number missing or wrong: left out",
+        "objects of the map without a height: 1, taken as of a usual one",
+        "objects of the map without a size: 1, left out",
+        "objects of the map with a number missing or wrong: 3, left out",
     )
     assert read('<object type="tree" s="0" t="0"/>', "<geometry/>")[0] == ()
 

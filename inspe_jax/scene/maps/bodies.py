@@ -25,7 +25,7 @@ BESIDE_PATH = 0.8
 it."""
 SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0}
 """Parts of less than this are left out [m²]."""
-MOST_CORNERS = 0.05
+CUT_TOLERANCE = 0.05
 """Edges of what was cut off keep within this of where they were [m]: arcs have few corners so."""
 
 
@@ -93,13 +93,12 @@ def standing(
     narrower. Polygons with holes are cut into simple ones. ``notes`` get what was done.
     """
     ways, disc = Ways.of(place), Point(place.center[:2]).buffer(reach)
-    for part in ways:
-        shapely.prepare(part)
+    shapely.prepare([disc, *ways])
     found: list[StaticBody] = []
     counts: Counter[str] = Counter()
     for shape in shapes:
         area = _mended(shape.area)
-        if not area.intersects(disc):
+        if not disc.intersects(area):
             continue
         counts["mended"] += not shape.area.is_valid
         free = _free(shape._replace(area=area), ways, counts)
@@ -133,7 +132,7 @@ def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     if shape.kind == "tree":
         return _free_tree(shape, ways, counts)
     taken = ways.under(shape.base)
-    if not shape.area.intersects(taken):
+    if not taken.intersects(shape.area):
         return shape
     if shape.whole:
         return None
@@ -144,15 +143,15 @@ def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     if shape.area.area - left.area < SMALL[shape.kind]:  # it touches a kerb
         return shape._replace(area=left)
     counts["cut"] += 1
-    slim = left.simplify(MOST_CORNERS)
+    slim = left.simplify(CUT_TOLERANCE)
     return shape._replace(area=slim.difference(taken) if slim.intersects(taken) else slim)
 
 
 def _free_tree(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     """A tree whose crown is over no lane below :data:`OVER_LANES`."""
-    if shape.foot.intersects(ways.paths):
+    if ways.paths.intersects(shape.foot):
         return None
-    if not shape.area.intersects(ways.under(shape.base)):
+    if not ways.under(shape.base).intersects(shape.area):
         return shape
     counts["over lanes"] += 1
     if shape.height >= OVER_LANES + 1.0:

@@ -83,12 +83,15 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             except NOT_NUMBERS:
                 counts["bad"] += 1
     said = {
-        "height": "without a height: taken as of a usual one",
-        "size": "without a size: left out",
-        "bad": "with a number missing or wrong: left out",
+        "height": ("without a height", "taken as of a usual one"),
+        "size": ("without a size", "left out"),
+        "bad": ("with a number missing or wrong", "left out"),
     }
-    notes = tuple(f"{counts[k]} objects of the map {words}" for k, words in said.items()
-                  if counts[k])  # fmt: skip
+    notes = tuple(
+        f"objects of the map {words}: {counts[key]}, {done}"
+        for key, (words, done) in said.items()
+        if counts[key]
+    )
     return tuple(found), notes
 
 

@@ -72,8 +72,8 @@ class _Reader:
         found = [*self._buildings(), *self._barriers(), *trees, *self._rows(trees), *self._poles()]
         if self.open:
             self.notes.append(
-                f"{self.open} outlines of the map go beyond the extract, or are not closed: left "
-                "out, or closed by a straight line"
+                "outlines of the map that go beyond the extract or are not closed: "
+                f"{self.open}, left out or closed by a straight line"
             )
         self.notes += self.sizes.notes()
         return found

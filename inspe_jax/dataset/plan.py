@@ -33,9 +33,10 @@ The frames of a saved scene must be 1 / ``rate_hz`` apart, and there must be eno
 Scenarios that differ only in layout, light or weather are of the same scene: the same road users
 drive and walk in them, and look the same. A scene is in one split, so that no detector is tested on
 traffic that it was trained on. To test on places that it was not trained on either, use
-``split_by: intersection``; ``split_by: scenario`` divides what is of one scene. Densities and kinds
-of intersections (the tag ``kind``, else the name) are spread over the splits as evenly as whole
-numbers allow.
+``split_by: intersection``. With ``statics: street`` use it in any case: parked vehicles have boxes,
+and a place has the same ones in all its scenes. ``split_by: scenario`` divides what is of one
+scene. Densities and kinds of intersections (the tag ``kind``, else the name) are spread over the
+splits as evenly as whole numbers allow.
 """
 
 import hashlib

@@ -4,11 +4,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import Circle, Patch
+from shapely.geometry import Point
 
+from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import KINDS, StaticBody
 
@@ -44,8 +47,8 @@ def body_keys(scene: Scene) -> list[Any]:
     """Legend entries of the kinds that stand in the circle, kinds of one look in one entry."""
     words: dict[str, list[str]] = {}
     for kind, bodies in _by_kind(scene):
-        away = [np.hypot(*(one.middle - scene.voxels.center[:2])) for one in bodies]
-        if min(away) <= scene.voxels.radius:
+        outlines = np.array([one.polygon for one in bodies], object)
+        if shapely.distance(outlines, Point(scene.voxels.center[:2])).min() <= scene.voxels.radius:
             words.setdefault(str(look_of(kind)), []).append(kind)
     return [Patch(**look_of(kinds[0]), label=", ".join(kinds)) for kinds in words.values()]
 
@@ -60,22 +63,28 @@ def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
 def body_meshes(
     scene: Scene,
 ) -> Iterator[tuple[str, Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]]:
-    """Each kind of body with the corners [m] and faces of its prisms, as scores have them."""
+    """Each kind of body with the corners [m] and faces of its prisms, as scores have them.
+
+    What stands on the ground begins at the lowest ground at its corners.
+    """
+    place = scene.intersection
     for kind, bodies in _by_kind(scene):
         points: list[np.ndarray] = []
         faces: list[np.ndarray] = []
         count = 0
-        for one in bodies:
-            level = float(scene.intersection.ground(one.middle[None])[0])
-            for piece in one.pieces:
-                n = len(piece)
-                for height in (one.base, one.height):
-                    points.append(np.column_stack([piece, np.full(n, level + height)]))
-                k = np.arange(n)
-                next_ = np.roll(k, -1)
-                fan = np.column_stack([np.zeros(n - 2, int), k[1:-1], k[2:]])
-                sides = [[k, next_, next_ + n], [k, next_ + n, k + n]]
-                both = [np.stack(side, -1) for side in sides]
-                faces.append(count + np.concatenate([*both, fan + n, fan[:, ::-1]]))
-                count += 2 * n
+        parts = convex_parts(bodies, place)
+        for corners, bottom, top in zip(parts.corners, parts.bottom, parts.top, strict=True):
+            outline = corners[: len(np.unique(corners, axis=0))]  # the last corner is repeated
+            if np.isinf(bottom):
+                bottom = min(float(place.ground(outline).min()), top)
+            n = len(outline)
+            for height in (bottom, top):
+                points.append(np.column_stack([outline, np.full(n, height)]))
+            k = np.arange(n)
+            next_ = np.roll(k, -1)
+            sides = [[k, next_, next_ + n], [k, next_ + n, k + n]]
+            fan = np.column_stack([np.zeros(n - 2, int), k[1:-1], k[2:]])
+            both = [np.stack(side, -1) for side in sides]
+            faces.append(count + np.concatenate([*both, fan + n, fan[:, ::-1]]))
+            count += 2 * n
         yield kind, np.concatenate(points), np.concatenate(faces)

@@ -66,7 +66,7 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     entropy, left = of_columns(shed.entropy), of_columns(shed.entropy * (1.0 - shed.resolved))
     most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
     found = (
-        seen_layer(mean(seen) / frames),
+        seen_layer(mean(seen) / frames, scene),
         MapLayer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
         MapLayer(
             "redundancy",
@@ -95,9 +95,12 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     return {layer.name: layer for layer in found}
 
 
-def seen_layer(seen_share: Float[np.ndarray, " L"]) -> MapLayer:
+def seen_layer(seen_share: Float[np.ndarray, " L"], scene: Scene) -> MapLayer:
     """How often each column is seen: :attr:`~inspe_jax.scoring.evaluate.Scores.seen_share`."""
-    return MapLayer("seen", "share of frames and levels\nin which a column is seen", seen_share)
+    values, free = np.asarray(seen_share), free_of_bodies(scene).any(1)
+    if values.shape == free.shape:  # else they are of another scene, which the map will say
+        values = np.where(free, values, np.nan)
+    return MapLayer("seen", "share of frames and levels\nin which a column is seen", values)
 
 
 def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:

@@ -47,7 +47,7 @@ COLORS = (
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 """Line styles, so that methods differ not only in colour."""
 
-_HEAD, _BELOW = 0.66, 1.14  # above and below the maps [inch]
+_HEAD, _BELOW, _ROW = 0.66, 0.64, 0.17  # above and below the maps, and for a row of keys [inch]
 _CAPTION = 60  # characters that fit on a line above a map
 _ARROW: dict[str, Any] = dict(color="#202020", lw=0.9)
 
@@ -75,7 +75,7 @@ def before_after(
         (
             of_scores.conditions.layout(of),
             np.asarray(of.poses, float),
-            seen_layer(of_scores.seen_share),
+            seen_layer(of_scores.seen_share, scene),
             *column_raster(scene.voxels, of_scores.seen_share),
         )
         for of, of_scores in ((before, scores_before), (after, scores))
@@ -85,7 +85,9 @@ def before_after(
     with house_style():
         title = f"{before.name} at {scene.name}{scores.conditions.words}"
         facts = f"radius {radius:g} m, {scene.voxels.words}; frame {frame} of the traffic"
-        fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, _BELOW)
+        keys = plan_keys(scene, before)
+        below = _BELOW + _ROW * np.ceil((len(keys) + 1) / 2)
+        fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, below)
         height = fig.get_figheight()
         both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)
         for k, ((layout, poses, layer, raster, extent), when, of_scores) in enumerate(both):
@@ -102,7 +104,6 @@ def before_after(
         fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
         bar.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
         bar.set_title("share of frames and levels in which a column is seen", loc="left", size=7)
-        keys = plan_keys(scene, before)
         if moved:
             keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label=WENT))
         keys_left = (SIDE_LEFT + SIDE) / WIDTH

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.bodies import BODY_COLORS, body_meshes
-from inspe_jax.report.figures import SENSOR_COLORS, view_outline
-from inspe_jax.report.layers import SIGHT_COLORS, MapLayer
+from inspe_jax.report.figures import SENSOR_COLORS
+from inspe_jax.report.layers import SIGHT_COLORS, MapLayer, free_of_bodies
+from inspe_jax.report.outlines import view_outline
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -119,8 +120,9 @@ class Scene3D:
         """
         grid = self.scene.voxels
         by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
+        free = free_of_bodies(self.scene)
         for kind, opacity in OPACITY.items():
-            name, own = f"voxels/{kind.name.lower().replace('_', ' ')}", by_column == kind
+            name, own = f"voxels/{kind.name.lower().replace('_', ' ')}", (by_column == kind) & free
             if kind not in wanted or not own.any():
                 self._forget(name)
                 continue

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 
 from inspe_jax.report.figures import KEYS, column_raster, draw_badges, draw_layer, kind_keys
-from inspe_jax.report.layers import MapLayer
+from inspe_jax.report.layers import MapLayer, free_of_bodies
 from inspe_jax.report.routes import center_distance
 from inspe_jax.report.sheet import SIDE, frame_map, house_style, sheet_of_two
 from inspe_jax.report.tables import table_of
@@ -57,14 +57,16 @@ def banded(
 ) -> MapLayer:
     """A layer whose columns have the kind of the highest band that they reach."""
     number = np.searchsorted([least for least, _, _ in bands], values, side="right") - 1.0
+    number[np.isnan(values)] = np.nan
     return MapLayer(name, name, number, kinds=tuple((words, color) for _, words, color in bands))
 
 
 def _shares(
     scene: Scene, values: Float[np.ndarray, " L"]
 ) -> list[tuple[str, Float[np.ndarray, " l"]]]:
-    """The values of each region that the scene has, and of all of them."""
-    label = scene.voxels.region
+    """The values of each region that the scene has, and of all of them, outside static bodies."""
+    free = free_of_bodies(scene).any(1)
+    label, values = scene.voxels.region[free], values[free]
     there = [region for region in Region if (label == region).any()]
     return [*((region.key, values[label == region]) for region in there), ("all", values)]
 
@@ -138,19 +140,25 @@ Panel = tuple[str, MapLayer, bool | None]
 (False) or of both (None)."""
 
 
-def _panels(layout: Layout, view: TargetView) -> list[Panel]:
+def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
     """The maps of what a layout has, two at most: what its sensors have on a road user, and the
     chance that it is found where one kind of sensor leaves room for it."""
-    has = _measured(layout)
+    has, taken = _measured(layout), ~free_of_bodies(scene).any(1)
     panels: list[Panel] = []
+
+    def map_of(
+        name: str, values: np.ndarray, bands: tuple[tuple[float, str, str], ...]
+    ) -> MapLayer:
+        return banded(name, np.where(taken, np.nan, values), bands)
+
     if has["returns"]:
         words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
-        panels.append((words, banded("returns", view.points_on_target, RETURNS), False))
+        panels.append((words, map_of("returns", view.points_on_target, RETURNS), False))
     if has["pixels"]:
         words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-        panels.append((words, banded("pixels", view.pixel_density, PIXELS), True))
+        panels.append((words, map_of("pixels", view.pixel_density, PIXELS), True))
     words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
-    return [*panels, (words, banded("chance", view.detectability, CHANCES), None)][:2]
+    return [*panels, (words, map_of("chance", view.detectability, CHANCES), None)][:2]
 
 
 def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0) -> Figure:
@@ -164,7 +172,7 @@ def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int =
     with house_style():
         title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
         facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
-        panels = _panels(layout, view)
+        panels = _panels(scene, layout, view)
         fig, axes = sheet_of_two(title, facts, len(panels), _HEAD, _BELOW)
         for k, (ax, panel) in enumerate(zip(axes, panels, strict=True)):
             _draw(ax, scene, layout, panel, reach, frame)
@@ -196,7 +204,7 @@ def targets_change(
         facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
         fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=2)
         for row, (when, (layout, view)) in enumerate((("before", before), ("after", after))):
-            for k, panel in enumerate(_panels(layout, view)):
+            for k, panel in enumerate(_panels(scene, layout, view)):
                 ax = axes[2 * row + k]
                 first = panel[0].splitlines()[0].rstrip(",")
                 _draw(ax, scene, layout, (f"{when}: {first}", *panel[1:]), reach, frame)

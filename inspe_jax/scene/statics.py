@@ -137,8 +137,8 @@ def body(
             f"{where}: a trunk of {trunk:g} m radius: 0 for none, and under a base above 0"
         )
     corners = _without_straight(corners)
-    if not shape.exterior.is_ccw:  # the first side stays the first: it is where a vehicle heads
-        corners = np.roll(corners[::-1], 2, 0)
+    if not shape.exterior.is_ccw:  # of four corners, the first side still points ahead
+        corners = corners[::-1]
     return StaticBody(kind, corners, float(height), float(base), float(transmittance), float(trunk))
 
 

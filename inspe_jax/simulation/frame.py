@@ -57,7 +57,8 @@ class RoadUserBox:
 
     ``track`` identifies the road user in all frames of a scenario. ``center`` is the middle of the
     box [m]; ``size`` is length, width and height [m]; ``velocity`` is in m/s. ``kind`` is one of
-    :data:`KINDS`, ``name`` a blueprint's such as ``vehicle.audi.tt``.
+    :data:`KINDS`, ``name`` a blueprint's such as ``vehicle.audi.tt``. The lights of one that is
+    ``parked`` are off.
     """
 
     track: int
@@ -67,6 +68,7 @@ class RoadUserBox:
     yaw: float
     size: Float[np.ndarray, "3"]
     velocity: Float[np.ndarray, "3"]
+    parked: bool = False
 
 
 @dataclass(frozen=True, eq=False)

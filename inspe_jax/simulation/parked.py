@@ -1,10 +1,13 @@
 """Parked vehicles as road users that stand still: a detector has to find them like any other."""
 
+import zlib
+
 import numpy as np
 
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
+from inspe_jax.simulation.frame import MOST_TRACK
 
 LARGEST_CAR = 6.5
 """A parked vehicle that is longer than this is a truck [m]."""
@@ -29,8 +32,8 @@ def is_box(one: StaticBody) -> bool:
 def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
     """The parked vehicles of a scene's region as road users, and the bodies that are left.
 
-    A vehicle is a road user where a moving one would be: with its centre in the region. Its tracks
-    follow the largest of the traffic.
+    A vehicle is a road user where a moving one would be: with its centre in the region. Its track,
+    and so its shape and colour, hang on its own place alone, unless that number is taken.
     """
     place, radius = scene.intersection, scene.voxels.radius
     found: list[StaticBody] = []
@@ -42,13 +45,20 @@ def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
     size = np.array([size for size, _ in boxes], float).reshape(-1, 3)
     at = np.array([one.middle for one in found]).reshape(-1, 2)
     level = place.ground(at) if found else np.zeros(0)
-    first = int(scene.traffic.track.max(initial=-1)) + 1
+    taken = set(scene.traffic.track.ravel().tolist())
+    tracks = list[int]()
+    for one in found:
+        track = zlib.crc32(np.round(one.outline, 3).tobytes()) % MOST_TRACK
+        while track in taken:
+            track = (track + 1) % MOST_TRACK
+        taken.add(track)
+        tracks.append(track)
     road_users = Snapshot(
         center=np.column_stack([at, level + size[:, 2] / 2]),
         yaw=np.array([yaw for _, yaw in boxes]),
         size=size,
         kind=np.array([CLASSES.index(kind_of(one)) for one in size], int),
-        track=first + np.arange(len(found)),
+        track=np.array(tracks, int),
         velocity=np.zeros((len(found), 3)),
     )
     return road_users, tuple(left)

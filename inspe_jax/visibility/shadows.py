@@ -262,11 +262,14 @@ class ShadowBounds(NamedTuple):
 def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> ShadowBounds:
     """The bounds of one sensor's shadows of prisms (T, B), the same for all tiles.
 
-    Prisms are taken ``wider`` and higher by so much [m], along the sight line and across it: as
-    far as the sensor may go both ways in :func:`_passing`.
+    Prisms are taken ``wider`` and higher by so much [m], along the sight line and across it. Read
+    softly, a line may meet the rectangle about a prism along the line (:func:`_passing`); so then
+    the circle is that about any such rectangle.
     """
     x, y = prisms.center[..., 0] - sensor[0], prisms.center[..., 1] - sensor[1]
-    span = jnp.hypot(prisms.half[..., 0], prisms.half[..., 1]) + jnp.sqrt(2.0) * wider + CLOSE
+    soft = not (isinstance(wider, float) and wider == 0)
+    span = prisms.half.sum(-1) if soft else jnp.hypot(prisms.half[..., 0], prisms.half[..., 1])
+    span += jnp.sqrt(2.0) * wider + CLOSE
     away = jnp.maximum(jnp.hypot(x, y), CLOSE)
     sin = jnp.minimum(span / away, 1.0)
     # Similar triangles: from the sensor over the far edge of the top down to the ground.

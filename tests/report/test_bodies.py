@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+import shapely
 from matplotlib.collections import PolyCollection
 from worlds import street_bodies, world
 
 from inspe_jax.report.bodies import BODY_COLORS, body_keys, body_meshes, look_of
 from inspe_jax.report.figures import scene_view
 from inspe_jax.report.layers import layers
-from inspe_jax.scene.statics import KINDS, body, upright_box
+from inspe_jax.scene.statics import KINDS, body, octagon, upright_box
 from inspe_jax.scoring.viewshed import Viewshed
 
 
@@ -41,6 +42,9 @@ def test_the_legend_has_the_kinds_in_the_circle_each_once(street):
     assert sorted(found) == sorted({one.kind for one in others})
     assert set(BODY_COLORS) == set(KINDS)
     assert look_of("tree")["fc"] == "none"  # the ground beneath is seen
+    rim = upright_box("building", street.voxels.center[:2] + [25.0, 0.0], (30, 10, 6))
+    (key,) = body_keys(street.with_statics([rim]))  # its middle is outside the circle
+    assert key.get_label() == "building"
 
 
 def test_meshes_are_closed_and_have_the_volume_of_the_prisms(street):
@@ -54,6 +58,12 @@ def test_meshes_are_closed_and_have_the_volume_of_the_prisms(street):
         volume = np.linalg.det(corners).sum() / 6
         own = [one for one in scene.statics if one.kind == kind]
         expected = sum(one.polygon.area * (one.height - one.base) for one in own)
+        for one in own:  # each part from the lowest ground at its corners, a tree with its trunk
+            level = scene.intersection.ground(one.middle[None])[0]
+            trunk = [octagon(one.middle, one.trunk)] if one.trunk else []
+            for part in [*trunk, *(one.pieces if one.base == 0 else ())]:
+                deep = level - scene.intersection.ground(part).min()
+                expected += shapely.Polygon(part).area * (deep + one.base)
         assert volume == pytest.approx(expected, rel=1e-6)
         edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         assert {tuple(edge) for edge in edges} == {tuple(edge[::-1]) for edge in edges}

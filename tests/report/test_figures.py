@@ -26,8 +26,8 @@ from inspe_jax.report.figures import (
     plan_view,
     scene_view,
     spread_badges,
-    view_outline,
 )
+from inspe_jax.report.outlines import view_outline
 from inspe_jax.report.sheet import save_figure
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region

@@ -182,12 +182,13 @@ def test_corners_on_a_straight_side_are_none():
         assert Polygon(piece).symmetric_difference(plain.polygon).area < 1e-9
 
 
-def test_an_outline_in_the_other_sense_keeps_where_its_first_side_lies():
+def test_an_outline_in_the_other_sense_keeps_where_its_first_side_points():
     """A parked vehicle heads along it."""
     car = np.array([[0, 0], [4.6, 0], [4.6, 1.8], [0, 1.8]])
-    for corners in (car, car[[1, 0, 3, 2]]):
-        found = body("parked vehicle", corners, 1.5).outline
-        assert np.ptp(found[:2], 0).tolist() == [4.6, 0]
+    for corners, ahead in ((car, 4.6), (car[[1, 0, 3, 2]], -4.6), (car[[3, 2, 1, 0]], 4.6)):
+        outline = body("parked vehicle", corners, 1.5).outline
+        assert np.diff(outline[:2], axis=0).tolist() == [[ahead, 0]]
+        assert Polygon(outline).exterior.is_ccw
 
 
 def test_a_sensor_at_a_facade_is_in_the_house():

@@ -8,9 +8,12 @@ from worlds import CAMERA, LIDAR, body_triangles, place_sensors, street_bodies, 
 
 from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.headlights import beams_of
 from inspe_jax.simulation.embedded.materials import GROUND, KERB, MATERIALS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.static_world import build_static_world
 from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.simulation.recorder import Recording
@@ -156,3 +159,36 @@ def test_a_parked_vehicle_in_the_region_is_a_road_user_that_stands_still():
     assert (lidar.returns[-2:] > 50).all()
     assert camera.pixels[-2] > 50
     assert camera.share[-2] == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_lights_of_parked_vehicles_are_off():
+    place = world(count=0)
+    car = upright_box("parked vehicle", place.voxels.center[:2] + [6.0, 0.0], (4.6, 1.8, 1.5), 0.4)
+    layout = place_sensors((CAMERA, [-4.0, 0.0, 5.0, 0.0, -0.3, 0.0]))
+    night = Conditions("night")
+    recorder = EmbeddedRecorder(place.with_statics([car]), layout, night)
+    (dark,) = recorder.frame(0).stations[0].images
+    assert len(beams_of(FrameActors(recorder.parked, place.voxels.center)).front) == 0
+    recorder.parked = tuple(replace(box, parked=False) for box in recorder.parked)
+    (lit,) = recorder.frame(0).stations[0].images
+    shown = dark.pixels[0]
+    assert shown > 50
+    brighter = (lit.rgb.astype(int) - dark.rgb).max(-1) > 30
+    assert brighter.sum() > 10
+
+
+def test_a_parked_vehicle_looks_the_same_in_any_traffic():
+    place = world(count=0)
+    car = upright_box("parked vehicle", place.voxels.center[:2] + [6.0, 0.0], (4.6, 1.8, 1.5), 0.4)
+    other = upright_box("parked vehicle", place.voxels.center[:2] - [6.0, 0.0], (4.6, 1.8, 1.5))
+    found = []
+    for scene, bodies in ((place, [car]), (world(count=9, seed=4), [other, car])):
+        (box,) = (
+            box
+            for box in EmbeddedRecorder(
+                scene.with_statics(bodies), place_sensors((LIDAR, [-12.0, 3.0, 4.0, 0.0, 0.0, 0.0]))
+            ).parked
+            if np.allclose(box.center[:2], car.middle)
+        )
+        found.append((box.track, box.name))
+    assert found[0] == found[1]

@@ -275,7 +275,8 @@ class Camera:
             lit = on_road_users(actors, beams, point, normal, box, self.light)
             own = np.flatnonzero(lit)
             colour[own] += albedo[own] * (lit[own, None] * (np.float32(self.light.lamps) * COLOUR))
-            colour += _GLOW[part] * np.float32(self.light.lamps)
+            lamps = np.float32(self.light.lamps) * ~np.array([b.parked for b in actors.boxes])
+            colour += _GLOW[part] * lamps[box, None]
         return colour
 
     def _shadows(

@@ -84,8 +84,9 @@ def dipped(
 
 
 def beams_of(actors: FrameActors) -> Beams:
-    """The lamps of those road users that have a motor."""
-    own = [b for b in actors.boxes if b.kind in ("car", "truck") or b.name.startswith("motorc")]
+    """The lamps of those road users that have a motor and are not parked."""
+    moving = [b for b in actors.boxes if not b.parked]
+    own = [b for b in moving if b.kind in ("car", "truck") or b.name.startswith("motorc")]
     at = np.array([b.center for b in own], float).reshape(-1, 3) - actors.center
     size = np.array([b.size for b in own], float).reshape(-1, 3)
     yaw = np.array([b.yaw for b in own], float)

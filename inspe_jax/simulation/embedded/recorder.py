@@ -1,5 +1,7 @@
 """The embedded recorder: simulates the sensors of a layout in a world of triangles."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from inspe_jax.scene.scene import Scene
@@ -48,7 +50,7 @@ class EmbeddedRecorder:
         poses = np.asarray(layout.poses, float)
         self.layout = layout
         parked, statics = parked_vehicles(scene)
-        self.parked = boxes_of(parked, appearance_seed)
+        self.parked = tuple(replace(b, parked=True) for b in boxes_of(parked, appearance_seed))
         self.static_world = build_static_world(
             scene.intersection, scene.voxels.radius, _masts(layout, poses), statics
         )

@@ -22,6 +22,11 @@ def added(default: Any, **metadata: Any) -> Any:
     return field(default=default, metadata={ADDED: default, **metadata})
 
 
+ORIGIN = "origin"
+"""Key of the metadata of a field that says where a record came from, which is no content: digests
+take the value under this key for it."""
+
+
 def digest(thing: Any) -> str:
     """The SHA-256 of the content of ``thing``, as hexadecimal text.
 
@@ -49,7 +54,8 @@ def _feed(found: "hashlib._Hash", thing: Any) -> None:
             if ADDED in part.metadata and getattr(thing, part.name) == part.metadata[ADDED]:
                 continue
             found.update(f"{part.name}=".encode())
-            _feed(found, getattr(thing, part.name))
+            value = getattr(thing, part.name)
+            _feed(found, part.metadata.get(ORIGIN, value))
     elif isinstance(thing, Mapping):
         found.update(f"mapping {len(thing)};".encode())
         for key in sorted(thing, key=str):

@@ -12,7 +12,7 @@ from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.digest import added
+from inspe_jax.core.digest import ORIGIN, added
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 
@@ -85,7 +85,7 @@ class Intersection:
     poles: Float[np.ndarray, "P 3"]
     ground_points: Float[np.ndarray, "G 3"]
     notes: tuple[str, ...] = field(default=())
-    map: Path | None = None
+    map: Path | None = field(default=None, metadata={ORIGIN: None})
     bodies: tuple[StaticBody, ...] = added(())
 
     @cached_property

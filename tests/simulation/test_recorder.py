@@ -190,7 +190,8 @@ def test_points_on_a_car_fall_with_range_as_the_beams_spread():
 def test_the_turn_takes_time(scene):
     """A moving car is hit where it is when the ray is fired, up to half a turn from the frame."""
     moving = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, -12, 0, 4.6, 1.85, 1.5))
-    traffic = replace(moving.traffic, velocity=np.array([[[10.0, 0, 0]]]))
+    velocity = np.broadcast_to([10.0, 0, 0], moving.traffic.center.shape)
+    traffic = replace(moving.traffic, velocity=velocity)
     moving = replace(moving, traffic=traffic)
     recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
     actors = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.static_world.center)

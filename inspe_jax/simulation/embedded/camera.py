@@ -275,7 +275,7 @@ class Camera:
             lit = on_road_users(actors, beams, point, normal, box, self.light)
             own = np.flatnonzero(lit)
             colour[own] += albedo[own] * (lit[own, None] * (np.float32(self.light.lamps) * COLOUR))
-            lamps = np.float32(self.light.lamps) * ~np.array([b.parked for b in actors.boxes])
+            lamps = np.float32(self.light.lamps) * ~np.array([b.parked for b in actors.boxes], bool)
             colour += _GLOW[part] * lamps[box, None]
         return colour
 

@@ -35,10 +35,14 @@ def look_of(kind: str) -> dict[str, Any]:
 
 
 def draw_bodies(ax: Axes, scene: Scene) -> None:
-    """Draw the outlines of a scene's bodies within the circle."""
+    """Draw the outlines of a scene's bodies within the circle, filled where they stand on the
+    ground: beneath others one sees it."""
     inside = Circle(tuple(scene.voxels.center[:2]), scene.voxels.radius, transform=ax.transData)
     for kind, bodies in _by_kind(scene):
-        drawn = PolyCollection([one.outline for one in bodies], **look_of(kind), zorder=3.5)
+        look = look_of(kind)
+        color = look.pop("fc")
+        fill = [color if one.base == 0 else "none" for one in bodies]
+        drawn = PolyCollection([one.outline for one in bodies], fc=fill, **look, zorder=3.5)
         ax.add_collection(drawn, autolim=False)
         drawn.set_clip_path(inside)
 

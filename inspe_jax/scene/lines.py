@@ -1,6 +1,13 @@
 """Lines as arrays of points (N, 2 or 3) [m], measured in plan."""
 
 import numpy as np
+from jaxtyping import Float
+
+
+def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N 2"]:
+    """A line turned about the origin by ``angle`` [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return line @ np.array([[c, s], [-s, c]])
 
 
 def resampled(line: np.ndarray, spacing: float = 1.0) -> np.ndarray:

@@ -5,6 +5,7 @@ and lets some light through, on a trunk. Scores, recordings and pictures take th
 """
 
 import json
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -63,6 +64,11 @@ class StaticBody:
     def middle(self) -> Float[np.ndarray, "2"]:
         """The centroid in plan [m]."""
         return np.array(self.polygon.centroid.coords[0])
+
+    @property
+    def number(self) -> int:
+        """A number that hangs on its outline alone, for what it looks like."""
+        return zlib.crc32(np.round(self.outline, 3).tobytes())
 
     @property
     def words(self) -> str:

@@ -1,9 +1,8 @@
 """Parked vehicles as road users that stand still: a detector has to find them like any other."""
 
-import zlib
-
 import numpy as np
 
+from inspe_jax.scene.placed_bodies import grounds
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
@@ -44,17 +43,16 @@ def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
     boxes = [box_of(one) for one in found]
     size = np.array([size for size, _ in boxes], float).reshape(-1, 3)
     at = np.array([one.middle for one in found]).reshape(-1, 2)
-    level = place.ground(at) if found else np.zeros(0)
     taken = set(scene.traffic.track.ravel().tolist())
     tracks = list[int]()
     for one in found:
-        track = zlib.crc32(np.round(one.outline, 3).tobytes()) % MOST_TRACK
+        track = one.number % MOST_TRACK
         while track in taken:
             track = (track + 1) % MOST_TRACK
         taken.add(track)
         tracks.append(track)
     road_users = Snapshot(
-        center=np.column_stack([at, level + size[:, 2] / 2]),
+        center=np.column_stack([at, grounds(found, place) + size[:, 2] / 2]),
         yaw=np.array([yaw for _, yaw in boxes]),
         size=size,
         kind=np.array([CLASSES.index(kind_of(one)) for one in size], int),

@@ -20,12 +20,6 @@ def joined(*parts: Float[np.ndarray, "..."]) -> Float[np.ndarray, "N 2"]:
     return distinct(np.concatenate([np.reshape(part, (-1, 2)) for part in parts]))
 
 
-def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N 2"]:
-    """A line turned about the origin by ``angle`` [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
-    return line @ np.array([[c, s], [-s, c]])
-
-
 def arc(
     center: Float[np.ndarray, "2"], radius: float, start: float, end: float
 ) -> Float[np.ndarray, "N 2"]:

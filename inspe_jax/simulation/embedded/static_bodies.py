@@ -6,7 +6,6 @@ the body says. A parked vehicle has the shape of a road user of its size, within
 region it is a road user (:mod:`inspe_jax.simulation.parked`) and not one of these.
 """
 
-import zlib
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -51,7 +50,7 @@ def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
     """The triangles of one body on the ground of a place."""
     level = float(place.ground(one.middle[None])[0])
     # Its look depends on its own place alone: other bodies do not change it.
-    rng = np.random.default_rng(zlib.crc32(np.round(one.outline, 3).tobytes()))
+    rng = np.random.default_rng(one.number)
     yield from _LOOKS[one.kind](one, place, level, rng)
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from inspe_jax.scene.lines import turned
 from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
 from inspe_jax.scene.maps.usual_sizes import (
@@ -172,7 +172,7 @@ def _simple(
     if place.length > 0 and place.width > 0:
         half = np.array([place.length, place.width]) / 2
         corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        return Polygon(at + corners @ _turned(heading + turn).T), *heights
+        return Polygon(at + turned(corners, heading + turn)), *heights
     kind, _ = _kind(element) or ("", 0.0)
     usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(kind)
     return None if usual is None else Polygon(octagon(at, usual)), *heights
@@ -184,7 +184,7 @@ def _outlined(
     """The area of an outline, moved from the object's own place to another, and the lowest and
     highest of its corners over its base."""
     at, heading = line.at(place.s, place.t)
-    axes, corners, low, high = _turned(heading + turn).T, [], [], []
+    corners, low, high = [], [], []
     for corner in outline:
         if corner.tag == "cornerRoad":
             s, t = float(corner.attrib["s"]), float(corner.attrib["t"])
@@ -192,7 +192,7 @@ def _outlined(
             low.append(_number(corner, "dz"))
         elif corner.tag == "cornerLocal":
             u, v = float(corner.attrib["u"]), float(corner.attrib["v"])
-            point = at + np.array([u, v]) @ axes
+            point = at + turned(np.array([u, v]), heading + turn)
             low.append(_number(corner, "z"))
         else:
             continue
@@ -245,8 +245,3 @@ def _strip(
         right = [line.at(e.s, e.t - h)[0] for e, h in zip(ends, half, strict=True)]
         left = [line.at(e.s, e.t + h)[0] for e, h in zip(ends, half, strict=True)]
         yield ends[0], Polygon([*right, *left[::-1]])
-
-
-def _turned(yaw: float) -> Float[np.ndarray, "2 2"]:
-    """The turn by an angle [rad]."""
-    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.scene.lines import turned
+
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Gauss's quadrature on −1 … 1."""
 STRETCH = 5.0
@@ -58,7 +60,7 @@ class Piece:
             p = along * self.last / max(self.length, 1e-9)
             powers, slopes = p ** np.arange(4), np.arange(4) * p ** np.array([0, 0, 1, 2])
             (u, v), (du, dv) = self.cubic @ powers, self.cubic @ slopes
-            turned, point = float(np.arctan2(dv, du)), np.array([u, v])
+            bent, point = float(np.arctan2(dv, du)), np.array([u, v])
         else:
             first, last = self.curvature
             change = (last - first) / max(self.length, 1e-9)
@@ -68,9 +70,8 @@ class Piece:
             turns = first * where + change * where**2 / 2
             weights = half * WEIGHTS
             point = np.array([(weights * np.cos(turns)).sum(), (weights * np.sin(turns)).sum()])
-            turned = first * along + change * along**2 / 2
-        c, s = np.cos(self.heading), np.sin(self.heading)
-        return self.start + np.array([[c, -s], [s, c]]) @ point, self.heading + turned
+            bent = first * along + change * along**2 / 2
+        return self.start + turned(point, self.heading), self.heading + bent
 
 
 @dataclass(frozen=True, eq=False)

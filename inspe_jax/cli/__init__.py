@@ -4,7 +4,8 @@ Each group of commands has a module. Importing the module adds its commands, so 
 imports is the order of the commands in ``inspe --help``.
 """
 
-from inspe_jax.cli import score, search, planning, show, study, generate, dataset, perception  # noqa: F401  # isort: skip
+from inspe_jax.cli import scene, score, search, planning, show, export  # noqa: F401  # isort: skip
+from inspe_jax.cli import study, generate, dataset, perception  # noqa: F401  # isort: skip
 from inspe_jax.cli.common import main
 
 __all__ = ["main"]

@@ -38,7 +38,11 @@ SceneArgument = Annotated[
     str, typer.Argument(metavar="SCENE", help="A built-in intersection, or a scene saved as .npz.")
 ]
 LayoutArgument = Annotated[
-    str, typer.Argument(metavar="LAYOUT", help="A layout file (.yaml), or the name of a strategy.")
+    str,
+    typer.Argument(
+        metavar="LAYOUT",
+        help="A layout file (.yaml, or .geojson of `inspe export`), or the name of a strategy.",
+    ),
 ]
 LightOption = Annotated[str, typer.Option(help="Light: midday, dusk or night.")]
 WeatherOption = Annotated[
@@ -187,15 +191,23 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
     from inspe_jax.placement.strategies import STRATEGIES, strategy
+    from inspe_jax.scene.geojson import SUFFIXES
     from inspe_jax.sensing.layout import load_layout
+    from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
-    if Path(sensors).suffix in (".yaml", ".yml") or Path(sensors).is_file():
-        layout = load_layout(sensors, world, unit_rule=unit_rule)
+    suffix = Path(sensors).suffix.lower()
+    if suffix in (".yaml", ".yml", *SUFFIXES) or Path(sensors).is_file():
+        layout = (
+            load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
+            if suffix in SUFFIXES
+            else load_layout(sensors, world, unit_rule=unit_rule)
+        )
         note_other_profile(world, layout)
         return layout
     if sensors.lower() not in (name.lower() for name in STRATEGIES):
         raise InspeError(
-            f"no layout '{sensors}': give a .yaml file or a strategy: {', '.join(STRATEGIES)}"
+            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
+            + ", ".join(STRATEGIES)
             + nearest(sensors, tuple(STRATEGIES))
         )
     return strategy(world, sensors)

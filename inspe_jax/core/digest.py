@@ -51,11 +51,11 @@ def _feed(found: "hashlib._Hash", thing: Any) -> None:
     elif is_dataclass(thing):
         found.update(f"record {type(thing).__name__};".encode())
         for part in fields(thing):
-            if ADDED in part.metadata and getattr(thing, part.name) == part.metadata[ADDED]:
+            value = part.metadata.get(ORIGIN, getattr(thing, part.name))
+            if ADDED in part.metadata and value == part.metadata[ADDED]:
                 continue
             found.update(f"{part.name}=".encode())
-            value = getattr(thing, part.name)
-            _feed(found, part.metadata.get(ORIGIN, value))
+            _feed(found, value)
     elif isinstance(thing, Mapping):
         found.update(f"mapping {len(thing)};".encode())
         for key in sorted(thing, key=str):

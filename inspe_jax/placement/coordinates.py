@@ -108,9 +108,17 @@ class Limits:
 
     @classmethod
     def of(
-        cls, unit: np.ndarray, above: Range, yaw: Range, pitch: Range, aimed: np.ndarray
+        cls,
+        unit: np.ndarray,
+        above: Range,
+        yaw: Range,
+        pitch: Range,
+        aimed: np.ndarray,
+        plan: float = UNIT_PLAN,
     ) -> "Limits":
         """Limits from the ``unit`` (S,) of each sensor and the heights ``above`` (U,) the ground.
+
+        ``plan`` is the largest distance of a sensor from its foot, brackets aside [m].
 
         A head keeps some distance from the ends of its heights, and sensors stay within the same
         distance of their head. So sensors keep to the heights and the unit rule, and can be
@@ -118,11 +126,11 @@ class Limits:
         """
         alone = np.bincount(unit, minlength=len(above.low)) == 1
         spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
-        arm = np.where(alone, UNIT_PLAN, UNIT_PLAN / 2)
+        arm = np.where(alone, plan, plan / 2)
         return cls(
             arm,
             Range(above.low + spread, above.high - spread),
-            (UNIT_PLAN - arm)[unit],
+            (plan - arm)[unit],
             Range(-spread[unit], spread[unit]),
             yaw,
             pitch,

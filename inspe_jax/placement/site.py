@@ -13,6 +13,7 @@ from shapely.ops import nearest_points, unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.polygons import merge
+from inspe_jax.placement.brackets import AT_AXIS, bracket_length, separate
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
@@ -169,9 +170,31 @@ class Site:
         """The ground on which one body lets no unit stand."""
         return one.polygon.buffer(UNIT_PLAN if one.height > self.lowest else 0.0)
 
+    @cached_property
+    def carriers(self) -> tuple[StaticBody, ...]:
+        """The bodies that are poles where a unit may be mounted, each well away from others."""
+        feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
+        poles = [one for one in self.bodies if one.kind == "pole" and one.base == 0]
+        known = [one for one in poles if (np.hypot(*(feet - one.middle).T) <= AT_AXIS).any()]
+        return separate(known)
+
+    def carrier_at(self, foot: Float[np.ndarray, "2"]) -> StaticBody | None:
+        """The pole among the bodies that carries a unit at ``foot`` (x, y), if one does."""
+        near = (one for one in self.carriers if np.hypot(*(foot - one.middle)) <= AT_AXIS)
+        return next(near, None)
+
+    def _bracket(self, foot: Float[np.ndarray, "2"], yaw: float) -> Float[np.ndarray, "2"]:
+        """From a foot to a sensor that hangs on its side of ``yaw`` [rad]; 0 for a new pole."""
+        pole = self.carrier_at(foot)
+        length = 0.0 if pole is None else bracket_length(pole)
+        return length * np.array([np.cos(yaw), np.sin(yaw)])
+
     def body_near(self, foot: Float[np.ndarray, "2"], within: float = 0.0) -> StaticBody | None:
         """The first body that lets no unit stand at ``foot`` (x, y), deeper than ``within`` [m]."""
+        carried = self.carrier_at(foot) is not None
         for one in self.bodies:
+            if carried and one in self.carriers:
+                continue
             room, at = self.room_of(one), Point(foot)
             if room.contains(at) and room.boundary.distance(at) > within:
                 return one
@@ -262,7 +285,7 @@ class Site:
         keep = [
             np.hypot(*(foot - self.center)) <= self.radius
             and not self.lanes.intersects(Point(foot))
-            and not (self.bodies and self.taken.intersects(Point(foot)))
+            and self.body_near(foot) is None
             for foot in feet
         ]
         return feet[np.array(keep, bool)]
@@ -337,6 +360,9 @@ class Site:
         inward = self.center - foot
         reach = min(mast, float(np.hypot(*inward))) if height >= _CLEARANCE else 0.0
         offset = reach * inward / max(float(np.hypot(*inward)), 1e-9)
+        if not offset.any():
+            aim = target - foot
+            offset = self._bracket(foot, np.arctan2(aim[1], aim[0]) if yaw is None else yaw)
         to = target - foot - offset
         if yaw is None:
             yaw = float(np.arctan2(to[1], to[0]))
@@ -356,7 +382,8 @@ class Site:
         """
         to = self.center - foot
         yaw = float(np.arctan2(to[1], to[0])) if to.any() else self.arms[0].bearing
-        return View(post, foot, np.zeros(2), self.lidar_height or height, yaw, 0.0)
+        offset = self._bracket(foot, yaw)
+        return View(post, foot, offset, self.lidar_height or height, yaw, 0.0)
 
 
 def _inset(part: BaseGeometry) -> BaseGeometry:

@@ -17,6 +17,7 @@ from shapely import minimum_bounding_circle
 from shapely.geometry import MultiPoint
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.placement.brackets import Brackets
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.convex_regions import into_disc, make_regions
 from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
@@ -53,6 +54,7 @@ class Space:
         bodies, lowest = scene.statics, self.constraints.heights[0]
         radius = float(scene.voxels.radius)
         self.site = Site(self.place, radius, depth=0.0, bodies=bodies, lowest=lowest)
+        self._brackets = Brackets.of(self.site.carriers, self.center[:2])
         self._unit = np.array([sensor.unit for sensor in layout.sensors])
         self._feet = np.array([unit.base[:2] for unit in layout.units]) - self.center[:2]
         self._set_limits()
@@ -87,6 +89,7 @@ class Space:
             Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
             Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
             np.array([sensor.spec.aimed for sensor in sensors]),
+            self._brackets.within(UNIT_PLAN),
         )
 
     def _set_places(self) -> None:
@@ -183,7 +186,11 @@ class Space:
         return self._sensors(c, (1 - fx) * low + fx * high, jnp)
 
     def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
-        at = c.base[self._unit] + c.arm[self._unit] + c.offset
+        foot, out = c.base[self._unit], c.arm[self._unit] + c.offset
+        if self._brackets:
+            at = self._brackets.hung(foot, out, c.yaw, self._limits.aimed, xp)
+        else:
+            at = foot + out
         above = c.height[self._unit] + c.rise
         # A sensor over a lane is raised to the clearance. Two sensors of a unit that are up to 4 m
         # apart stay so. If both are raised, or one up to at most the other, they come no further
@@ -273,10 +280,14 @@ class Space:
         feet = np.array([unit.base[:2] for unit in layout.units])
         above = poses[:, 2] - self.place.ground(feet)[self._unit]
         out = poses[:, :2] - feet[self._unit]
+        if self._brackets:
+            foot, at = (xy - self.center[:2] for xy in (feet[self._unit], poses[:, :2]))
+            out = self._brackets.out(foot, at, poses[:, 5], self._limits.aimed)
         arm, height = np.zeros_like(feet), np.zeros(len(feet))
         for u, members in enumerate(map(list, layout.members())):
-            # The head is the middle of the smallest circle round the foot and its sensors. If any
-            # point is near enough to the foot and to every sensor, this one is.
+            # The head is the middle of the smallest circle round the foot and its sensors, each
+            # without its bracket. If any point is near enough to the foot and to every sensor,
+            # this one is.
             circle = minimum_bounding_circle(MultiPoint([(0.0, 0.0), *out[members]]))
             one_spot = len(members) == 1 or circle.area == 0
             arm[u] = out[members[0]] if one_spot else circle.centroid.coords[0]

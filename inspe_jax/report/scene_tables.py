@@ -5,10 +5,13 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.report.tables import table_of
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -28,6 +31,7 @@ def scene_table(scene: Scene) -> RenderableType:
     rows = {
         "source": place.source,
         "centre": _position(place.center),
+        "latitude, longitude": _on_earth(place.georeference, place.center),
         "region of interest": f"radius {grid.radius:g} m",
         "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels = {grid.count:,}; "
         f"{grid.words}",
@@ -47,6 +51,14 @@ def scene_table(scene: Scene) -> RenderableType:
             part = f"{count / len(grid.columns):.1%}"
             regions.add_row(region.key, f"{WEIGHTS[region]:g}", f"{count:,}", part)
     return Group(facts, "", regions)
+
+
+def _on_earth(lies: Georeference | None, point: Float[np.ndarray, "3"]) -> str:
+    """Latitude and longitude of a point; empty where they are unknown, or pyproj is missing."""
+    try:
+        return "" if lies is None else lies.words(point[:2])
+    except InspeError:
+        return ""
 
 
 def _bodies(scene: Scene) -> str:
@@ -115,16 +127,30 @@ def profile_table(profile: Profile) -> RenderableType:
     return table
 
 
-def junctions_table(infos: "Iterable[JunctionInfo]", map_name: str) -> RenderableType:
-    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals."""
-    table = table_of(
-        f"Junctions of {map_name}", "id", "centre [m]", "arms", "size [m]", "crosswalks", "signals"
-    )
-    for info in infos:
-        counts = (str(info.crosswalks), str(info.signals))
-        table.add_row(
-            str(info.id), _position(info.center), str(info.arms), f"{info.size:.1f}", *counts
+def junctions_table(
+    infos: "Iterable[JunctionInfo]", map_name: str, lies: Georeference | None = None
+) -> RenderableType:
+    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals.
+
+    With a projection, also latitude and longitude.
+    """
+    rows = [
+        (
+            str(info.id),
+            _position(info.center),
+            _on_earth(lies, np.array(info.center)),
+            str(info.arms),
+            f"{info.size:.1f}",
+            str(info.crosswalks),
+            str(info.signals),
         )
+        for info in infos
+    ]
+    heads = ["id", "centre [m]", "latitude, longitude", "arms", "size [m]", "crosswalks", "signals"]
+    kept = [k for k in range(len(heads)) if k != 2 or any(row[2] for row in rows)]
+    table = table_of(f"Junctions of {map_name}", *(heads[k] for k in kept))
+    for row in rows:
+        table.add_row(*(row[k] for k in kept))
     return table
 
 

@@ -12,7 +12,8 @@ from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.digest import ORIGIN, added
+from inspe_jax.core.digest import ADDED, ORIGIN, added
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 
@@ -72,7 +73,7 @@ class Intersection:
     height of the ground. ``notes`` say what was assumed. ``map`` is the file that
     it was read from, which SUMO's traffic needs; a saved scene does not keep it.
     ``bodies`` are those that its map brings: buildings, trees, walls. A scene has them
-    with ``statics="map"``.
+    with ``statics="map"``. ``georeference`` is the projection of its coordinates, None if unknown.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Intersection:
     notes: tuple[str, ...] = field(default=())
     map: Path | None = field(default=None, metadata={ORIGIN: None})
     bodies: tuple[StaticBody, ...] = added(())
+    georeference: Georeference | None = field(default=None, metadata={ORIGIN: None, ADDED: None})
 
     @cached_property
     def _ground_index(self) -> cKDTree:

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, check_output, whole_file
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
 from inspe_jax.scene.placed_bodies import inside_bodies
@@ -272,6 +273,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
         "grid": [grid.size, grid.radius, grid.level_count, grid.spacing],
         "settings": scene.settings,
         "regions": [r.key for r in place.regions],
+        "georeference": place.georeference and [place.georeference.crs, *place.georeference.shift],
     }
     shapes = [*place.regions.values(), place.mounting]
     arrays = {
@@ -297,6 +299,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
     shapes = [
         shapely.from_wkb(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)
     ]
+    lies = record.get("georeference")  # none in older files
     points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
     place = Intersection(
         name=record["name"],
@@ -313,6 +316,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         ground_points=data["ground_points"],
         notes=tuple(record["notes"]),
         bodies=unpack_bodies(data, OF_MAP),
+        georeference=lies and Georeference(lies[0], (lies[1], lies[2])),
     )
     size, radius, level_count, *spacing = record["grid"]  # none in older files
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)

@@ -277,20 +277,17 @@ def layout_text(layout: Layout) -> str:
     It contains the devices that are not in the catalogue, or differ from it. Raises InspeError if
     it could not be read back, as with two devices of one name or a pitch beyond the vertical.
     """
-    own = _own_devices(layout)
     poses = np.asarray(layout.poses, float)
     units: list[dict[str, Any]] = []
-    for u, unit in enumerate(layout.units):
+    for unit, members in zip(layout.units, layout.members(), strict=True):
         entries = []
-        for pose, sensor in zip(poses, layout.sensors, strict=True):
-            if sensor.unit != u:
-                continue
-            dx, dy, dz = (pose[:3] - np.array(unit.base)).round(9).tolist()
-            roll, pitch, yaw = np.degrees(pose[3:]).round(9).tolist()
+        for s in members:
+            dx, dy, dz = (poses[s, :3] - np.array(unit.base)).round(9).tolist()
+            roll, pitch, yaw = np.degrees(poses[s, 3:]).round(9).tolist()
             entries.append(
                 dict(
-                    name=sensor.name,
-                    device=sensor.spec.name,
+                    name=layout.sensors[s].name,
+                    device=layout.sensors[s].spec.name,
                     height=dz,
                     offset=[dx, dy],
                     yaw_deg=yaw,
@@ -299,11 +296,19 @@ def layout_text(layout: Layout) -> str:
                 )
             )
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
-    made = {"profile": layout.profile, "devices": own}
-    content = {"name": layout.name, **{k: v for k, v in made.items() if v}, "units": units}
+    content = {"name": layout.name, **made_with(layout), "units": units}
     check_model(_LayoutFile, content, f"{layout.name}, to be saved")
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     return "# Metres and degrees, world frame; see inspe_jax.sensing.layout.\n" + text
+
+
+def made_with(layout: Layout) -> dict[str, Any]:
+    """A layout's profile and the devices that its file must describe; without those it lacks.
+
+    Raises InspeError where two devices have one name.
+    """
+    made = {"profile": layout.profile, "devices": _own_devices(layout)}
+    return {key: value for key, value in made.items() if value}
 
 
 def _own_devices(layout: Layout) -> dict[str, dict[str, Any]]:

@@ -403,7 +403,7 @@ def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
 
 
 COMMANDS = [
-    *("scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep"),
+    *("scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep", "export"),
     "generate",
 ]
 
@@ -419,7 +419,10 @@ def test_help_has_examples(inspe, command):
 BAD = [
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "missing.yaml"), "missing.yaml: no such file"),
-    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': give a .yaml file or a strategy: Cam-c"),
+    (
+        ("score", "s.npz", "Cam-x"),
+        "no layout 'Cam-x': give a .yaml or .geojson file, or a strategy: Cam-c",
+    ),
     (("score", "s.npz", "none.yaml"), "the layout is empty"),
     (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
     (("score", "s.npz", "buried.yaml"), "is in the ground"),

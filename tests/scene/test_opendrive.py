@@ -143,7 +143,8 @@ def test_street_has_the_bodies_of_its_objects(write):
     house, tree = place.bodies
     np.testing.assert_allclose([house.middle, tree.middle], [[-20, 14], [-15, -12]], atol=1e-6)
     assert (house.height, house.polygon.area) == (8, pytest.approx(60))
-    assert place.notes[-1].startswith("1 body of the map on lanes, crossings or footpaths, or")
+    words = "1 body of the map on lanes, crossings or footpaths, or"
+    assert any(note.startswith(words) for note in place.notes)
     assert read_opendrive(write(street()), junction=7, radius=30).bodies == ()
 
 
@@ -469,7 +470,7 @@ def test_poles_are_signals_on_the_ground_each_once():
     np.testing.assert_allclose(signals.poles[:, 2], signals.ground(signals.poles[:, :2]))
     bare = read_opendrive(town("Town05"), junction=53)
     assert bare.poles.shape == (0, 3)
-    assert any("no signal poles" in note for note in bare.notes)
+    assert any("no poles" in note for note in bare.notes)
 
 
 @needs_maps

@@ -49,7 +49,7 @@ def bodies(place):
 
 def world(path, points):
     """World coordinates of points of the town."""
-    return load_net(path).from_degrees(degrees(points))
+    return load_net(path).georeference.from_degrees(degrees(points))
 
 
 def at(path, bodies, point, kind=None):
@@ -80,17 +80,18 @@ def test_nodes_of_a_real_extract_are_where_netconvert_puts_them():
 
     file = f"{sumo.SUMO_HOME}/tools/game/racing/spreewaldring.osm"
     road = load_net(Path(file))
+    lies = road.georeference
     root = ET.parse(file).getroot()
     nodes = {n.get("id"): (n.get("lon"), n.get("lat")) for n in root.iter("node")}
     kept = {node.getID() for node in road.net.getNodes()}
-    found = road.from_degrees(np.array([nodes[n] for n in kept if n in nodes], float))
+    found = lies.from_degrees(np.array([nodes[n] for n in kept if n in nodes], float))
     own = np.array([road.net.getNode(n).getCoord() for n in kept if n in nodes])
     assert len(own) > 10
     assert np.abs(found - own).max() < 0.02  # what netconvert writes, rounded to 1 cm
-    assert np.allclose(road.to_degrees(found), np.array([nodes[n] for n in kept if n in nodes],
+    assert np.allclose(lies.to_degrees(found), np.array([nodes[n] for n in kept if n in nodes],
                                                         float), atol=1e-9)  # fmt: skip
     lon, lat = nodes[next(iter(kept & nodes.keys()))]
-    ours = road.from_degrees(np.array([[lon, lat]], float))[0]
+    ours = lies.from_degrees(np.array([[lon, lat]], float))[0]
     assert np.allclose(ours, road.net.convertLonLat2XY(float(lon), float(lat)), atol=1e-6)
 
 
@@ -344,18 +345,27 @@ def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
     file = tmp_path / "odd.osm"
     file.write_text(f"<osm>{''.join([*nodes, *ways, *made])}</osm>")
     notes: list[str] = []
-    found = shapes_of(file, np.zeros(2), 60.0, np.asarray, np.asarray, notes)
+    found = shapes_of(file, np.zeros(2), 60.0, InMetres(), notes)
     bodies = standing(found, inspe_jax.built_in("four_way"), 60.0, notes)
     assert len(bodies) > 50
     assert all(b.polygon.is_valid and b.polygon.area > 0 for b in bodies)
     assert any("mended" in note for note in notes)
 
 
+class InMetres:
+    """Where degrees are metres."""
+
+    def to_degrees(self, points):
+        return np.asarray(points)
+
+    from_degrees = to_degrees
+
+
 def test_pyproj_is_named_where_it_is_missing(path, monkeypatch, tmp_path):
     other = tmp_path / "other.osm"
     other.write_text(path.read_text())
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    with pytest.raises(InspeError, match=r"pip install 'inspe_jax\[sumo\]'"):
+    with pytest.raises(InspeError, match=r"pip install 'inspe_jax\[geo\]'"):
         read_map(other, junction="1", radius=20)
 
 

@@ -57,7 +57,7 @@ def test_the_junction_is_what_its_file_says(place):
     assert Counter(r.through for r in drives) == {
         (a, b): 1 for a in range(4) for b in range(4) if a != b
     }
-    assert "no signal poles" in " ".join(place.notes)
+    assert "no poles" in " ".join(place.notes)
 
 
 def test_every_lane_of_the_raw_file_lies_in_its_region(place):

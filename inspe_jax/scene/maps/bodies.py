@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +24,12 @@ OVER_PATHS = 2.4
 BESIDE_PATH = 0.8
 """Bodies are cut off this near to the middle of a footpath [m]: people walk up to 0.8 m beside
 it."""
-SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0}
+SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0,
+         "parked vehicle": 0.5}  # fmt: skip
 """Parts of less than this are left out [m²]."""
+SAME_POLE = 0.5
+"""A signal this near to a pole of the map hangs on it [m]."""
+NO_POLES = "no poles: the map does not say where any stand"
 CUT_TOLERANCE = 0.05
 """Edges of what was cut off keep within this of where they were [m]: arcs have few corners so."""
 
@@ -117,6 +122,23 @@ def standing(
         if counts[key]
     ]
     return tuple(found)
+
+
+def with_bodies(
+    place: Intersection, shapes: Iterable[Shape], reach: float, notes: list[str]
+) -> Intersection:
+    """A place with the bodies of its map (:func:`standing`), whose poles can carry sensors.
+
+    ``notes`` get what was done.
+    """
+    bodies = standing(shapes, place, reach, notes)
+    feet = np.array([one.middle for one in bodies if one.kind == "pole" and one.base == 0])
+    own = place.on_ground(feet) if len(feet) else np.zeros((0, 3))
+    poles = np.asarray(place.poles, float).reshape(-1, 3)
+    if len(own) and len(poles):  # a signal's mark is where its pole is
+        apart = np.hypot(*(poles[:, None] - own)[..., :2].transpose(2, 0, 1)).min(1)
+        poles = poles[apart > SAME_POLE]
+    return replace(place, bodies=bodies, poles=np.vstack([poles, own]))
 
 
 def _mended(area: BaseGeometry) -> BaseGeometry:

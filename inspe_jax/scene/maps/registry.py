@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
@@ -19,8 +22,9 @@ class MapFormat:
     """A format of map files.
 
     ``suffixes`` are those of its files, in lower case. ``module`` has a function
-    ``list_junctions(path)`` and one with the name ``reader``, which is called as :func:`read_map`.
-    It is imported on first use, because it may need a package of an extra.
+    ``list_junctions(path)``, a function ``georeference_of(path)``, and one with the name
+    ``reader``, which is called as :func:`read_map`. It is imported on first use, because it may
+    need a package of an extra.
     """
 
     name: str
@@ -47,6 +51,10 @@ FORMATS = [
 """The formats. The first that fits a file's name reads it."""
 
 
+FAR = 100.0
+"""A junction this near to a point that a user names is the one that is meant [m]."""
+
+
 def map_suffixes() -> tuple[str, ...]:
     """The suffixes of map files."""
     return tuple(suffix for row in FORMATS for suffix in row.suffixes)
@@ -69,6 +77,39 @@ def _format_of(path: str | os.PathLike[str]) -> MapFormat:
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     """The junctions of a map. Raises InspeError as :func:`read_map`."""
     return _format_of(path).call("list_junctions", path)
+
+
+def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
+    """The projection of a map's coordinates, None if it has none. Raises InspeError as
+    :func:`read_map`."""
+    found: Georeference | None = _format_of(path).call("georeference_of", path)
+    return found
+
+
+def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:
+    """The junction of a map whose middle is nearest to a latitude and longitude [degrees].
+
+    Raises InspeError if the map has no projection, if that point is farther than
+    :data:`FAR` from every junction, or as :func:`read_map`.
+    """
+    lies = georeference_of(path)
+    if lies is None:
+        raise InspeError(
+            f"{path}: the map does not say where on the Earth it is: choose a place with "
+            "--junction ID or --center X Y; --list shows the junctions"
+        )
+    if not (abs(lat) <= 90 and abs(lon) <= 180):
+        raise InspeError(f"{lat:g},{lon:g}: a latitude of -90 to 90, and then a longitude")
+    at = lies.from_degrees(np.array([[lon, lat]]))[0]
+    found = list_junctions(path)
+    away = [float(np.hypot(*(np.array(one.center[:2]) - at))) for one in found]
+    if not away or not min(away) <= FAR:
+        middle = lies.to_degrees(np.mean([one.center[:2] for one in found], 0)[None])[0]
+        raise InspeError(
+            f"{path}: no junction within {FAR:g} m of {lat:g},{lon:g}; the middle of the map's "
+            f"junctions is at {middle[1]:.5f},{middle[0]:.5f} (latitude, longitude)"
+        )
+    return found[int(np.argmin(away))]
 
 
 def read_map(

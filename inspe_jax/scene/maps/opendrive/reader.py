@@ -12,10 +12,11 @@ from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Approach, arms_of
-from inspe_jax.scene.maps.bodies import standing
+from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.opendrive.regions import approaches_of, areas_of, interior_of
 from inspe_jax.scene.maps.opendrive.road_network import (
@@ -62,6 +63,14 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
         counts = near(middles, 8.0), near(town.signals, 15.0)
         found.append(JunctionInfo(junction, (x, y, z), len(arms), size, *counts))
     return tuple(found)
+
+
+def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
+    """The projection of an OpenDRIVE file's coordinates; None if it names none that can be used.
+
+    Raises InspeError as :func:`read_opendrive`.
+    """
+    return load_map(path).georeference
 
 
 def read_opendrive(
@@ -111,8 +120,6 @@ def read_opendrive(
     mounting = mounting_of(regions, medians, arms, disc)
 
     signals = town.signals[distance_from(town.signals, middle) <= reach]
-    if not len(signals):
-        notes.append("no signal poles: the map has no traffic lights near")
     found = Intersection(
         name=f"{town.name} {place}",
         source=f"{town.source} (OpenDRIVE)",
@@ -124,6 +131,7 @@ def read_opendrive(
         poles=signals,
         ground_points=ground,
         map=Path(path).resolve(),
+        georeference=town.georeference,
     )
 
     people = [*crossing_lines(walks), *_pavements(lane_strips, middle, radius)]
@@ -136,7 +144,10 @@ def read_opendrive(
     foot = found.on_ground(middle[None])[0]
     found = replace(found, center=foot, poles=poles, routes=tuple(routes))
     notes += town.notes
-    return replace(found, bodies=standing(town.shapes, found, reach, notes), notes=tuple(notes))
+    found = with_bodies(found, town.shapes, reach, notes)
+    if not len(found.poles):
+        notes.append(NO_POLES)
+    return replace(found, notes=tuple(notes))
 
 
 def _vehicle_routes(

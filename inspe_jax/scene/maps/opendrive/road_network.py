@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import cached_by_file
+from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.opendrive.objects import shapes_of
@@ -58,7 +59,8 @@ class TownMap:
     crosswalks: tuple[np.ndarray, ...]  # outlines, each (K, 3)
     signals: Float[np.ndarray, "P 3"]
     shapes: tuple[Shape, ...] = ()
-    notes: tuple[str, ...] = ()  # on the shapes
+    georeference: Georeference | None = None
+    notes: tuple[str, ...] = ()  # on the shapes and the projection
 
     def at(self, road: int, lane: int, s: float) -> Any:
         """CARLA's waypoint in the middle of a lane, s [m] along the road; None beyond its ends."""
@@ -111,10 +113,32 @@ def load_map(path: Path) -> TownMap:
     except (RuntimeError, IndexError) as error:
         raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
     signals = _deduplicate([position(m.transform.location) for m in marks])
+    shapes, notes = shapes_of(root)
+    lies, on_it = _georeference(root)
     return TownMap(
         path.stem, path.name, parsed, roads, tuple(junctions), tuple(_loops(corners)), signals,
-        *shapes_of(root),
+        shapes, lies, (*notes, *on_it),
     )  # fmt: skip
+
+
+def _georeference(root: ET.Element) -> tuple[Georeference | None, list[str]]:
+    """The projection that the header names, if it can be used, and a note if it cannot.
+
+    The header's ``<offset>`` leads from the roads' coordinates, which are those of the world here,
+    to those of the projection.
+    """
+    offset = root.find("header/offset")
+    try:
+        given = {} if offset is None else offset.attrib
+        x, y, turn = (float(given.get(key, 0.0)) for key in ("x", "y", "hdg"))
+        found = of_open_drive(root.findtext("header/geoReference", ""), (-x, -y))
+        if found is not None:
+            if turn:
+                raise InspeError(f"an offset that turns by {turn:g} rad is not read")
+            found.check()
+    except (InspeError, ValueError) as error:
+        return None, [f"no coordinates: the map's projection: {error}"]
+    return found, []
 
 
 def _root(path: Path, text: str) -> ET.Element:

@@ -3,7 +3,7 @@
 Not read: woods, bushes and other areas of plants, power towers, and fences that one sees through.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import SMALL, Shape
 from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
@@ -28,16 +29,12 @@ NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none"
 HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "ground")
 """The ``support`` of lamps that stand on no pole."""
 
-Projection = Callable[[Float[np.ndarray, "N 2"]], Float[np.ndarray, "N 2"]]
-"""World metres of degrees of longitude and latitude, or the other way round."""
-
 
 def shapes_of(
     path: Path,
     middle: Float[np.ndarray, "2"],
     reach: float,
-    to_world: Projection,
-    to_degrees: Projection,
+    lies: Georeference,
     notes: list[str],
 ) -> list[Shape]:
     """The bodies of an extract about a point in world metres, as far as its box of degrees goes.
@@ -48,22 +45,22 @@ def shapes_of(
     far = reach + BEYOND
     rim = np.linspace(-far, far, 9)
     square = [(x, y) for x in rim for y in (-far, far)] + [(x, y) for y in rim for x in (-far, far)]
-    degrees = to_degrees(np.asarray(middle, float)[:2] + np.array(square))
+    degrees = lies.to_degrees(np.asarray(middle, float)[:2] + np.array(square))
     extract = read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
     disc = Point(*np.asarray(middle)[:2]).buffer(reach)
-    return _Reader(extract, to_world, disc, notes).shapes()
+    return _Reader(extract, lies, disc, notes).shapes()
 
 
 class _Reader:
     """Makes shapes of an extract's elements that come into a disc."""
 
     def __init__(
-        self, extract: Extract, to_world: Projection, disc: Polygon, notes: list[str]
+        self, extract: Extract, lies: Georeference, disc: Polygon, notes: list[str]
     ) -> None:
         self.extract, self.disc, self.notes, self.sizes = extract, disc, notes, Sizes()
         names = list(extract.nodes)
         degrees = np.array([extract.nodes[n] for n in names], float).reshape(-1, 2)
-        self.at = dict(zip(names, to_world(degrees), strict=True))
+        self.at = dict(zip(names, lies.from_degrees(degrees), strict=True))
         self.open = 0  # outlines that could not be closed
 
     def shapes(self) -> list[Shape]:

@@ -25,6 +25,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import cached_by_file
+from inspe_jax.scene.georeference import Georeference
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
@@ -63,31 +64,13 @@ class RoadNet:
     net: Any
     shift: Float[np.ndarray, "2"]
 
-    @property
-    def has_degrees(self) -> bool:
-        """Whether it was projected from latitudes and longitudes."""
-        return bool(self.net.hasGeoProj())
-
     @functools.cached_property
-    def _projection(self) -> Any:
-        """The projection that the network names. Raises InspeError where pyproj is missing."""
-        try:
-            import pyproj
-        except ImportError as error:
-            raise InspeError(
-                "OpenStreetMap's coordinates need: pip install 'inspe_jax[sumo]'"
-            ) from error
-        return pyproj.Proj(self.net._location["projParameter"])
-
-    def from_degrees(self, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        """World coordinates [m] of longitudes and latitudes [degrees], of a projected network."""
-        at = np.column_stack(self._projection(*np.asarray(degrees, float).T))
-        return at + self.net.getLocationOffset() - self.shift
-
-    def to_degrees(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        """Longitudes and latitudes [degrees] of world coordinates [m], of a projected network."""
-        at = np.asarray(points, float) + self.shift - self.net.getLocationOffset()
-        return np.column_stack(self._projection(*at.T, inverse=True))
+    def georeference(self) -> Georeference | None:
+        """Its projection; None if it has none, as a network that was drawn by hand."""
+        if not self.net.hasGeoProj():
+            return None
+        x, y = np.array(self.net.getLocationOffset()) - self.shift
+        return Georeference(self.net._location["projParameter"], (float(x), float(y)))
 
     def to_world(self, points: Any) -> np.ndarray:
         """Points (N, 2 or 3) of the network in world coordinates (N, 3); height 0 if not given."""

@@ -14,10 +14,11 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
-from inspe_jax.scene.maps.bodies import Shape, standing
+from inspe_jax.scene.maps.bodies import NO_POLES, Shape, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.openstreetmap.bodies import shapes_of
 from inspe_jax.scene.maps.parts import (
@@ -80,6 +81,14 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     return tuple(found)
 
 
+def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
+    """The projection of a network's coordinates; None if it names none.
+
+    Raises InspeError as :func:`read_sumo`.
+    """
+    return load_net(Path(path)).georeference
+
+
 def read_sumo(
     path: str | os.PathLike[str],
     *,
@@ -128,7 +137,6 @@ def read_sumo(
     walks = crosswalks_of(loops, areas, arms, ground, disc, notes)
     areas[Region.CROSSWALK] = clean(unary_union(walks))
     regions = {region: areas[region].intersection(disc) for region in Region}
-    notes.append("no signal poles: SUMO's networks do not say where they stand")
     found = Intersection(
         name=f"{road.name} {place}",
         source=f"{road.source} (SUMO)",
@@ -140,6 +148,7 @@ def read_sumo(
         poles=np.zeros((0, 3)),
         ground_points=ground,
         map=Path(path).resolve(),
+        georeference=road.georeference,
     )
 
     pavements = [
@@ -156,17 +165,20 @@ def read_sumo(
     foot = found.on_ground(middle[None])[0]
     found = replace(found, center=foot, routes=tuple(routes))
     shapes = _shapes(streets, Path(path), middle, reach, notes)
-    return replace(found, bodies=standing(shapes, found, reach, notes), notes=tuple(notes))
+    found = with_bodies(found, shapes, reach, notes)
+    if not len(found.poles):
+        notes.append(NO_POLES)
+    return replace(found, notes=tuple(notes))
 
 
 def _shapes(
     streets: Streets, path: Path, middle: np.ndarray, reach: float, notes: list[str]
 ) -> list[Shape]:
     """The bodies of an OpenStreetMap extract; a network has none."""
-    road = streets.road
-    if not path.name.lower().endswith(OSM_SUFFIXES) or not road.has_degrees:
+    lies = streets.road.georeference
+    if not path.name.lower().endswith(OSM_SUFFIXES) or lies is None:
         return []
-    return shapes_of(path, middle[:2], reach, road.from_degrees, road.to_degrees, notes)
+    return shapes_of(path, middle[:2], reach, lies, notes)
 
 
 def _middle(streets: Streets, name: str) -> np.ndarray:

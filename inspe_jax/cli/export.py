@@ -1,0 +1,56 @@
+"""A plan to hand on: `inspe export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inspe_jax.cli.common import LayoutArgument, SceneArgument, app, busy, out, scene_and_layout
+from inspe_jax.cli.options import PriceOption, prices
+
+
+@app.command()
+def export(
+    source: SceneArgument,
+    sensors: LayoutArgument,
+    files: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.geojson|kml|csv",
+            help="A file to write; repeat it for more. GeoJSON and KML: poles, sensors with "
+            "height, azimuth and tilt, and what each looks at. CSV: a bill of materials. If not "
+            "given, plan.geojson.",
+        ),
+    ] = None,
+    price: PriceOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Write a plan in coordinates of the Earth, for maps, surveyors and contractors.
+
+    The scene must be of a map with a projection, as OpenStreetMap. Degrees are those of WGS 84;
+    azimuths are clockwise from true north; heights are above the ground at the foot of the pole.
+    The GeoJSON can be edited in a map and read back in place of a layout file.
+
+    Examples:
+
+    - `inspe export city.npz better/layout.yaml --out plan.geojson --out plan.kml`
+    - `inspe export city.npz Cam-d1/L-d1 --out bill.csv --price paper-camera=900`
+    - `inspe score city.npz plan.geojson`  (reads it back)
+    """
+    from inspe_jax.core.errors import InspeError
+    from inspe_jax.core.files import check_output, write_text
+    from inspe_jax.report.handover import PLAN_FORMATS
+
+    given = prices(price)
+    paths = files or [Path("plan.geojson")]
+    for path in paths:
+        check_output(path, PLAN_FORMATS)
+        if path.exists() and not force:
+            raise InspeError(f"{path}: is there already; --force replaces it")
+    with busy(f"reading {source}"):
+        world, placed = scene_and_layout(source, sensors, None)
+    texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
+    for path, text in zip(paths, texts, strict=True):
+        write_text(path, text)
+        out.print(f"wrote {path}", highlight=False)

@@ -1,0 +1,298 @@
+"""Scenes, and layouts by rule: `inspe scene` and `layout`.
+
+Imports are inside the commands: the map readers and matplotlib load slowly.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inspe_jax.cli.common import (
+    DEFAULT_LAYOUT,
+    DEFAULT_SCENE,
+    PlotOption,
+    ProfileOption,
+    SceneArgument,
+    app,
+    busy,
+    err,
+    known,
+    out,
+    progress,
+)
+from inspe_jax.core.errors import InspeError
+
+if TYPE_CHECKING:
+    from inspe_jax.scene.scene import Scene
+
+
+@app.command()
+def scene(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help="A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved as "
+            ".npz.",
+        ),
+    ] = DEFAULT_SCENE,
+    list_: Annotated[
+        bool,
+        typer.Option("--list", help="List the junctions of a map, or the built-in intersections."),
+    ] = False,
+    junction: Annotated[
+        str | None, typer.Option(help="Id of a junction on the map; see --list.")
+    ] = None,
+    center: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="X Y",
+            help="Centre [m] in place of a junction id, for a place with several junctions.",
+        ),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON",
+            help="The junction nearest to a latitude and longitude [degrees], on a map that has "
+            "them.",
+        ),
+    ] = None,
+    bodies: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.geojson|csv",
+            help="Houses, walls, trees and poles of your own, besides those of the map: polygons, "
+            "lines and points in degrees, with properties kind and height_m. Points without a kind "
+            "are poles. Poles can carry sensors; with --statics map all hide what is behind them.",
+        ),
+    ] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Profile: it sets the options below that are not given, and how scores are read; "
+            "paper if not given. See `inspe profiles`.",
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(help="Radius of the region of interest [m].")
+    ] = None,
+    voxel: Annotated[float | None, typer.Option(help="Edge of a voxel [m].")] = None,
+    spacing: Annotated[
+        float | None,
+        typer.Option(
+            help="Score one voxel in each cell of this edge [m]. If not given: the profile's value "
+            "where --voxel is the profile's too, and otherwise every voxel."
+        ),
+    ] = None,
+    density: Annotated[
+        str | None,
+        typer.Option(
+            help="Traffic: none, low, medium, high (0, 20, 40, 60 road users), or a number."
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option(help="Number of frames of traffic; 100 if not given.")
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Time from one frame to the next [s]; 1 if not given.")
+    ] = None,
+    mix: Annotated[
+        str | None,
+        typer.Option(
+            help="Road users: mixed, fleet (sizes as varied as real ones), or largest (only the "
+            "paper's largest vehicle)."
+        ),
+    ] = None,
+    traffic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="waypoints|sumo|LOG",
+            help="Traffic model: waypoints (the paper's; used if not given), sumo (on maps), or a "
+            ".log file of CARLA's recorder.",
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the traffic; 0 if not given.")] = None,
+    statics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="none|map|street",
+            help="Bodies that stand in every frame and hide what is behind them: none (if not "
+            "given); map, the buildings, trees, walls and poles of an OpenStreetMap extract or "
+            "of OpenDRIVE's objects; or street, made-up parked vehicles, trees, walls, posts and "
+            "bus shelters.",
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
+    ] = None,
+    plot: PlotOption = None,
+) -> None:
+    """Build a scene of one intersection: its region of interest, voxels and traffic.
+
+    Examples:
+
+    - `inspe scene roundabout --plot roundabout.png`
+    - `inspe scene MAP.xodr --list`
+    - `inspe scene MAP.xodr --junction 189 --radius 50 --density medium --out j189.npz`
+    - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
+    - `inspe scene city.osm --at 48.137,11.575 --statics map --out city.npz`
+    - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
+    - `inspe scene j189.npz --plot j189.png`
+    """
+    from inspe_jax.core.files import check_output
+    from inspe_jax.report.figures import scene_view
+    from inspe_jax.report.scene_tables import scene_table
+    from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.scene.maps.own_bodies import with_own_bodies
+    from inspe_jax.scene.maps.parts import MARGIN
+    from inspe_jax.scene.maps.registry import is_map, junction_at, read_map
+    from inspe_jax.scene.procedural.built_ins import built_in
+    from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
+    from inspe_jax.scene.scene import (
+        SCENE_SUFFIXES,
+        build_scene,
+        load_scene,
+        save_scene,
+    )
+    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES
+    from inspe_jax.scene.traffic.registry import traffic_model
+
+    if list_:
+        _list_places(source)
+        return
+    check_output(save, SCENE_SUFFIXES)
+    check_output(plot, FORMATS)
+    options: dict[str, Any] = {
+        name: value
+        for name, value in dict(
+            profile=profile,
+            radius=radius,
+            voxel=voxel,
+            spacing=spacing,
+            density=density,
+            frames=frames,
+            step=step,
+            mix=mix,
+            traffic=traffic,
+            seed=seed,
+            statics=statics,
+        ).items()
+        if value is not None
+    }
+    path = Path(source)
+    if path.suffix == ".npz":
+        places = dict(junction=junction, center=center, at=at, bodies=bodies)
+        given = [*options, *(name for name, value in places.items() if value is not None)]
+        if given:
+            raise InspeError(
+                f"{source}: a saved scene keeps the settings it was built with; leave out "
+                + ", ".join(f"--{name}" for name in given)
+            )
+        built = load_scene(source)
+    else:
+        if traffic is not None and traffic.endswith(LOG_SUFFIXES):
+            own = [name for name in ("density", "mix", "seed") if name in options]
+            if own:
+                raise InspeError(
+                    f"--traffic {traffic}: a log has traffic of its own; leave out "
+                    + ", ".join(f"--{name}" for name in own)
+                )
+        elif traffic is not None:
+            traffic_model(traffic)
+        if is_map(path):
+            if [junction, center, at].count(None) != 2:
+                raise InspeError(
+                    f"{source}: choose a place on the map with --junction ID, --at LAT,LON or "
+                    "--center X Y; --list shows the junctions"
+                )
+            size = profile_of(profile or DEFAULT_PROFILE).of_scene(radius=radius)["radius"]
+            with busy(f"reading {path.name}"):
+                if at is not None:
+                    junction = str(junction_at(path, *_degrees(at)).id)
+                place = read_map(path, junction=junction, center=center, radius=size)
+                place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
+        else:
+            if [junction, center, at, bodies] != [None] * 4:
+                raise InspeError(
+                    f"{source}: --junction, --center, --at and --bodies are only for maps"
+                )
+            place = built_in(known(source))
+        with progress("traffic") as report:
+            built = build_scene(place, **options, progress=report)
+    out.print(scene_table(built))
+    _warn_of_full_roads(built)
+    if save:
+        save_scene(built, save)
+        out.print(f"saved {save}", highlight=False)
+    if plot:
+        save_figure(scene_view(built), plot)
+        out.print(f"drew {plot}", highlight=False)
+
+
+@app.command()
+def layout(
+    source: SceneArgument = DEFAULT_SCENE,
+    strategy: Annotated[
+        str,
+        typer.Option(help="Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c."),
+    ] = DEFAULT_LAYOUT,
+    camera: Annotated[str | None, typer.Option(help="Camera device; see `inspe devices`.")] = None,
+    lidar: Annotated[str | None, typer.Option(help="LiDAR device; see `inspe devices`.")] = None,
+    profile: ProfileOption = None,
+    save: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
+    ] = None,
+) -> None:
+    """Place sensors on a scene by one of the paper's strategies.
+
+    Examples:
+
+    - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
+    - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
+    """
+    from inspe_jax.core.files import check_output
+    from inspe_jax.placement.strategies import strategy as place
+    from inspe_jax.report.scene_tables import layout_table
+    from inspe_jax.scene.scene import load_scene
+    from inspe_jax.sensing.layout import save_layout
+
+    devices: dict[str, Any] = {
+        k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
+    }
+    check_output(save, (".yaml", ".yml"))
+    placed = place(load_scene(source, profile), strategy, **devices)
+    out.print(layout_table(placed))
+    if save:
+        save_layout(placed, save)
+        out.print(f"saved {save}", highlight=False)
+
+
+def _degrees(text: str) -> tuple[float, float]:
+    """The latitude and longitude of ``--at``. Raises InspeError for any other text."""
+    try:
+        lat, lon = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InspeError(f"--at {text}: write LAT,LON, such as 48.137,11.575") from None
+    return lat, lon
+
+
+def _warn_of_full_roads(built: "Scene") -> None:
+    """Print a note if the traffic has less than was asked for."""
+    if short := built.shortfall:
+        err.print(f"[yellow]Note:[/] road users: {short}; a larger radius holds more")
+
+
+def _list_places(source: str) -> None:
+    from inspe_jax.report.scene_tables import built_ins_table, junctions_table
+    from inspe_jax.scene.maps.registry import georeference_of, is_map, list_junctions
+
+    if is_map(source):
+        with busy(f"reading {source}"):
+            found, lies = list_junctions(source), georeference_of(source)
+        out.print(junctions_table(found, Path(source).name, lies))
+        return
+    known(source)
+    out.print(built_ins_table())

@@ -1,0 +1,129 @@
+"""Files that a plan is handed on in: GeoJSON, KML and a bill of materials."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from shapely.geometry import Polygon, mapping
+from shapely.geometry.polygon import orient
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import csv_text
+from inspe_jax.report.outlines import view_outline
+from inspe_jax.scene.geojson import georeference_of
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features
+
+LINE = {"camera": "ffb27200", "lidar": "ff00559e"}
+"""Colours of outlines in KML, by kind of sensor: alpha, blue, green, red."""
+FILL = "30"
+"""Alpha of what is within them."""
+
+
+def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
+    """A plan as GeoJSON features in degrees: units, sensors, and what each sensor looks at.
+
+    A ``view`` is a polygon on the ground at the height of the junction's middle
+    (:func:`~inspe_jax.report.outlines.view_outline`), without regard to what stands in the way.
+    Raises InspeError if the place has no coordinates.
+    """
+    found, poses = layout_features(layout, place), np.asarray(layout.poses, float)
+    for sensor, pose in zip(layout.sensors, poses, strict=True):
+        outline = view_outline(sensor.spec, pose, float(place.center[2]))
+        ring = orient(Polygon(_degrees(outline, place)))
+        about = dict(feature="view", name=sensor.name, kind=sensor.spec.kind)
+        found.append({"type": "Feature", "geometry": mapping(ring), "properties": about})
+    return found
+
+
+def _degrees(points: Float[np.ndarray, "N 2"], place: Intersection) -> Float[np.ndarray, "N 2"]:
+    return georeference_of(place).to_degrees(points).round(DIGITS)
+
+
+def plan_geojson(layout: Layout, place: Intersection) -> str:
+    """A plan as GeoJSON, which can be read back as a layout. Raises as :func:`plan_features`."""
+    return json.dumps(collection(layout, plan_features(layout, place)), indent=1) + "\n"
+
+
+def plan_kml(layout: Layout, place: Intersection) -> str:
+    """A plan as KML 2.2, with heights above the ground. Raises as :func:`plan_features`, and
+    InspeError where fastkml is missing."""
+    try:
+        from fastkml import KML, Document, Folder, Placemark, Style, StyleUrl, enums
+        from fastkml.geometry import create_kml_geometry
+        from fastkml.styles import LineStyle, PolyStyle
+        from pygeoif import shape
+    except ImportError as error:
+        raise InspeError("KML needs: pip install 'inspe_jax[geo]'") from error
+
+    def placemark(one: dict[str, Any]) -> Any:
+        own, geometry = dict(one["properties"]), one["geometry"]
+        mode = None
+        if own["feature"] == "sensor":
+            mode = enums.AltitudeMode.relative_to_ground
+            geometry = geometry | {"coordinates": [*geometry["coordinates"], own["height_m"]]}
+        view = own.pop("feature") == "view"
+        return Placemark(
+            name=own.pop("name"),
+            description="\n".join(f"{key}: {value}" for key, value in own.items()),
+            style_url=StyleUrl(url=f"#{own['kind']}") if view else None,
+            kml_geometry=create_kml_geometry(shape(geometry), altitude_mode=mode),
+        )
+
+    features = plan_features(layout, place)
+    folders = []
+    for kind in ("unit", "sensor", "view"):
+        folder = Folder(name=f"{kind}s")
+        for one in features:
+            if one["properties"]["feature"] == kind:
+                folder.append(placemark(one))
+        folders.append(folder)
+    styles = [
+        Style(
+            id=kind,
+            styles=[LineStyle(color=colour, width=1.5), PolyStyle(color=FILL + colour[2:])],
+        )
+        for kind, colour in LINE.items()
+    ]
+    document = Document(name=f"{layout.name} at {place.name}", styles=styles, features=folders)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + KML(features=[document]).to_string(
+        prettyprint=True
+    )
+
+
+def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
+    """The devices of a layout as CSV: how many, where, and what they cost [US dollars].
+
+    ``prices`` replace the catalogue's. A device without a price has none here.
+    """
+    known, rows = devices(), []
+    count = Counter(sensor.spec.name for sensor in layout.sensors)
+    for name, number in count.items():
+        at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
+        price = prices.get(name, known[name].price_usd if name in known else None)
+        rows.append(
+            dict(
+                device=name,
+                title=known[name].title if name in known else "",
+                maker=known[name].maker if name in known else "",
+                count=number,
+                price_usd="" if price is None else f"{price:.2f}",
+                total_usd="" if price is None else f"{price * number:.2f}",
+                units="; ".join(unit for unit, _ in groupby(at)),
+            )
+        )
+    return csv_text(rows)
+
+
+PLAN_FORMATS: dict[str, Callable[[Layout, Intersection, Mapping[str, float]], str]] = {
+    ".geojson": lambda layout, place, prices: plan_geojson(layout, place),
+    ".kml": lambda layout, place, prices: plan_kml(layout, place),
+    ".csv": lambda layout, place, prices: bill_of_materials(layout, prices),
+}
+"""What writes each file that a plan is handed on in, by its suffix."""

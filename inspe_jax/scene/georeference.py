@@ -1,0 +1,106 @@
+"""Where a place lies on the Earth: longitudes, latitudes and azimuths of its world metres."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.errors import InspeError
+
+LOCAL = 0.5
+"""Directions are those of a line of twice this length [m]."""
+WGS84 = "EPSG:4326"
+"""Longitude and latitude as GNSS receivers, GeoJSON and KML have them."""
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """The projection of a map's coordinates.
+
+    ``crs`` is all that PROJ reads: a code such as ``EPSG:25832`` or a PROJ string. ``shift`` (x, y)
+    [m] is what world coordinates are larger by than those of the projection.
+    """
+
+    crs: str
+    shift: tuple[float, float] = (0.0, 0.0)
+
+    def check(self) -> None:
+        """Raise InspeError where pyproj is missing, or PROJ does not know the projection."""
+        self._to_world  # noqa: B018  # which makes it
+
+    @cached_property
+    def _to_world(self) -> Any:
+        """PROJ's conversion of longitudes and latitudes to the projection's metres."""
+        pyproj = _pyproj()
+        try:
+            system = pyproj.CRS.from_user_input(self.crs)
+            if not system.is_projected:
+                raise InspeError(f"'{self.crs}' has no metres: name a projection")
+            return pyproj.Transformer.from_crs(WGS84, system.to_2d(), always_xy=True)
+        except pyproj.exceptions.ProjError as error:
+            raise InspeError(f"'{self.crs}' is no projection that PROJ knows: {error}") from error
+
+    def to_degrees(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        """Longitudes and latitudes [degrees] of world coordinates [m]. Raises as :meth:`check`."""
+        at = np.asarray(points, float) - self.shift
+        return np.column_stack(self._to_world.transform(*at.T, direction="INVERSE"))
+
+    def from_degrees(self, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        """World coordinates [m] of longitudes and latitudes [degrees]. Raises as :meth:`check`.
+
+        They are infinite where the projection has no place.
+        """
+        return np.column_stack(self._to_world.transform(*np.asarray(degrees, float).T)) + self.shift
+
+    def words(self, point: Float[np.ndarray, "2"]) -> str:
+        """Latitude and longitude of a point [m], as ``48.137000, 11.575000``."""
+        lon, lat = self.to_degrees(np.asarray(point, float)[None, :2])[0]
+        return f"{lat:.6f}, {lon:.6f}"
+
+    def azimuth(
+        self, points: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]
+    ) -> Float[np.ndarray, " N"]:
+        """Directions [degrees clockwise from true north, 0 … 360] of yaws [rad] at points [m]."""
+        along = LOCAL * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        start, end = (self.to_degrees(points + sign * along) for sign in (-1, 1))
+        return np.asarray(_ellipsoid().inv(*start.T, *end.T)[0]) % 360
+
+    def yaw(
+        self, points: Float[np.ndarray, "N 2"], azimuth: Float[np.ndarray, " N"]
+    ) -> Float[np.ndarray, " N"]:
+        """Yaws [rad] at points [m] of directions [degrees clockwise from true north]."""
+        at, apart = self.to_degrees(points), np.full(len(points), LOCAL)
+        ends = [_ellipsoid().fwd(*at.T, azimuth + turn, apart)[:2] for turn in (180.0, 0.0)]
+        start, end = (self.from_degrees(np.column_stack(one)) for one in ends)
+        return np.arctan2(*(end - start).T[::-1])
+
+
+def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georeference | None:
+    """The projection that an OpenDRIVE ``<geoReference>`` names; None for an empty one.
+
+    ``shift`` is that of :class:`Georeference`. Where the text has no projection, as in CARLA's own
+    maps, it is the transverse Mercator of true scale about its ``+lat_0`` and ``+lon_0``.
+    """
+    words = dict(part.lstrip("+").partition("=")[::2] for part in text.split())
+    words.pop("geoidgrids", None)  # for heights, and often a file that is not there
+    if not words:
+        return None
+    if "proj" not in words and "lat_0" not in words:  # a code, or well-known text
+        return Georeference(text.strip(), shift)
+    words = {"proj": "tmerc"} | words
+    crs = " ".join(f"+{key}={value}" if value else f"+{key}" for key, value in words.items())
+    return Georeference(crs, shift)
+
+
+def _ellipsoid() -> Any:
+    return _pyproj().Geod(ellps="WGS84")
+
+
+def _pyproj() -> Any:
+    try:
+        import pyproj
+    except ImportError as error:
+        raise InspeError("coordinates need: pip install 'inspe_jax[geo]'") from error
+    return pyproj

@@ -1,0 +1,149 @@
+"""A layout as GeoJSON: units and sensors as points on the Earth, for maps and back.
+
+A feature's ``feature`` is ``unit`` or ``sensor``; others are left out when a file is read. A unit
+is where its base is. A sensor is where it hangs itself, ``height_m`` above the ground at its unit's
+base; its ``azimuth_deg`` is clockwise from true north, its ``pitch_deg`` positive nose-up. So a
+point that is moved in a map is a sensor or a unit that is moved.
+"""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import check_model
+from inspe_jax.scene.geojson import Feature, georeference_of, read_features
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.sensing.layout import Layout, made_with, parse_layout
+
+DIGITS = 9
+"""Decimals of degrees: a tenth of a millimetre."""
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Unit(BaseModel):
+    model_config = ConfigDict(extra="ignore")
+    name: str
+
+
+class _Sensor(BaseModel):
+    model_config = ConfigDict(extra="ignore")
+    name: str
+    unit: str
+    device: str
+    height_m: _Finite
+    azimuth_deg: _Finite
+    pitch_deg: _Finite = 0.0
+    roll_deg: _Finite = 0.0
+
+
+def layout_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
+    """The units and sensors of a layout as features. Raises InspeError if the place has no
+    coordinates."""
+    lies, poses = georeference_of(place), np.asarray(layout.poses, float)
+    feet = np.array([unit.base[:2] for unit in layout.units])
+    ground = place.ground(feet)
+    azimuth = lies.azimuth(poses[:, :2], poses[:, 5])
+    bases, ends = (lies.to_degrees(at).round(DIGITS).tolist() for at in (feet, poses[:, :2]))
+    found = []
+    for u, members in enumerate(layout.members()):
+        name = layout.units[u].name
+        found.append(point_feature(bases[u], feature="unit", name=name, sensors=len(members)))
+        for s in members:
+            spec, (_, _, z, roll, pitch, _) = layout.sensors[s].spec, poses[s]
+            found.append(
+                point_feature(
+                    ends[s],
+                    feature="sensor",
+                    name=layout.sensors[s].name,
+                    unit=name,
+                    device=spec.name,
+                    kind=spec.kind,
+                    height_m=round(float(z - ground[u]), 4),
+                    azimuth_deg=round(float(azimuth[s]), 6) % 360,
+                    pitch_deg=round(float(np.degrees(pitch)), 6) + 0.0,
+                    roll_deg=round(float(np.degrees(roll)), 6) + 0.0,
+                )
+            )
+    return found
+
+
+def point_feature(at: list[float], **properties: Any) -> dict[str, Any]:
+    """A feature at a longitude and latitude [degrees]."""
+    point = {"type": "Point", "coordinates": at}
+    return {"type": "Feature", "geometry": point, "properties": properties}
+
+
+def collection(layout: Layout, features: list[dict[str, Any]]) -> dict[str, Any]:
+    """Features as the content of a file that :func:`load_layout_geojson` reads."""
+    own = {"name": layout.name, **made_with(layout)}
+    return {"type": "FeatureCollection", **own, "features": features}
+
+
+def load_layout_geojson(
+    path: str | os.PathLike[str], place: Intersection, *, unit_rule: bool = True
+) -> Layout:
+    """The layout in a GeoJSON file, on the ground of a place.
+
+    ``unit_rule`` as in :func:`~inspe_jax.sensing.layout.make_layout`. Raises InspeError as
+    :func:`~inspe_jax.scene.geojson.read_features` and
+    :func:`~inspe_jax.sensing.layout.load_layout`, and if a sensor's unit is not in the file.
+    """
+    features, further = read_features(path, place)
+    units: dict[str, tuple[np.ndarray, list[dict[str, Any]]]] = {}
+    for k, one in _of("unit", features, path):
+        name = check_model(_Unit, one.properties, f"{path}: features[{k}].properties").name
+        if name in units:
+            raise InspeError(f"{path}: features[{k}]: two units are named '{name}'")
+        units[name] = (_point(one), [])
+    for k, one in _of("sensor", features, path):
+        where = f"{path}: features[{k}].properties"
+        sensor, at = check_model(_Sensor, one.properties, where), _point(one)
+        if sensor.unit not in units:
+            raise InspeError(f"{where}: no unit '{sensor.unit}'{nearest(sensor.unit, [*units])}")
+        base, members = units[sensor.unit]
+        yaw = georeference_of(place).yaw(at[None], np.array([sensor.azimuth_deg]))[0]
+        members.append(
+            dict(
+                name=sensor.name,
+                device=sensor.device,
+                height=sensor.height_m,
+                offset=(at - base).tolist(),
+                yaw_deg=float(np.degrees(yaw)),
+                pitch_deg=sensor.pitch_deg,
+                roll_deg=sensor.roll_deg,
+            )
+        )
+    content: dict[str, Any] = {
+        key: further[key] for key in ("name", "profile", "devices") if key in further
+    }
+    content["units"] = [
+        dict(name=name, base=[*base.tolist(), float(place.ground(base)[0])], sensors=members)
+        for name, (base, members) in units.items()
+        if members
+    ]
+    return parse_layout(content, str(path), Path(path).stem, unit_rule=unit_rule)
+
+
+def _of(
+    kind: str, features: tuple[Feature, ...], path: str | os.PathLike[str]
+) -> list[tuple[int, Feature]]:
+    """The features of a kind, with their numbers. Raises InspeError unless they are points."""
+    found = [(k, f) for k, f in enumerate(features) if f.properties.get("feature") == kind]
+    for k, one in found:
+        if one.geometry.geom_type != "Point":
+            raise InspeError(f"{path}: features[{k}]: a {kind} is a Point")
+    if not found:
+        raise InspeError(
+            f"{path}: no {kind}: a layout is features whose property 'feature' is 'unit' or "
+            "'sensor', as `inspe export` writes them"
+        )
+    return found
+
+
+def _point(one: Feature) -> np.ndarray:
+    return np.array(one.geometry.coords[0][:2])

@@ -1,0 +1,90 @@
+"""From a map and a latitude to a plan in coordinates, on the command line, and back."""
+
+import json
+from functools import partial
+
+import pytest
+from osm_town import LAT, LON, full_town
+from processes import inspe_here
+
+from inspe_jax.scene.scene import load_scene
+
+pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
+pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
+
+SMALL = ("--radius", 25, "--voxel", 1, "--frames", 2, "--density", 5)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    full_town().write(folder / "city.osm")
+    point = {"type": "Point", "coordinates": [LON + 1.5e-4, LAT + 1.0e-4]}
+    lamp = {"type": "Feature", "geometry": point, "properties": {"height_m": 7.0}}
+    (folder / "poles.geojson").write_text(
+        json.dumps({"type": "FeatureCollection", "features": [lamp]})
+    )
+    return folder
+
+
+@pytest.fixture
+def inspe(files, monkeypatch, capsys):
+    return partial(inspe_here, files, monkeypatch, capsys)
+
+
+def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
+    status, table, _ = inspe("scene", "city.osm", "--list")
+    assert status == 0
+    assert "latitude, longitude" in table
+    assert f"{LAT:.4f}"[:-1] in table
+    here = f"{LAT + 2e-5},{LON - 2e-5}"
+    status, table, error = inspe(
+        "scene", "city.osm", "--at", here, "--bodies", "poles.geojson", "--statics", "map",
+        *SMALL, "--out", "city.npz",
+    )  # fmt: skip
+    assert status == 0, error
+    assert "latitude, longitude" in table
+    place = load_scene(files / "city.npz").intersection
+    assert any(one.height == 7.0 and one.kind == "pole" for one in place.bodies)
+    status, text, error = inspe(
+        "export", "city.npz", "Cam-d1/L-d1",
+        "--out", "plan.geojson", "--out", "plan.kml", "--out", "bill.csv",
+    )  # fmt: skip
+    assert status == 0, error
+    assert text.count("wrote") == 3
+    first, again = (
+        json.loads(inspe("score", "city.npz", layout, "--json", "-")[1])
+        for layout in ("Cam-d1/L-d1", "plan.geojson")
+    )
+    for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
+        assert again[metric] == pytest.approx(first[metric], abs=1e-4)
+    status, _, error = inspe("export", "city.npz", "L-d1", "--out", "plan.kml")
+    assert status == 2
+    assert "plan.kml: is there already; --force replaces it" in error
+    assert inspe("export", "city.npz", "L-d1", "--out", "plan.kml", "--force")[0] == 0
+
+
+BAD = [
+    (("scene", "city.osm", "--at", "48.1"), "--at 48.1: write LAT,LON, such as 48.137,11.575"),
+    (("scene", "city.osm", "--at", "10,10"), "no junction within 100 m of 10,10; the middle of"),
+    (("scene", "city.osm"), "choose a place on the map with --junction ID, --at LAT,LON or"),
+    (("scene", "city.osm", "--at", "48,11", "--junction", "1"), "choose a place on the map"),
+    (("scene", "four_way", "--at", "48,11"), "--junction, --center, --at and --bodies are only"),
+    (("scene", "four_way", "--bodies", "poles.geojson"), "are only for maps"),
+    (("export", "four_way", "Cam-d1", "--force"), "four_way: has no coordinates on the Earth"),
+    (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "must end in .geojson or .kml or .csv"),
+    (
+        ("export", "four_way", "poles.geojson", "--force"),
+        "four_way: has no coordinates on the Earth",
+    ),
+    (("export", "four_way", "Cam-d1", "--out", "b.csv", "--price", "x"), "--price x: write"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(a) for a, _ in BAD])
+def test_bad_input_is_one_message(inspe, files, arguments, message):
+    before = sorted(files.iterdir())
+    status, _, error = inspe(*arguments)
+    assert status == 2
+    assert message in " ".join(error.split())
+    assert sorted(files.iterdir()) == before

@@ -1,0 +1,165 @@
+"""Units on poles that stand in the scene: sensors hang beside them, and see past them or not."""
+
+import jax
+import numpy as np
+import pytest
+import shapely
+from mounts import assert_mountable, lanes_of
+
+from inspe_jax.placement.brackets import NEAREST, STANDOFF
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.optimise import optimise
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.site import Site
+from inspe_jax.placement.space import Space
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.scene.placed_bodies import body_at
+from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.scene.statics import pole, upright_box
+from inspe_jax.visibility.queries import line_of_sight
+
+RADIUS = 0.1
+"""Of the poles [m]."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The four-way, whose signal poles stand in it as bodies."""
+    place = built_in("four_way")
+    built = build_scene(place, profile="ideal", radius=40.0, voxel=1.0, density="none", frames=1)
+    return built.with_statics([pole(p[:2], radius=RADIUS, height=9.0) for p in place.poles])
+
+
+@pytest.fixture(scope="module")
+def layout(scene):
+    return strategy(scene, "Cam-d1/L-d1")
+
+
+def from_axes(scene, layout):
+    """Distance of each sensor from the nearest axis of a pole [m]."""
+    poles = np.asarray(scene.intersection.poles)[:, :2]
+    return np.hypot(*(np.asarray(layout.poses)[:, None, :2] - poles).transpose(2, 0, 1)).min(1)
+
+
+def test_strategies_hang_sensors_beside_poles(scene, layout):
+    poles = np.asarray(scene.intersection.poles)[:, :2]
+    feet = np.array([unit.base[:2] for unit in layout.units])
+    assert np.hypot(*(feet[:, None] - poles).transpose(2, 0, 1)).min(1).max() < 1e-9
+    bare = strategy(scene.with_statics([]), "Cam-d1/L-d1")
+    assert np.allclose(feet, [unit.base[:2] for unit in bare.units])  # the same poles
+    lidars = np.array([sensor.spec.kind == "lidar" for sensor in layout.sensors])
+    away = from_axes(scene, layout)
+    assert np.allclose(from_axes(scene, bare)[lidars], 0, atol=1e-9)
+    assert away[lidars] == pytest.approx(RADIUS + STANDOFF, abs=0.01)  # of an octagon
+    assert away.min() > RADIUS + STANDOFF - 1e-9
+    assert not Space(scene, layout).faults(layout)
+
+
+def test_a_pole_hides_its_own_wedge(scene, layout):
+    """Directions from 0.4 m away that meet a pole of 0.2 m: 29°, as for a disc."""
+    s = next(k for k, sensor in enumerate(layout.sensors) if sensor.spec.kind == "lidar")
+    pose = np.asarray(layout.poses)[s]
+    columns = scene.voxels.columns
+    far = np.hypot(*(columns - pose[:2]).T) > 5
+    bare, seen = (
+        np.asarray(line_of_sight(world, layout, 0))[s].reshape(len(columns), -1)
+        for world in (scene.with_statics([]), scene)
+    )
+    hidden = (bare & ~seen).any(-1) & far
+    poles = np.asarray(scene.intersection.poles)[:, :2]
+    own = poles[np.hypot(*(poles - pose[:2]).T).argmin()]
+    to = columns - pose[:2]
+    toward = np.arctan2(*(own - pose[:2])[::-1])
+    off = (np.arctan2(*to.T[::-1]) - toward + np.pi) % (2 * np.pi) - np.pi
+    away = np.hypot(*(own - pose[:2]))
+    half = np.arcsin(RADIUS / away)
+    assert np.degrees(2 * half) == pytest.approx(29, abs=1.5)
+    # The octagon's corners are 3 % farther out than the disc's rim, the middles of its sides 5 %
+    # nearer.
+    within = np.abs(off) < 0.93 * half
+    assert hidden[within & far & bare.any(-1)].all()
+    other = np.abs(off) > 1.05 * half
+    others = np.delete(poles, np.hypot(*(poles - pose[:2]).T).argmin(), 0)
+    lines = [shapely.LineString([pose[:2], c]) for c in columns[hidden & other]]
+    assert all(
+        min(line.distance(shapely.Point(p)) for p in others) < 1.05 * RADIUS for line in lines
+    )
+
+
+def test_what_a_search_may_do_on_poles_can_be_mounted(scene, layout):
+    space = Space(scene, layout, Constraints(places="poles"))
+    rng, lanes = np.random.default_rng(3), lanes_of(scene.intersection)
+    for x in space.random(rng, 20):
+        placed = space.layout(x)
+        assert not space.faults(placed)
+        assert_mountable(scene, placed, lanes)
+        assert from_axes(scene, placed).min() > RADIUS + NEAREST - 1e-6
+        for pose in np.asarray(placed.poses):
+            assert body_at(scene.statics, scene.intersection, pose[:3]) is None
+        again = space.layout(space.start(placed)[0])
+        assert np.abs(np.asarray(again.poses) - np.asarray(placed.poses)).max() < 1e-6
+
+
+def test_two_sensors_of_a_unit_stay_near_each_other(scene, layout):
+    """Also on opposite sides of their pole, as far out as coordinates reach."""
+    space = Space(scene, layout, Constraints(places="poles"))
+    for sign in (-1, 1):
+        c = space.split(space.random(np.random.default_rng(5), 1)[0])
+        wide = c._replace(
+            arm=np.full_like(c.arm, 9.0 * sign),
+            offset=9.0 * np.resize([[1.0, 0.0], [-1.0, 0.0]], c.offset.shape),
+        )
+        placed = space.layout(space.project(wide.flat(), np))
+        assert not space.faults(placed)
+
+
+def test_a_camera_s_bracket_turns_with_it(scene, layout):
+    """With offsets of 0 the pole is behind the camera, and poses have slopes there."""
+    space = Space(scene, layout, Constraints(places="poles"))
+    with jax.enable_x64(True):
+        c = space.split(space.start(layout)[0])
+        x = c._replace(arm=0 * c.arm, offset=0 * c.offset).flat()
+        slopes = np.asarray(jax.jacobian(space.poses)(jax.numpy.asarray(x)))
+        assert np.isfinite(slopes).all()
+        poses = np.asarray(space.poses(jax.numpy.asarray(x)))
+        step = 1e-6
+        for k in space.free:
+            ahead = np.asarray(space.poses(jax.numpy.asarray(x + step * np.eye(len(x))[k])))
+            if space.names[k].endswith(("yaw", "height", "pitch")):
+                assert np.allclose((ahead - poses) / step, slopes[..., k], atol=1e-4)
+    poles = np.asarray(scene.intersection.poles)[:, :2] - space.center[:2]
+    for sensor, pose in zip(layout.sensors, poses, strict=True):
+        foot = poles[np.hypot(*(poles - pose[:2]).T).argmin()]
+        if sensor.spec.kind == "camera":
+            out = (pose[:2] - foot) / np.hypot(*(pose[:2] - foot))
+            assert out @ [np.cos(pose[5]), np.sin(pose[5])] == pytest.approx(1, abs=1e-9)
+
+
+def test_other_bodies_still_keep_units_away(scene):
+    place = scene.intersection
+    beside = place.poles[0, :2]
+    shed = upright_box("furniture", beside + [1.0, 0.0], (0.6, 0.6, 4.0))
+    site = Site(place, 40.0, 30.0, bodies=(*scene.statics, shed))
+    assert len(site.carriers) == len(place.poles)
+    assert not (np.hypot(*(site.poles - beside).T) < 1e-9).any()
+    assert len(site.poles) == len(Site(place, 40.0, 30.0, bodies=scene.statics).poles) - 1
+    post = pole(beside + [0.8, 0.0], radius=RADIUS, height=9.0)  # where nothing can be mounted
+    site = Site(place, 40.0, 30.0, bodies=(*scene.statics, post))
+    assert not (np.hypot(*(site.poles - beside).T) < 1e-9).any()
+
+
+@pytest.mark.slow
+def test_a_search_keeps_units_on_poles(scene):
+    place = scene.intersection
+    busy = build_scene(place, profile="ideal", radius=30.0, voxel=2.0, density=10, frames=4)
+    scene = busy.with_statics(scene.statics)
+    given = strategy(scene, "L-d2")
+    found = optimise(
+        scene, given, "greedy", evaluations=30, seed=1, constraints=Constraints(places="poles")
+    )
+    feet = np.array([unit.base[:2] for unit in found.layout.units])
+    poles = np.asarray(scene.intersection.poles)[:, :2]
+    assert np.hypot(*(feet[:, None] - poles).transpose(2, 0, 1)).min(1).max() < 1e-3
+    assert not Space(scene, found.layout).faults(found.layout)
+    assert found.objective > Problem(scene, given).exact_of(given)

@@ -1,0 +1,212 @@
+"""Plans as GeoJSON, KML and bills: read back here, by GDAL, and against KML's schema."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import Point, shape
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.strategies import strategy
+from inspe_jax.report.handover import bill_of_materials, plan_geojson, plan_kml
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.sensing.layout import make_layout
+from inspe_jax.sensing.layout_geojson import load_layout_geojson
+
+pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
+
+SYSTEMS = {
+    "utm": Georeference("EPSG:25832", (-691600.0, -5334700.0)),
+    "far east of its meridian": Georeference("EPSG:25832", (-900000.0, -5334700.0)),
+    "mercator": Georeference("EPSG:3857", (-1288500.0, -6130000.0)),
+    "swiss": Georeference("EPSG:2056", (-2600000.0, -1200000.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    place = replace(inspe_jax.built_in("t_junction"), georeference=SYSTEMS["utm"])
+    return build_scene(place, radius=25, voxel=2.0, frames=1, density=2)
+
+
+@pytest.fixture(scope="module")
+def layout(scene):
+    placed = strategy(scene, "Cam-d1/L-d1", lidar="hesai-xt32")
+    poses = np.array(placed.poses)
+    poses[1, 3:] = np.radians([3.0, -17.25, 179.99])
+    return placed.with_poses(poses)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_plan_is_read_back_as_the_layout(scene, layout, system, tmp_path):
+    """To 2 mm and 0.0001°: PROJ inverts a change of datum to about a millimetre."""
+    place = replace(scene.intersection, georeference=SYSTEMS[system])
+    path = tmp_path / "plan.geojson"
+    path.write_text(plan_geojson(layout, place))
+    again = load_layout_geojson(path, place)
+    assert [s.name for s in again.sensors] == [s.name for s in layout.sensors]
+    assert [s.spec for s in again.sensors] == [s.spec for s in layout.sensors]
+    assert [u.name for u in again.units] == [u.name for u in layout.units]
+    assert again.name == layout.name
+    assert again.profile == layout.profile
+    apart = np.asarray(again.poses) - np.asarray(layout.poses)
+    assert np.abs(apart[:, :3]).max() < 2e-3
+    turned = (np.degrees(apart[:, 3:]) + 180) % 360 - 180
+    assert np.abs(turned).max() < 1e-4
+
+
+def test_angles_and_heights_are_those_of_the_field(scene, layout):
+    """By hand: a camera that looks east at the origin of a transverse Mercator, 6 m up."""
+    place = replace(
+        scene.intersection, georeference=Georeference("+proj=tmerc +lat_0=48 +lon_0=11")
+    )
+    poses = np.asarray(layout.poses)[:1] * 0
+    poses[0] = [0.0, 0.0, 6.0 + place.ground(np.zeros((1, 2)))[0], 0.0, np.radians(-15), 0.0]
+    unit = replace(layout.units[0], base=(0.0, 0.0, 0.0))
+    one = make_layout([replace(layout.sensors[0], unit=0)], [unit], poses)
+    features = json.loads(plan_geojson(one, place))["features"]
+    base, sensor, view = (f["geometry"]["coordinates"] for f in features)
+    assert base == sensor == [11.0, 48.0]
+    own = features[1]["properties"]
+    assert own["azimuth_deg"] == pytest.approx(90.0, abs=1e-4)
+    assert own["pitch_deg"] == -15.0
+    assert own["height_m"] == 6.0
+    # It sees the ground to the east, within its depth.
+    depth = one.sensors[0].spec.grid.reach
+    ring = np.array(view[0])
+    distance = pyproj.Geod(ellps="WGS84").inv(*np.tile([[11.0], [48.0]], len(ring)), *ring.T)[2]
+    assert 0.9 * depth < distance.max() < 1.01 * depth
+    assert ring[:, 0].max() > 11.0001
+    assert (ring[:, 0] > 11.0 - 1e-9).all()
+    assert Point(11.00005, 48.0).within(shape(features[2]["geometry"]).buffer(1e-6))
+
+
+def test_devices_of_one_s_own_go_with_the_plan(scene, layout, tmp_path):
+    own = replace(layout.sensors[0].spec, name="my-camera", reliability=0.5)
+    placed = replace(layout, sensors=(replace(layout.sensors[0], spec=own), *layout.sensors[1:]))
+    (tmp_path / "plan.geojson").write_text(plan_geojson(placed, scene.intersection))
+    again = load_layout_geojson(tmp_path / "plan.geojson", scene.intersection)
+    assert again.sensors[0].spec == own
+
+
+def test_gdal_reads_the_plan(scene, layout, tmp_path):
+    pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio: extra [test]")
+    path = tmp_path / "plan.geojson"
+    path.write_text(plan_geojson(layout, scene.intersection))
+    meta, _, geometry, fields = pyogrio.raw.read(path)
+    assert meta["crs"] == "EPSG:4326"
+    rows = dict(zip(meta["fields"], fields, strict=True))
+    kinds = list(rows["feature"])
+    assert kinds.count("sensor") == kinds.count("view") == len(layout)
+    assert kinds.count("unit") == len(layout.units)
+    found = shapely.from_wkb(geometry)
+    assert shapely.is_valid(found).all()
+    lies = scene.intersection.georeference
+    at = [shapely.get_coordinates(g)[0] for g, kind in zip(found, kinds, strict=True)
+          if kind == "sensor"]  # fmt: skip
+    assert np.abs(lies.from_degrees(np.array(at)) - np.asarray(layout.poses)[:, :2]).max() < 1e-3
+
+
+def test_kml_is_valid_and_says_the_same(scene, layout, tmp_path):
+    """By OGC's schema of KML 2.2, and by GDAL."""
+    pytest.importorskip("lxml", reason="needs lxml: extra [geo]")
+    fastkml = pytest.importorskip("fastkml", reason="needs fastkml: extra [geo]")
+    from fastkml.validator import validate
+
+    path = tmp_path / "plan.kml"
+    path.write_text(plan_kml(layout, scene.intersection))
+    assert validate(file_to_validate=path)
+    (document,) = fastkml.KML.parse(path).features
+    folders = {folder.name: folder.features for folder in document.features}
+    assert [len(folders[k]) for k in ("units", "sensors", "views")] == [
+        len(layout.units), len(layout), len(layout),
+    ]  # fmt: skip
+    poses, lies = np.asarray(layout.poses), scene.intersection.georeference
+    ground = scene.intersection.ground(poses[:, :2])
+    for one, pose, level in zip(folders["sensors"], poses, ground, strict=True):
+        lon, lat, height = one.geometry.coords[0]
+        assert np.abs(lies.from_degrees(np.array([[lon, lat]]))[0] - pose[:2]).max() < 1e-3
+        assert height == pytest.approx(pose[2] - level, abs=0.05)
+        assert one.kml_geometry.altitude_mode.value == "relativeToGround"
+    broken = path.read_text().replace("relativeToGround", "nonsense")
+    path.write_text(broken)
+    with pytest.raises(AssertionError):  # the check itself can fail
+        validate(file_to_validate=path)
+
+
+def test_a_bill_adds_up(layout):
+    rows = list(csv.DictReader(io.StringIO(bill_of_materials(layout, {"paper-camera": 900}))))
+    count = {row["device"]: int(row["count"]) for row in rows}
+    assert sum(count.values()) == len(layout)
+    assert count["hesai-xt32"] == 4
+    prices = {row["device"]: row for row in rows}
+    camera = next(row for name, row in prices.items() if "camera" in name)
+    if camera["device"] == "paper-camera":
+        assert float(camera["price_usd"]) == 900
+    for row in rows:
+        if row["price_usd"]:
+            each, total = float(row["price_usd"]), float(row["total_usd"])
+            assert total == pytest.approx(each * int(row["count"]), abs=0.01)
+
+
+# ── Bad files ───────────────────────────────────────────────────────────────
+
+
+def changed(scene, layout, tmp_path, change) -> str:
+    """The message of a plan that is changed in place before it is read."""
+    content = json.loads(plan_geojson(layout, scene.intersection))
+    content = change(content) or content
+    path = tmp_path / "plan.geojson"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InspeError) as error:
+        load_layout_geojson(path, scene.intersection)
+    assert str(error.value).startswith(str(path))
+    return str(error.value)
+
+
+def set_at(*path, to):
+    def change(content):
+        here = content
+        for key in path[:-1]:
+            here = here[key]
+        here[path[-1]] = to
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: [1], "must hold keys"),
+        (lambda c: {"type": "Feature"}, "type"),
+        (set_at("features", to=[]), "no unit: a layout is features whose property"),
+        (set_at("features", 1, "properties", "unit", to="nowhere"), "no unit 'nowhere'"),
+        (set_at("features", 1, "properties", "device", to="no-such"), "device"),
+        (set_at("features", 1, "properties", "height_m", to="high"), "height_m"),
+        (set_at("features", 1, "properties", "azimuth_deg", to=float("nan")), "azimuth_deg"),
+        (set_at("features", 1, "geometry", "type", to="Pint"), "no geometry"),
+        (set_at("features", 1, "geometry", "coordinates", to=["a", "b"]), "no geometry"),
+        (set_at("features", 0, "geometry", "coordinates", to=[691600.0, 5334700.0]),
+         "is no longitude and latitude; write the file in WGS 84"),
+        (set_at("crs", to={"type": "name", "properties": {"name": "EPSG:1"}}), "crs: 'EPSG:1'"),
+        (set_at("features", 0, "geometry", to={"type": "LineString",
+                                               "coordinates": [[11, 48], [11.1, 48]]}),
+         "a unit is a Point"),
+        (set_at("features", 1, "geometry", "coordinates", to=[11.6, 48.14]), "at most 2 m"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_says_what_is_wrong(scene, layout, tmp_path, change, words):
+    assert words in changed(scene, layout, tmp_path, change)
+
+
+def test_a_place_without_coordinates_says_so(layout, scene):
+    bare = replace(scene.intersection, georeference=None)
+    for write in (plan_geojson, plan_kml):
+        with pytest.raises(InspeError, match="has no coordinates on the Earth"):
+            write(layout, bare)

@@ -1,0 +1,164 @@
+"""Bodies of one's own from GeoJSON and CSV."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import mapping
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.maps.bodies import Ways
+from inspe_jax.scene.maps.own_bodies import with_own_bodies
+from inspe_jax.scene.scene import build_scene
+
+pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
+
+REACH = 40.0
+
+
+@pytest.fixture(scope="module")
+def place():
+    lies = Georeference("EPSG:25832", (-691600.0, -5334700.0))
+    built = inspe_jax.built_in("t_junction")
+    return replace(built, georeference=lies, poles=np.zeros((0, 3)), bodies=())
+
+
+@pytest.fixture(scope="module")
+def spots(place):
+    """Points within reach where nobody goes, 4 m and more apart."""
+    free = shapely.Point(place.center[:2]).buffer(30).difference(Ways.of(place).paths.buffer(1.0))
+    grid = np.stack(np.meshgrid(*[np.arange(-30, 31, 4.0)] * 2), -1).reshape(-1, 2)
+    return grid[shapely.contains_xy(free, *grid.T)][:6]
+
+
+def write(path, place, geometries, properties=(), crs=None):
+    """A GeoJSON file of geometries in world metres."""
+
+    def to_file(points):
+        degrees = place.georeference.to_degrees(points)
+        if crs is None:
+            return degrees
+        there = pyproj.Transformer.from_crs(4326, crs, always_xy=True)
+        return np.column_stack(there.transform(*degrees.T))
+
+    rows = [*properties, *[{}] * (len(geometries) - len(properties))]
+    content = {
+        "type": "FeatureCollection",
+        "features": [
+            {"type": "Feature", "geometry": mapping(shapely.transform(g, to_file)), "properties": p}
+            for g, p in zip(geometries, rows, strict=True)
+        ],
+    }
+    if crs is not None:
+        content["crs"] = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{crs}"}}
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("crs", [None, 25832, 31468])
+def test_poles_carry_sensors(place, spots, tmp_path, crs):
+    wanted = spots[[0, 1]]
+    points = shapely.points([*wanted, wanted[0] + 0.02, wanted[0] + [900.0, 0.0]])
+    path = write(tmp_path / "poles.geojson", place, points[[0, 1, 3]], crs=crs)
+    found = with_own_bodies(place, path, REACH)
+    # The datum of Gauß-Krüger is converted with parameters for all of Germany: 3 m.
+    near = 3.0 if crs == 31468 else 1e-3
+    assert len(found.poles) == 2
+    assert np.abs(found.poles[:, :2] - wanted).max() < near
+    assert np.allclose(found.poles[:, 2], place.ground(found.poles[:, :2]))
+    assert [one.kind for one in found.bodies] == ["pole", "pole"]
+    assert {one.height for one in found.bodies} == {6.0}
+
+
+def test_every_kind_has_its_size(place, spots, tmp_path):
+    a, b, c, d, e, f = spots
+    geometries = [
+        shapely.box(*a, *(a + 1.5)),
+        shapely.LineString([b, b + [1.0, 0.0]]),
+        shapely.Point(c),
+        shapely.Point(d),
+        shapely.MultiPoint([e, f]),
+    ]
+    properties = [
+        dict(height_m=9.0, base_m=3.0, owner="the city"),
+        dict(kind="hedge", width_m=0.8),
+        dict(kind="tree", diameter_m=1.6, height_m=5.0),
+        dict(height_m=8.0, diameter_m=0.3),
+        {},
+    ]
+    path = write(tmp_path / "own.geojson", place, geometries, properties)
+    house, hedge, tree, lamp, *others = with_own_bodies(place, path, REACH).bodies
+    assert (house.kind, house.base, house.height) == ("building", 3.0, 9.0)
+    assert house.polygon.area == pytest.approx(2.25, rel=1e-3)
+    assert (hedge.kind, hedge.height) == ("hedge", 1.5)
+    assert hedge.polygon.area == pytest.approx(0.8, rel=1e-3)
+    assert (tree.kind, tree.height, tree.transmittance) == ("tree", 5.0, 0.05)
+    assert tree.polygon.area == pytest.approx(np.pi * 0.8**2, rel=1e-3)
+    assert 0 < tree.base < 5
+    assert 0 < tree.trunk <= 0.4
+    assert lamp.polygon.area == pytest.approx(np.pi * 0.15**2, rel=1e-3)
+    assert [one.kind for one in others] == ["pole", "pole"]
+    found = with_own_bodies(place, path, REACH)
+    assert len(found.poles) == 3
+    scene = build_scene(found, radius=25, voxel=2.0, frames=1, density=2, statics="map")
+    assert "building" in {one.kind for one in scene.statics}
+
+
+def test_what_stands_on_lanes_is_cut_and_said(place, tmp_path):
+    x, y = place.center[:2]
+    path = write(tmp_path / "own.geojson", place, [shapely.box(x - 25, y - 25, x + 25, y + 25)])
+    found = with_own_bodies(place, path, REACH)
+    lanes = Ways.of(place).lanes
+    assert found.bodies
+    assert max(one.polygon.intersection(lanes).area for one in found.bodies) < 0.01
+    assert any("own.geojson: 1 body on lanes" in note for note in found.notes)
+
+
+def test_a_table_of_poles(place, spots, tmp_path):
+    (lon, lat), (east, north) = place.georeference.to_degrees(spots[:2]).tolist()
+    path = tmp_path / "poles.csv"
+    path.write_text(
+        f"name,latitude,longitude,height_m\nlamp,{lat!r},{lon!r},8\ntree,{north!r},{east!r},\n"
+    )
+    found = with_own_bodies(place, path, REACH)
+    assert np.abs(found.poles[:, :2] - spots[:2]).max() < 1e-3
+    assert [one.height for one in found.bodies] == [8.0, 6.0]
+
+
+BAD = {
+    "far": (dict(at=[0, 9000.0]), r"nothing within 40 m of .* the nearest is [89],\d\d\d m away"),
+    "kind": (dict(kind="house"), r"features\[0\]: kind 'house': one of building, wall"),
+    "height": (dict(height_m=-1), "height_m: input should be greater than 0"),
+    "text": (dict(height_m="high"), "height_m: input should be a valid number"),
+    "base": (dict(base_m=9), r"base_m 9 m must be below height_m 6 m"),
+    "light": (dict(transmittance=2), "transmittance"),
+}
+
+
+@pytest.mark.parametrize("wrong", BAD)
+def test_a_wrong_file_says_what_is_wrong(place, spots, tmp_path, wrong):
+    properties, words = BAD[wrong]
+    at = properties.pop("at", [0, 0]) if wrong == "far" else [0, 0]
+    path = write(tmp_path / "own.geojson", place, [shapely.Point(spots[0] + at)], [properties])
+    with pytest.raises(InspeError, match=words):
+        with_own_bodies(place, path, REACH)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.geojson", '{"type": "FeatureCollection", "features": []}', "has no features"),
+        ("a.geojson", "{", "not JSON"),
+        ("a.csv", "lat,lon\n1,2\n", "row 1: needs a number under each of 'latitude'"),
+        ("a.csv", "latitude,longitude\n48,\n", "row 1: needs a number"),
+        ("a.csv", "", "has no features"),
+    ],
+)
+def test_a_file_of_another_kind_says_so(place, tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InspeError, match=words):
+        with_own_bodies(place, tmp_path / name, REACH)

@@ -139,7 +139,9 @@ def differences(before: Layout, after: Layout, site: Site) -> Iterator[str]:
     for sensor, was, now in zip(before.sensors, *hung, strict=True):
         name, aside = f"sensor '{sensor.name}'", float(np.hypot(*(now[:2] - was[:2])))
         if aside > TOLERANCE:
-            yield f"{name} moved {aside:.2f} m nearer to its unit's foot"
+            nearer = np.hypot(*now[:2]) < np.hypot(*was[:2])
+            way = "nearer to its unit's foot" if nearer else "to hang beside its pole"
+            yield f"{name} moved {aside:.2f} m {way}"
         if abs(now[2] - was[2]) > TOLERANCE:
             way = "lowered" if now[2] < was[2] else "raised"
             yield f"{name} {way} from {was[2]:.2f} to {now[2]:.2f} m above the ground"

@@ -9,7 +9,6 @@ from mounts import assert_mountable, lanes_of
 from inspe_jax.placement.brackets import NEAREST, STANDOFF
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import optimise
-from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.space import Space
 from inspe_jax.placement.strategies import strategy
@@ -152,9 +151,9 @@ def test_other_bodies_still_keep_units_away(scene):
 @pytest.mark.slow
 def test_a_search_keeps_units_on_poles(scene):
     place = scene.intersection
-    busy = build_scene(place, profile="ideal", radius=30.0, voxel=2.0, density=10, frames=4)
+    busy = build_scene(place, radius=30.0, voxel=2.0, density=10, frames=4)
     scene = busy.with_statics(scene.statics)
-    given = strategy(scene, "L-d2")
+    given = strategy(scene, "L-d2")  # on new poles at the roadside
     found = optimise(
         scene, given, "greedy", evaluations=30, seed=1, constraints=Constraints(places="poles")
     )
@@ -162,4 +161,5 @@ def test_a_search_keeps_units_on_poles(scene):
     poles = np.asarray(scene.intersection.poles)[:, :2]
     assert np.hypot(*(feet[:, None] - poles).transpose(2, 0, 1)).min(1).max() < 1e-3
     assert not Space(scene, found.layout).faults(found.layout)
-    assert found.objective > Problem(scene, given).exact_of(given)
+    assert found.objective > found.scores_before.surrogate
+    assert any("to hang beside its pole" in note for note in found.notes)

@@ -146,7 +146,8 @@ def junctions_table(
         )
         for info in infos
     ]
-    heads = ["id", "centre [m]", "latitude, longitude", "arms", "size [m]", "crosswalks", "signals"]
+    heads = ["id", "centre [m]", "latitude, longitude", "arms", "size\n[m]", "cross-\nwalks",
+             "signals"]  # fmt: skip
     kept = [k for k in range(len(heads)) if k != 2 or any(row[2] for row in rows)]
     table = table_of(f"Junctions of {map_name}", *(heads[k] for k in kept))
     for row in rows:

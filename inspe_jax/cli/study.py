@@ -52,7 +52,7 @@ def sweep(
           - built_in: four_way
           - {map: Town05.xodr, junction: 53, radius: 60}
           - file: saved.npz
-        layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
+        layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml, {mix: {hesai-xt32: 2, paper-camera: 4}}]
         settings:
           density: [low, medium, high]
           light: [midday, night]
@@ -61,6 +61,7 @@ def sweep(
         metrics: [detectability]
         detection: mine.toml
 
+    A mix has as many sensors of each device, at corners and roadsides, where a search begins.
     Curves of detectability are those of `inspe score --detection`; a job's key depends on them.
     The folder of --out gets results.csv, with one row for each job and all its settings. To resume
     a run that was stopped or killed, give the same command again. If a job fails, its row has the

@@ -14,6 +14,8 @@ The form of the file. Paths are relative to it; every setting is one value or a 
       - layout.yaml
       - {strategy: L-d2, lidar: paper-lidar-32, name: L-d2 with 32 beams}
       - {strategy: Cam-d1, camera: far, name: Cam-d1 that sees far}
+      - mix: {hesai-xt32: 2, paper-camera: 4}  # as many of each, at corners and roadsides: the
+                                     #   start of a search
     devices:                         # your own devices, with the keys of the catalogue
       far: {like: paper-camera, depth_m: 60}
     settings:

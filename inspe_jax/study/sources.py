@@ -8,16 +8,27 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, read_yaml
 from inspe_jax.placement.strategies import choose
+from inspe_jax.placement.studies.pareto import mix_name
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.profiles import BEFORE_PROFILES
 from inspe_jax.scene.scene import load_scene
-from inspe_jax.sensing.catalogue import spec_of
+from inspe_jax.sensing.catalogue import device, spec_of
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.study.settings import LATER, Length, Line, Strict, Text, check_names, check_settings
+from inspe_jax.study.settings import (
+    LATER,
+    Count,
+    Length,
+    Line,
+    Strict,
+    Text,
+    check_names,
+    check_settings,
+)
 
 
 @dataclass(frozen=True)
@@ -45,16 +56,18 @@ class SceneSource:
 
 @dataclass(frozen=True)
 class LayoutSource:
-    """Where a layout comes from: a strategy with its ``options``, or the ``text`` of a file.
+    """Where a layout comes from: a strategy with its ``options``, the ``text`` of a file, or a mix.
 
-    In the options, the study's own devices are specs, and devices of the catalogue are names. The
-    name of this class is part of the keys of jobs in saved results.
+    In the options of a strategy, the study's own devices are specs, and devices of the catalogue
+    are names. A ``mix`` has the number of each device; its options are the specs of those that are
+    the study's own. The name of this class is part of the keys of jobs in saved results.
     """
 
     name: str
     strategy: str | None = None
     options: tuple[tuple[str, Any], ...] = ()
     text: str | None = None
+    mix: tuple[tuple[str, int], ...] = added(())
 
 
 def digest_of(path: Path) -> str:
@@ -92,6 +105,7 @@ class LayoutEntry(Strict):
     name: Line | None = None
     strategy: str | None = None
     file: Text | None = None
+    mix: Annotated[dict[Line, Count], Field(min_length=1)] | None = None
     camera: str | None = None
     lidar: str | None = None
     camera_height: Length | None = None
@@ -211,16 +225,19 @@ def layout_sources(entry: Sources, folder: Path, where: str) -> list[LayoutSourc
 def _layout_source(
     entry: LayoutEntry, devices: Mapping[str, Spec], folder: Path, where: str
 ) -> LayoutSource:
-    if (entry.strategy is None) == (entry.file is None):
-        raise InspeError(f"{where}: give either a strategy or a file")
+    if [entry.strategy, entry.file, entry.mix].count(None) != 2:
+        raise InspeError(f"{where}: give either a strategy or a file, or a mix of devices")
     options: dict[str, Any] = {
         key: value
         for key in ("camera", "lidar", "camera_height", "lidar_height", "camera_pitch_deg")
         if (value := getattr(entry, key)) is not None
     }
+    if options and entry.strategy is None:
+        kind = "file" if entry.mix is None else "mix"
+        raise InspeError(f"{where}: a {kind} has its own devices; leave out {', '.join(options)}")
+    if entry.mix is not None:
+        return _mix_source(entry.name, entry.mix, devices, where)
     if entry.file is not None:
-        if options:
-            raise InspeError(f"{where}: a file has its own devices; leave out {', '.join(options)}")
         path = folder / entry.file
         name = load_layout(path).name
         return LayoutSource(entry.name or name, text=path.read_text(encoding="utf-8"))
@@ -230,3 +247,20 @@ def _layout_source(
     except InspeError as e:
         raise InspeError(f"{where}: {e}") from None
     return LayoutSource(entry.name or chosen.name, chosen.name, tuple(options.items()))
+
+
+def _mix_source(
+    name: str | None, mix: Mapping[str, int], devices: Mapping[str, Spec], where: str
+) -> LayoutSource:
+    """The source of a mix of devices. Raises InspeError for no sensor or an unknown device."""
+    counts = {key: count for key, count in mix.items() if count}
+    if not counts:
+        raise InspeError(f"{where}.mix: needs at least one sensor")
+    for key in mix:
+        if key not in devices:
+            try:
+                device(key)
+            except InspeError as e:
+                raise InspeError(f"{where}.mix: {e}") from None
+    own = tuple((key, devices[key]) for key in counts if key in devices)
+    return LayoutSource(name or mix_name(counts), options=own, mix=tuple(counts.items()))

@@ -15,6 +15,7 @@ from inspe_jax.placement import optimise
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.strategies import strategy
+from inspe_jax.placement.studies.pareto import starting_layout
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene, load_scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
@@ -125,7 +126,9 @@ def run_job(scene: Scene | str, job: StudyJob, wanted: Row) -> tuple[Row, str | 
 
 
 def place_layout(source: LayoutSource, scene: Scene) -> Layout:
-    """The layout of a source on a scene."""
+    """The layout of a source on a scene. A mix stands as :func:`starting_layout` places it."""
+    if source.mix:
+        return starting_layout(scene, dict(source.mix), dict(source.options))
     if source.strategy is not None:
         return strategy(scene, source.strategy, **dict(source.options))
     assert source.text is not None

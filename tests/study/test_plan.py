@@ -8,10 +8,11 @@ import pytest
 import yaml
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.studies.pareto import starting_layout
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.scoring.detection import detection_curves
-from inspe_jax.sensing.layout import save_layout
+from inspe_jax.sensing.layout import layout_text, save_layout
 from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, Study, load_study
 from inspe_jax.study.work import place_layout
 
@@ -180,6 +181,25 @@ def test_devices_of_ones_own(read, tmp_path):
         read(STUDY, devices={"far": {"like": "paper-camera", "depth_m": 0}})
 
 
+def test_a_mix_of_devices_is_a_layout(read):
+    """As `inspe pareto` begins with it; a device of which there is none is as if not named."""
+    mix = {"paper-camera": 1, "paper-lidar-32": 2}
+    study = read(STUDY, layouts=[{"mix": mix}, {"mix": {"far": 1}, "name": "one that sees far"}],
+                 devices={"far": {"like": "paper-camera", "depth_m": 60}})  # fmt: skip
+    own = {job.layout.name: job.layout for job in study.jobs}
+    assert list(own) == ["1 paper-camera + 2 paper-lidar-32", "one that sees far"]
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
+    placed, far = (place_layout(layout, scene) for layout in own.values())
+    start = starting_layout(scene, mix)
+    assert layout_text(placed) == layout_text(start)
+    assert [sensor.spec.depth for sensor in far.sensors] == [60]
+    with_none = read(STUDY, layouts=[{"mix": mix | {"ideal-camera": 0}}])
+    assert {job.key for job in with_none.jobs} < {job.key for job in study.jobs}
+    assert len({job.key for job in study.jobs}) == len(study.jobs)
+    more = read(STUDY, layouts=[{"mix": mix | {"paper-camera": 2}, "name": placed.name}])
+    assert not {job.key for job in more.jobs} & {job.key for job in study.jobs}
+
+
 def test_saved_scenes_and_layout_files(read, tmp_path):
     scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
     save_scene(scene, tmp_path / "saved.npz")
@@ -223,6 +243,15 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(layouts=["a.yaml"]), r"a.yaml: no such file"),
         (dict(layouts=["L-c", "l-c"]), r"layouts: two are named 'L-c'"),
         (dict(layouts=[{"name": "x"}]), r"layouts\[0\]: give either a strategy or a file"),
+        (dict(layouts=[{"strategy": "L-c", "mix": {"paper-camera": 1}}]), "or a mix of devices"),
+        (dict(layouts=[{"mix": {"paper-camera": 1}, "lidar": "x"}]), "a mix has its own devices"),
+        (dict(layouts=[{"mix": {"paper-camara": 1}}]), r"layouts\[0\].mix: no device 'paper-cam"),
+        (dict(layouts=[{"mix": {"paper-camera": 0}}]), r"layouts\[0\].mix: needs at least one"),
+        (
+            dict(layouts=[{"mix": {"paper-camera": -1}}]),
+            r"layouts\[0\].mix.paper-camera: .*or equal",
+        ),
+        (dict(layouts=[{"mix": {}}]), r"layouts\[0\].mix: .*at least 1"),
         (dict(layouts=[{"strategy": "L-c", "lidar": "no"}]), r"layouts\[0\]: no device 'no'"),
         (
             dict(layouts=[{"strategy": "L-c", "lidar": "paper-camera"}]),

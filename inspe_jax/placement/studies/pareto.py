@@ -23,6 +23,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, save_layout
+from inspe_jax.sensing.sensors import Spec
 
 MOST = 200
 """Largest number of mixes that are searched."""
@@ -82,15 +83,19 @@ def mix_name(counts: Mapping[str, int]) -> str:
     return " + ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
-def starting_layout(scene: Scene, counts: Mapping[str, int]) -> Layout:
+def starting_layout(
+    scene: Scene, counts: Mapping[str, int], own: Mapping[str, Spec] | None = None
+) -> Layout:
     """The layout from which the search of a mix starts.
 
     Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
     at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
-    already taken. ``counts`` has the number of each device. Raises InspeError if there are more
-    sensors than posts, no sensor, or nowhere to put a pole.
+    already taken. ``counts`` has the number of each device; ``own`` has the specs of those that are
+    not in the catalogue. Raises InspeError if there are more sensors than posts, no sensor, or
+    nowhere to put a pole.
     """
-    wanted = [(name, device(name).spec) for name, n in counts.items() for _ in range(n)]
+    specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
+    wanted = [(name, specs[name]) for name, n in counts.items() for _ in range(n)]
     if not wanted:
         raise InspeError("a mix needs at least one sensor")
     wanted.sort(key=lambda row: row[1].aimed)

@@ -37,6 +37,17 @@ def list_junctions(path):
     )
 
 
+def georeference_of(path):
+    """It has no coordinates on the Earth."""
+
+
+def road_lines(path):
+    """Its roads are straight lines from the origin."""
+    bearings = [a for given in _junctions(path).values() for a in given["bearings_deg"]]
+    ends = 50 * np.column_stack([np.sin(np.radians(bearings)), np.cos(np.radians(bearings))])
+    return [np.array([[0, 0], end]) for end in ends]
+
+
 def read_toy(path, *, junction=None, center=None, radius=50.0):
     """A junction by its name; its parameters are those of a built-in crossing."""
     found = _junctions(path)
@@ -86,6 +97,8 @@ def parked(monkeypatch):
 def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
     assert maps.is_map(toy_map)
     assert [info.id for info in maps.list_junctions(toy_map)] == ["north", "south"]
+    assert maps.georeference_of(toy_map) is None
+    assert len(maps.road_lines(toy_map)) == 7
     place = maps.read_map(toy_map, junction="north", radius=30)
     own = crossing("own", (0, 90, 180, 270), lanes_in=1, lanes_out=1)
     assert place.regions.keys() == own.regions.keys()

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
@@ -21,10 +22,10 @@ from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 class MapFormat:
     """A format of map files.
 
-    ``suffixes`` are those of its files, in lower case. ``module`` has a function
-    ``list_junctions(path)``, a function ``georeference_of(path)``, and one with the name
-    ``reader``, which is called as :func:`read_map`. It is imported on first use, because it may
-    need a package of an extra.
+    ``suffixes`` are those of its files, in lower case. ``module`` has the functions
+    ``list_junctions(path)``, ``georeference_of(path)`` and ``road_lines(path)``, and one with the
+    name ``reader``, which is called as :func:`read_map`. It is imported on first use, because it
+    may need a package of an extra.
     """
 
     name: str
@@ -83,6 +84,12 @@ def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
     """The projection of a map's coordinates, None if it has none. Raises InspeError as
     :func:`read_map`."""
     found: Georeference | None = _format_of(path).call("georeference_of", path)
+    return found
+
+
+def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
+    """The lines of a map's roads [m], for drawing. Raises InspeError as :func:`read_map`."""
+    found: list[np.ndarray] = _format_of(path).call("road_lines", path)
     return found
 
 

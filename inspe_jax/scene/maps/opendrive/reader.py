@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+from jaxtyping import Float
 from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
 
@@ -43,6 +44,8 @@ from inspe_jax.scene.maps.parts import (
 )
 from inspe_jax.scene.regions import Region
 
+COARSE = 5.0
+"""Spacing of the points of a map's road lines [m]."""
 APRON = 25.0
 """Lanes are read this much farther than they are kept, so that no lane ends inside the rim [m]."""
 
@@ -63,6 +66,22 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
         counts = near(middles, 8.0), near(town.signals, 15.0)
         found.append(JunctionInfo(junction, (x, y, z), len(arms), size, *counts))
     return tuple(found)
+
+
+def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
+    """The middle of a driving lane of each road [m]. Raises as :func:`read_opendrive`."""
+    town, found = load_map(path), []
+    for road in town.roads.values():
+        for start, end, lanes in road.sections:
+            lane = next((name for name, kind in lanes.items() if kind == "driving"), 0)
+            inset = min(INSET, (end - start) / 4)
+            count = max(2, int(np.ceil((end - start) / COARSE)) + 1)
+            stations = np.linspace(start + inset, end - inset, count) if lane else ()
+            marks = [town.at(road.id, lane, float(s)) for s in stations]
+            line = [position(mark.transform.location)[:2] for mark in marks if mark is not None]
+            if len(line) > 1:
+                found.append(np.array(line))
+    return found
 
 
 def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:

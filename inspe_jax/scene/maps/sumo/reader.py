@@ -89,6 +89,12 @@ def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
     return load_net(Path(path)).georeference
 
 
+def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
+    """The lines of a network's roads [m]. Raises InspeError as :func:`read_sumo`."""
+    road = load_net(Path(path))
+    return [road.to_world(edge.getShape())[:, :2] for edge in _roads(road.net.getEdges())]
+
+
 def read_sumo(
     path: str | os.PathLike[str],
     *,

@@ -1,9 +1,14 @@
 """The command line run by tests: here, or in processes of their own that heed Ctrl-C."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from inspe_jax.cli import main
 
@@ -42,3 +47,44 @@ def inspe_here(
         status = e.code or 0
     captured = capsys.readouterr()
     return status, captured.out, captured.err
+
+
+def in_this_process() -> Any:
+    """A scheduler with a worker that is a thread."""
+    import distributed
+
+    return distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        dashboard_address="127.0.0.1:0",
+    )
+
+
+def wait_for_rows(process: subprocess.Popen, out: Path, count: int) -> None:
+    table = out / "results.csv"
+    end = time.monotonic() + 240
+    while not table.exists() or table.read_text().count("\n") <= count:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def kill_with_workers(process: subprocess.Popen) -> None:
+    """Kill a process, and wait until the workers that it started are gone too."""
+    workers = psutil.Process(process.pid).children(recursive=True)
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    end = time.monotonic() + 60
+    while any(map(lives, workers)):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def lives(process: psutil.Process) -> bool:
+    """Whether it still runs; nobody may have asked for its end."""
+    try:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False

@@ -5,7 +5,7 @@ imports is the order of the commands in ``inspe --help``.
 """
 
 from inspe_jax.cli import scene, score, search, planning, show, export  # noqa: F401  # isort: skip
-from inspe_jax.cli import study, generate, dataset, perception  # noqa: F401  # isort: skip
+from inspe_jax.cli import plan, study, generate, dataset, perception  # noqa: F401  # isort: skip
 from inspe_jax.cli.common import main
 
 __all__ = ["main"]

@@ -287,6 +287,11 @@ def prices(given: list[str] | None) -> dict[str, float]:
     return _numbers("--price", given or [], "DEVICE=USD, such as hesai-xt32=5000")
 
 
+def importances(given: list[str] | None) -> dict[str, float]:
+    """Importance by junction from ``ID=WEIGHT``. Raises InspeError for any other text."""
+    return _numbers("--importance", given or [], "ID=WEIGHT, such as 189=2")
+
+
 def _numbers(option: str, given: list[str], form: str) -> dict[str, float]:
     """Numbers by name from ``NAME=NUMBER``, in the order in which they are given."""
     found: dict[str, float] = {}

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -17,8 +17,8 @@ from inspe_jax.report.outlines import view_outline
 from inspe_jax.scene.geojson import georeference_of
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.catalogue import devices
-from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features
+from inspe_jax.sensing.layout import Layout, made_with
+from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features, point_feature
 
 LINE = {"camera": "ffb27200", "lidar": "ff00559e"}
 """Colours of outlines in KML, by kind of sensor: alpha, blue, green, red."""
@@ -49,6 +49,29 @@ def _degrees(points: Float[np.ndarray, "N 2"], place: Intersection) -> Float[np.
 def plan_geojson(layout: Layout, place: Intersection) -> str:
     """A plan as GeoJSON, which can be read back as a layout. Raises as :func:`plan_features`."""
     return json.dumps(collection(layout, plan_features(layout, place)), indent=1) + "\n"
+
+
+def city_geojson(
+    layouts: Mapping[str, tuple[Layout, Intersection]], junctions: Sequence[dict[str, Any]]
+) -> str:
+    """The plan of a city as GeoJSON: ``junctions`` as points, and the plan of each that has one.
+
+    ``layouts`` are by the ids of their junctions. The features of
+    :func:`plan_features` have the id as their property ``junction``. Those of ``junctions`` have
+    theirs, with ``longitude`` and ``latitude`` for coordinates. Raises as :func:`plan_features`.
+    """
+    found, own_devices = list[dict[str, Any]](), dict[str, Any]()
+    for one in junctions:
+        own = dict(one)
+        at = [round(own.pop(key), DIGITS) for key in ("longitude", "latitude")]
+        found.append(point_feature(at, feature="junction", **own))
+    for name, (layout, place) in layouts.items():
+        own_devices |= made_with(layout).get("devices", {})
+        for feature in plan_features(layout, place):
+            feature["properties"] = {"junction": name, **feature["properties"]}
+            found.append(feature)
+    further = {"devices": own_devices} if own_devices else {}
+    return json.dumps({"type": "FeatureCollection", **further, "features": found}, indent=1) + "\n"
 
 
 def plan_kml(layout: Layout, place: Intersection) -> str:

@@ -4,7 +4,6 @@ import os
 import platform
 import signal
 import subprocess
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +13,7 @@ import psutil
 import pytest
 import yaml
 from distributed import CancelledError
-from processes import inspe_process
+from processes import in_this_process, inspe_process, kill_with_workers, wait_for_rows
 
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.core.errors import InspeError
@@ -51,15 +50,6 @@ def begin(path: Path, out: Path, *options: str) -> subprocess.Popen:
     """`inspe sweep` in a process and a group of its own."""
     arguments = ("sweep", str(path), "--out", str(out), *options)
     return inspe_process(*arguments, start_new_session=True)
-
-
-def wait_for_rows(process: subprocess.Popen, out: Path, count: int) -> None:
-    table = out / "results.csv"
-    end = time.monotonic() + 240
-    while not table.exists() or table.read_text().count("\n") <= count:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 @pytest.fixture(scope="module")
@@ -136,17 +126,6 @@ def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     assert (tmp_path / "out" / "results.csv").read_bytes() == whole
 
 
-def in_this_process() -> distributed.LocalCluster:
-    """A scheduler with a worker that is a thread."""
-    return distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        dashboard_address="127.0.0.1:0",
-    )
-
-
 def kill_a_worker(process: subprocess.Popen) -> None:
     """The child that has used most time: a worker, since the tracker of resources uses none."""
     children = psutil.Process(process.pid).children(recursive=True)
@@ -164,13 +143,7 @@ def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     for count in (2, 5):
         process = begin(path, tmp_path / "out", "--workers", "2")
         wait_for_rows(process, tmp_path / "out", count)
-        workers = psutil.Process(process.pid).children(recursive=True)
-        os.kill(process.pid, signal.SIGKILL)
-        process.communicate()
-        end = time.monotonic() + 60
-        while any(map(lives, workers)):
-            assert time.monotonic() < end
-            time.sleep(0.1)
+        kill_with_workers(process)
         with Results(load_study(path), tmp_path / "out") as results:  # less a row cut short
             assert len(results.rows) >= max(count, before)
             before = len(results.rows)
@@ -178,14 +151,6 @@ def test_a_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     _, err = process.communicate(timeout=500)
     assert process.returncode == 0, err
     assert (tmp_path / "out" / "results.csv").read_bytes() == whole
-
-
-def lives(process: psutil.Process) -> bool:
-    """Whether it still runs; nobody may have asked for its end."""
-    try:
-        return process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 @pytest.mark.process

@@ -1,0 +1,297 @@
+"""One budget for the junctions of a map: `inspe plan`.
+
+Imports are inside the command: Dask and matplotlib load slowly.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inspe_jax.cli.common import (
+    LightOption,
+    WeatherOption,
+    app,
+    busy,
+    err,
+    note,
+    out,
+    progress,
+)
+from inspe_jax.cli.options import (
+    OutOption,
+    PriceOption,
+    WeightOptions,
+    counts,
+    importances,
+    prices,
+    takes,
+)
+from inspe_jax.cli.planning import DEFAULT_DEVICES
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
+
+if TYPE_CHECKING:
+    from inspe_jax.scene.georeference import Georeference
+    from inspe_jax.study.city import CityPlan
+
+METHOD, EVALUATIONS = "greedy", 100.0
+"""Method of the searches, and the budget of each in exact scores."""
+SHOWN = 5
+"""Number of mixes that failed whose error is printed."""
+
+
+@app.command()
+@takes(WeightOptions)
+def plan(
+    source: Annotated[Path, typer.Argument(metavar="MAP", help="A map (.xodr, .net.xml, .osm).")],
+    budget: Annotated[
+        float, typer.Option(metavar="USD", help="What all junctions together may cost.")
+    ],
+    junctions: Annotated[
+        str,
+        typer.Option(
+            metavar="signals|all|ID,…",
+            help="Junctions of the map: those with signals, all, or ids with commas between; "
+            "`inspe scene MAP --list` lists them.",
+        ),
+    ] = "signals",
+    device: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DEVICE:COUNTS",
+            help="A device of the catalogue, and the numbers of it to try at each junction, such "
+            f"as 0-4 or 0,4,8; repeat it for other devices. {DEFAULT_DEVICES[0]} if not given.",
+        ),
+    ] = None,
+    price: PriceOption = None,
+    worst: Annotated[
+        bool,
+        typer.Option(
+            "--worst",
+            help="Maximise the least score of a junction, and then the sum; without it, the "
+            "weighted sum.",
+        ),
+    ] = False,
+    importance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID=WEIGHT",
+            help="Weight of a junction in the sum, 1 if not given; repeat it for other junctions.",
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(help="Radius of each region of interest [m].")
+    ] = None,
+    voxel: Annotated[float | None, typer.Option(help="Edge of a voxel [m].")] = None,
+    density: Annotated[
+        str | None, typer.Option(help="Traffic: none, low, medium, high, or a number.")
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option(help="Number of frames of traffic; 100 if not given.")
+    ] = None,
+    statics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="none|map|street",
+            help="Bodies that hide what is behind them, as of `inspe scene`; none if not given.",
+        ),
+    ] = None,
+    light: LightOption = "midday",
+    weather: WeatherOption = "clear",
+    profile: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Profile; paper if not given. See `inspe profiles`."),
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="Method of each search; `inspe compare` lists all methods.")
+    ] = METHOD,
+    evaluations: Annotated[
+        float | None,
+        typer.Option(
+            help=f"Work of each search, in exact scores; {EVALUATIONS:g} without a budget. A run "
+            "that was stopped then ends with the same plan."
+        ),
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(help="Wall time of each search [s].")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the traffic and of the searches.")] = 0,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a running Dask scheduler, such as tcp://host:8786; if not given, this "
+            "machine's cores are used.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; one per core if not given.")
+    ] = None,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Search again where an earlier run failed.")
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Only check the input, and print how many searches it has."),
+    ] = False,
+    folder: OutOption = Path("plan"),
+    *,
+    options: WeightOptions,
+) -> None:
+    """Share one budget out among the junctions of a map, where it does most.
+
+    For every junction and every mix of devices a search places the sensors, from a start at the
+    junction's corners and roadsides. The mixes that are worth their money are the junction's
+    options, and so is nothing. Then one option is chosen for each junction: the greatest weighted
+    sum of scores, or with --worst the greatest least score, that the budget allows.
+
+    The folder of --out gets plan.csv, plan.png, plan.geojson where the map has coordinates,
+    results.csv with a row for each search, and the layouts. To resume a run that was stopped or
+    killed, give the same command again. Another --budget, --price, --importance or --worst uses the
+    searches of the folder; more junctions or mixes only add theirs.
+
+    Examples:
+
+    - `inspe plan city.osm --budget 250000 --device hesai-xt32:0-2 --device paper-camera:0,2,4
+      --price hesai-xt32=5000 --price paper-camera=800`
+    - `inspe plan town.net.xml --junctions 189,401,53 --importance 189=3 --budget 20000 --worst`
+    - `inspe plan city.osm --junctions all --budget 250000 --dry-run`
+    """
+    from inspe_jax.core.files import check_folder, write_text
+    from inspe_jax.placement.objective import Objective
+    from inspe_jax.placement.studies.pareto import device_mixes, mix_name
+    from inspe_jax.report.city import city_view, plan_table, plan_words
+    from inspe_jax.report.sheet import save_figure
+    from inspe_jax.scene.maps.registry import road_lines
+    from inspe_jax.study.budget import check_budget
+    from inspe_jax.study.city import (
+        check_importance,
+        choose_junctions,
+        city_study,
+        close_pairs,
+        fronts_of,
+        plan_city,
+    )
+    from inspe_jax.study.plan import SCORE_ONLY
+    from inspe_jax.study.sweep import sweep
+
+    check_folder(folder)
+    check_budget(budget)
+    if method == SCORE_ONLY:
+        raise InspeError(f"--method {method}: a plan needs a search")
+    given = importances(importance)
+    options.curves()
+    mixes = device_mixes(counts(device or list(DEFAULT_DEVICES)), Objective(prices=prices(price)))
+    if evaluations is None and seconds is None:
+        evaluations = EVALUATIONS
+    settings = dict(
+        profile=profile,
+        radius=radius,
+        voxel=voxel,
+        density=density,
+        frames=frames,
+        statics=statics,
+        seed=seed,
+        light=light,
+        weather=weather,
+        weights=options.weights(),
+        method=method,
+        evaluations=evaluations,
+        seconds=seconds,
+        search_seed=seed,
+    )
+    more: dict[str, Any] = dict(metrics=list(options.further()))
+    if options.detection is not None:
+        more["detection"] = str(options.detection.resolve())
+    with busy(f"reading {source}"):
+        places = choose_junctions(source, junctions)
+        check_importance(given, places)
+        study = city_study(
+            source,
+            places,
+            [row for _, row in mixes],
+            {key: value for key, value in settings.items() if value is not None},
+            **more,
+        )
+    size = float(study.jobs[0].settings["radius"])
+    if pairs := close_pairs(places, 2 * size):
+        note(
+            [
+                f"{counted(pairs, 'pair')} of junctions are nearer to each other than twice the "
+                "radius: their regions overlap, and each counts its own sensors alone"
+            ]
+        )
+    if dry_run:
+        out.print(
+            f"{source.name}: {counted(len(places), 'junction')}, mixes of devices: {len(mixes)}, "
+            f"searches: {len(study.jobs):,}",
+            highlight=False,
+        )
+        return
+    try:
+        with progress("searches") as report:
+            rows = sweep(
+                study,
+                folder,
+                scheduler=scheduler,
+                workers=workers,
+                retry=retry,
+                progress=report,
+            )
+    except KeyboardInterrupt:
+        err.print("stopped; give the same command again to resume", soft_wrap=True)
+        raise typer.Exit(130) from None
+    costs = {mix_name(row): cost for cost, row in mixes}
+    with busy("sharing out the budget"):
+        fronts = fronts_of(study, rows, places, costs)
+        found = plan_city(fronts, budget, worst=worst, importance=given)
+    lies = _projection(source)
+    out.print(plan_table(found, lies))
+    out.print("\n".join(plan_words(found)), highlight=False, soft_wrap=True)
+    note(f"junction {name} is left out: {reason}" for name, reason in found.left_out.items())
+    failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
+    note(failed[:SHOWN])
+    if len(failed) > SHOWN:
+        note([f"{len(failed)} mixes failed in all; results.csv has their errors"])
+    written = ["plan.csv", "plan.png"]
+    write_text(folder / "plan.csv", found.text(lies))
+    with busy("drawing"):
+        save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
+        if lies is not None:
+            written.append("plan.geojson")
+            write_text(folder / "plan.geojson", _geojson(found, source, folder, size, lies))
+    out.print(f"wrote {', '.join(written)} into {folder}", highlight=False, soft_wrap=True)
+
+
+def _projection(source: Path) -> "Georeference | None":
+    """The projection of a map; None where it has none, and with a note where it cannot be used."""
+    from inspe_jax.scene.maps.registry import georeference_of
+
+    lies = georeference_of(source)
+    if lies is not None:
+        try:
+            lies.check()
+        except InspeError as e:
+            note([f"no coordinates: {e}"])
+            return None
+    return lies
+
+
+def _geojson(
+    found: "CityPlan", source: Path, folder: Path, radius: float, lies: "Georeference"
+) -> str:
+    """The plan as GeoJSON. Each junction that gets devices is read once more for its ground."""
+    import numpy as np
+
+    from inspe_jax.report.handover import city_geojson
+    from inspe_jax.scene.maps.registry import read_map
+    from inspe_jax.sensing.layout import load_layout
+
+    layouts, points = {}, []
+    for front, option in zip(found.fronts, found.chosen, strict=True):
+        lon, lat = lies.to_degrees(np.array(front.junction.center[:2])[None])[0].tolist()
+        about = dict(mix=option.mix, cost_usd=option.cost, score=option.score)
+        points.append(dict(junction=front.name, longitude=lon, latitude=lat, **about))
+        if option.key:
+            place = read_map(source, junction=front.junction.id, radius=radius)
+            layouts[front.name] = load_layout(folder / option.layout), place
+    return city_geojson(layouts, points)

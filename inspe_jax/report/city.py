@@ -1,0 +1,230 @@
+"""The plan of a city: a table of its junctions, and a figure of its map and its budget."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+from rich.console import RenderableType
+from rich.text import Text
+
+from inspe_jax.core.words import counted
+from inspe_jax.report.sheet import (
+    HALO,
+    SIDE,
+    SIDE_GAP,
+    SIDE_LEFT,
+    WIDTH,
+    fit,
+    house_style,
+    sheet_of_two,
+)
+from inspe_jax.report.tables import table_of
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.study.city import CityPlan
+
+CHOSEN, EVEN, OTHER = "#0072b2", "#d55e00", "#606060"
+ROADS: dict[str, Any] = dict(color="#d0d0d0", lw=0.7, zorder=1)
+SCORES = "viridis"
+NAMED, LONGEST = 60, 8
+"""Most junctions that are named on the map, and the longest id; else names are numbers of rows."""
+_SMALL, _LARGE = 4.0, 13.0  # diameters of dots [points]
+_HEAD, _BELOW = 0.86, 1.12  # above and below the panels [inch]
+
+
+def plan_table(plan: CityPlan, lies: Georeference | None = None) -> RenderableType:
+    """What each junction gets: its place, its mix of devices, the cost and the score.
+
+    Places are latitudes and longitudes where the map's projection is given, else metres.
+    """
+    where = "x, y [m]" if lies is None else "latitude, longitude"
+    some = len(set(plan.weights)) > 1
+    heads = ("importance",) if some else ()
+    title = f"{plan.budget:,.0f} US dollars for {counted(len(plan.fronts), 'junction')}"
+    table = table_of(title, "#", "junction", where, *heads, "mix", "cost\n[US$]", "score")
+    rows = zip(plan.fronts, plan.chosen, plan.weights, strict=True)
+    for k, (front, option, weight) in enumerate(rows):
+        at = np.array(front.junction.center[:2])
+        place = "{:.1f}, {:.1f}".format(*at) if lies is None else lies.words(at)
+        cells = [f"{weight:g}"] if some else []
+        cells += [option.mix or "nothing", f"{option.cost:,.0f}", f"{option.score:.3f}"]
+        look = "" if option.key else "dim"
+        table.add_row(str(k + 1), Text(front.name), place, *map(Text, cells), style=look)
+    return table
+
+
+def plan_words(plan: CityPlan) -> list[str]:
+    """The whole plan in a few lines: what is spent, the score, how near to the best, and against an
+    even share."""
+    share, gets = plan.share, sum(bool(option.key) for option in plan.chosen)
+    spent = f"{share.cost:,.2f} of {plan.budget:,.2f} US dollars, at {gets} of {len(plan.fronts)}"
+    scores = f"score in the {_mean_words(plan)} {share.total / sum(plan.weights):.4f}, "
+    scores += f"least score {share.worst:.4f}"
+    what = "least score, and of the sum after it" if plan.worst else "weighted sum"
+    if share.gap:
+        proof = f"a better plan has at most {share.gap:.2%} more of the sum"
+    else:
+        proof = f"proved: no plan within the budget has a greater {what}"
+    even = plan.value(plan.even)
+    kind = "least score" if plan.worst else "mean"
+    return [
+        f"{spent} junctions; {scores}",
+        proof,
+        f"the same part of the budget for every junction would give a {kind} of {even:.4f}",
+    ]
+
+
+def _mean_words(plan: CityPlan) -> str:
+    return "weighted mean" if len(set(plan.weights)) > 1 else "mean"
+
+
+def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"]] = ()) -> Figure:
+    """A map of what each junction gets, and the score against the budget.
+
+    ``name`` is that of the map, and ``roads`` are its lines [m]. A dot is larger the more is spent,
+    and its colour is the score. The curve has the best plans of other budgets.
+    """
+    words = plan_words(plan)
+    facts = "\n".join(fit(line, 130) for line in words)
+    with house_style():
+        title = f"{plan.budget:,.0f} US dollars for the junctions of {name}"
+        fig, (left, right) = sheet_of_two(title, facts, 2, _HEAD, _BELOW)
+        _draw_map(fig, left, plan, roads)
+        _draw_curve(right, plan)
+    return fig
+
+
+# ── The map ─────────────────────────────────────────────────────────────────
+
+
+def _draw_map(
+    fig: Figure, ax: Axes, plan: CityPlan, roads: Sequence[Float[np.ndarray, "N 2"]]
+) -> None:
+    middles = np.array([front.junction.center[:2] for front in plan.fronts])
+    cost = np.array([option.cost for option in plan.chosen])
+    score = np.array([option.score for option in plan.chosen])
+    gets = np.array([bool(option.key) for option in plan.chosen])
+    low, high = middles.min(0), middles.max(0)
+    reach = 0.56 * max(float((high - low).max()), 100.0)
+    (left, below), (right, above) = (low + high) / 2 - reach, (low + high) / 2 + reach
+    ax.set(xlim=(left, right), ylim=(below, above), aspect="equal")
+    ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
+    ax.add_collection(LineCollection(list(roads), **ROADS), autolim=False)
+    x, y = middles.T
+    ax.scatter(x[~gets], y[~gets], s=_SMALL**2, fc="white", ec=OTHER, linewidths=0.8, zorder=3)
+    dots = ax.scatter(
+        x[gets], y[gets], s=_diameter(cost[gets], cost.max()) ** 2, c=score[gets], cmap=SCORES,
+        norm=_norm(score[gets]), ec="white", linewidths=0.5, zorder=4,
+    )  # fmt: skip
+    _draw_names(ax, plan, middles, _diameter(np.where(gets, cost, 0.0), cost.max()))
+    _draw_scale(ax, reach)
+    if gets.any():
+        _draw_keys(fig, ax, dots, cost[gets], bool((~gets).any()))
+
+
+def _norm(scores: Float[np.ndarray, " N"]) -> Normalize:
+    """Colours from a tenth below the least score to a tenth above the greatest."""
+    if not len(scores):
+        return Normalize(0, 1)
+    low, high = np.floor(10 * scores.min()) / 10, np.ceil(10 * scores.max()) / 10
+    return Normalize(low, max(high, low + 0.1))
+
+
+def _diameter(cost: Float[np.ndarray, " N"], most: float) -> Float[np.ndarray, " N"]:
+    """Diameters of dots [points]; their areas grow by the cost."""
+    part = cost / most if most > 0 else np.zeros_like(cost)
+    return np.sqrt(_SMALL**2 + part * (_LARGE**2 - _SMALL**2))
+
+
+def _draw_names(
+    ax: Axes, plan: CityPlan, middles: np.ndarray, diameter: Float[np.ndarray, " N"]
+) -> None:
+    names = [front.name for front in plan.fronts]
+    if len(names) > NAMED:
+        return
+    if max(map(len, names)) > LONGEST:
+        names = [str(k + 1) for k in range(len(names))]
+    for name, at, wide in zip(names, middles, diameter, strict=True):
+        ax.annotate(
+            name, at, (0, wide / 2 + 1), textcoords="offset points", ha="center", va="bottom",
+            size=5.5, zorder=5, path_effects=HALO, parse_math=False, annotation_clip=True,
+        )  # fmt: skip
+
+
+def _draw_scale(ax: Axes, reach: float) -> None:
+    """A scale bar and a north arrow."""
+    choices = [k * 10**n for n in range(6) for k in (1, 2, 5)]
+    bar = max((m for m in choices if m <= 0.5 * reach), default=1)
+    words = f"{bar} m" if bar < 1000 else f"{bar / 1000:g} km"
+    at: dict[str, Any] = dict(transform=ax.transAxes, zorder=9, path_effects=HALO)
+    start = 0.98 - bar / (2 * reach)
+    ax.plot([start, 0.98], [0.02, 0.02], "k-", lw=2.2, solid_capstyle="butt", **at)
+    ax.text((start + 0.98) / 2, 0.03, words, ha="center", va="bottom", **at)
+    ax.plot([0.965, 0.965], [0.90, 0.965], "k-", lw=1.0, **at)
+    ax.plot(0.965, 0.965, "k^", ms=4, **at)
+    ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)
+
+
+def _draw_keys(
+    fig: Figure, ax: Axes, dots: Any, cost: Float[np.ndarray, " N"], some_get_nothing: bool
+) -> None:
+    """Below the map: the scale of colours, and what the sizes of dots mean."""
+    height = fig.get_figheight()
+    bar = fig.add_axes(
+        (SIDE_LEFT / WIDTH, (_BELOW - 0.62) / height, 0.44 * SIDE / WIDTH, 0.08 / height)
+    )
+    fig.colorbar(dots, cax=bar, orientation="horizontal", ticks=MaxNLocator(4))
+    bar.set_title("score of the junction", size=6.5, pad=2)
+    look: dict[str, Any] = dict(marker="o", ls="", mfc=OTHER, mec="white", mew=0.5)
+    keys = [
+        Line2D([], [], ms=float(_diameter(np.array(one), cost.max())), label=f"{one:,.0f}", **look)
+        for one in sorted({float(cost.min()), float(np.median(cost)), float(cost.max())})
+    ]
+    if some_get_nothing:
+        look |= dict(mfc="white", mec=OTHER, mew=0.8)
+        keys.insert(0, Line2D([], [], ms=_SMALL, label="0", **look))
+    ax.legend(
+        handles=keys, title="US dollars spent", loc="upper left", ncols=len(keys), frameon=False,
+        bbox_to_anchor=(0.50, -0.125), borderaxespad=0, handletextpad=0.1, columnspacing=0.8,
+        title_fontsize=6.5, fontsize=6.5,
+    )  # fmt: skip
+
+
+# ── The budget ──────────────────────────────────────────────────────────────
+
+
+def _draw_curve(ax: Axes, plan: CityPlan) -> None:
+    box = ax.get_position()
+    gap = 0.32 * SIDE_GAP / WIDTH  # room for the numbers of the axis
+    ax.set_position((box.x0 + gap, box.y0, box.width - gap, box.height))
+    budgets = [budget for budget, _ in plan.curve]
+    values = [plan.value(share) for _, share in plan.curve]
+    best = [front.options[-1].score for front in plan.fronts]
+    most = min(best) if plan.worst else float(np.average(best, weights=plan.weights))
+    ax.axhline(most, color=OTHER, lw=0.8, ls=(0, (4, 2)), label="the best found at every junction")
+    ax.plot(budgets, values, "o-", color=CHOSEN, lw=1.0, ms=2.2, label="best plan of a budget")
+    ax.plot(
+        plan.budget, plan.value(plan.even), "D", ms=5, mfc="white", mec=EVEN, mew=1.2,
+        label="every junction the same part",
+    )  # fmt: skip
+    ax.plot(
+        plan.budget, plan.value(plan.share), "o", ms=7, color=CHOSEN, mec="white",
+        label="this plan", zorder=4,
+    )  # fmt: skip
+    words = "least score" if plan.worst else f"{_mean_words(plan)} of the scores"
+    ax.set(xlabel="budget [US dollars]", ylabel=words, xlim=(0, budgets[-1] * 1.03))
+    ax.set_ylim(0, 1.08 * max(most, 1e-6))
+    ax.xaxis.set_major_locator(MaxNLocator(5))
+    ax.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    ax.grid(color="#e0e0e0", lw=0.4)
+    ax.set_axisbelow(True)
+    ax.legend(
+        loc="upper left", frameon=False, ncols=2, bbox_to_anchor=(0.0, -0.125), borderaxespad=0,
+        columnspacing=1.0, handletextpad=0.5, fontsize=6.5,
+    )  # fmt: skip

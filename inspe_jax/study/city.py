@@ -1,0 +1,312 @@
+"""A plan of many junctions: a front of device mixes for each, and one budget shared among them.
+
+A city asks where its money does most. The study of a map searches a layout for every mix of devices
+at every junction (:func:`city_study`, run by :func:`~inspe_jax.study.sweep.sweep`). From its rows
+come the fronts of cost against score (:func:`fronts_of`), and from the fronts the plan
+(:func:`plan_city`). Neither prices nor the budget are part of the study, so another budget only
+chooses again.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.files import csv_text
+from inspe_jax.placement.studies.pareto import mix_name
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.maps.parts import MOST_LISTED, JunctionInfo
+from inspe_jax.scene.maps.registry import list_junctions
+from inspe_jax.study.budget import Share, share_out
+from inspe_jax.study.plan import Study, make_study
+from inspe_jax.study.results import LAYOUTS
+from inspe_jax.study.work import Row
+
+SIGNALS, ALL = "signals", "all"
+"""Words for junctions with signals, and for all."""
+CURVE = 24
+"""Number of budgets for which a plan's curve is solved."""
+CURVE_GAP, CURVE_SECONDS = 1e-4, 5.0
+"""How exact the curve's points are, as a share of the score, and how long each may take [s]."""
+DEGREES = 7
+"""Decimals of degrees: a centimetre."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """What one junction can get: a mix of devices, its cost [US dollars] and its score.
+
+    ``key`` is that of the job that found its layout; for no devices at all it is empty.
+    """
+
+    mix: str
+    cost: float
+    score: float
+    key: str = ""
+
+    @property
+    def layout(self) -> str:
+        """The file of its layout, in the folder of the study; empty for no devices."""
+        return f"{LAYOUTS}/{self.key}.yaml" if self.key else ""
+
+
+NOTHING = Option("", 0.0, 0.0)
+"""No devices: nothing is seen, and every score is 0."""
+
+
+@dataclass(frozen=True)
+class JunctionFront:
+    """A junction, the options on its front, cheapest first, and the errors of mixes that failed.
+
+    The scores on a front rise with the costs. It begins with :data:`NOTHING`, unless a mix is free.
+    """
+
+    junction: JunctionInfo
+    options: tuple[Option, ...]
+    errors: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The junction's id as text."""
+        return str(self.junction.id)
+
+    @property
+    def failed(self) -> bool:
+        """Whether every mix failed."""
+        return bool(self.errors) and not any(option.key for option in self.options)
+
+
+@dataclass(frozen=True)
+class CityPlan:
+    """A budget [US dollars] shared among junctions.
+
+    ``fronts`` are of the junctions that can get devices; ``share`` has the option of each.
+    ``weights`` are the importance of each, and ``worst`` says whether the least score is maximised.
+    ``left_out`` are junctions where every mix failed, with the first error. ``even`` is the plan if
+    all junctions get the same part of the budget. ``curve`` has the plans of other budgets, as
+    (budget, plan).
+    """
+
+    budget: float
+    fronts: tuple[JunctionFront, ...]
+    weights: tuple[float, ...]
+    worst: bool
+    share: Share
+    even: Share
+    left_out: Mapping[str, str]
+    curve: tuple[tuple[float, Share], ...]
+
+    @cached_property
+    def chosen(self) -> tuple[Option, ...]:
+        """The option of each junction."""
+        pairs = zip(self.fronts, self.share.options, strict=True)
+        return tuple(front.options[k] for front, k in pairs)
+
+    def value(self, share: Share) -> float:
+        """What is maximised: the least score, or the weighted mean of the scores."""
+        return share.worst if self.worst else share.total / sum(self.weights)
+
+    def text(self, lies: Georeference | None) -> str:
+        """The plan as CSV, one row for each junction that can get devices.
+
+        It has latitudes and longitudes where the map's projection is given.
+        """
+        middles = np.array([front.junction.center[:2] for front in self.fronts])
+        degrees = None if lies is None else lies.to_degrees(middles)
+        rows: list[dict[str, Any]] = []
+        for k, (front, option) in enumerate(zip(self.fronts, self.chosen, strict=True)):
+            row: dict[str, Any] = {"junction": front.name}
+            if degrees is not None:
+                row |= dict(latitude=_fixed(degrees[k, 1]), longitude=_fixed(degrees[k, 0]))
+            row |= dict(x=f"{middles[k, 0]:.2f}", y=f"{middles[k, 1]:.2f}")
+            row |= dict(importance=f"{self.weights[k]:g}", mix=option.mix)
+            row |= dict(cost_usd=f"{option.cost:.2f}", score=f"{option.score:.7f}")
+            rows.append(row | dict(layout=option.layout))
+        return csv_text(rows)
+
+
+def _fixed(degrees: float) -> str:
+    return f"{degrees:.{DEGREES}f}"
+
+
+def choose_junctions(path: str | os.PathLike[str], wanted: str) -> tuple[JunctionInfo, ...]:
+    """Junctions of a map: those with ``signals``, ``all``, or those of ids with commas between.
+
+    Raises InspeError if there is none or an id is unknown, and as
+    :func:`~inspe_jax.scene.maps.registry.list_junctions`.
+    """
+    known = list_junctions(path)
+    if not known:
+        raise InspeError(f"{path}: the map has no junction")
+    if wanted == ALL:
+        return known
+    if wanted == SIGNALS:
+        found = tuple(one for one in known if one.signals)
+        if not found:
+            raise InspeError(
+                f"{path}: none of its {len(known)} junctions has signals; `all` takes all of them"
+            )
+        return found
+    by_id = {str(one.id): one for one in known}
+    names = [name.strip() for name in wanted.split(",") if name.strip()]
+    check_ids(names, by_id, f"{path}: ")
+    if not names or len(set(names)) < len(names):
+        raise InspeError(
+            f"{path}: junctions '{wanted}': write {SIGNALS}, {ALL}, or ids with commas between, "
+            "each once"
+        )
+    return tuple(by_id[name] for name in names)
+
+
+def check_ids(names: Sequence[str], known: Mapping[str, Any], where: str = "") -> None:
+    """Raise InspeError if a name is not the id of a junction."""
+    for name in names:
+        if name not in known:
+            listed = ", ".join([*known][:MOST_LISTED]) + ", …" * (len(known) > MOST_LISTED)
+            raise InspeError(f"{where}no junction '{name}' among {listed}{nearest(name, [*known])}")
+
+
+def check_importance(given: Mapping[str, float], junctions: Sequence[JunctionInfo]) -> None:
+    """Raise InspeError if an importance is not more than 0, or is of none of the junctions."""
+    check_ids(list(given), {str(one.id): one for one in junctions}, "importance: ")
+    for name, weight in given.items():
+        if not 0 < weight < float("inf"):
+            raise InspeError(f"importance {name}={weight:g}: more than 0")
+
+
+def city_study(
+    path: str | os.PathLike[str],
+    junctions: Sequence[JunctionInfo],
+    mixes: Sequence[Mapping[str, int]],
+    settings: Mapping[str, Any],
+    **more: Any,
+) -> Study:
+    """The study of every mix of devices at every junction of a map.
+
+    ``settings`` and ``more`` are as in a study file (:mod:`inspe_jax.study.plan`); the settings
+    need a method of search. Raises InspeError as :func:`~inspe_jax.study.plan.make_study`.
+    """
+    place = Path(path)
+    content = dict(
+        scenes=[
+            {"name": str(one.id), "map": str(place.resolve()), "junction": one.id}
+            for one in junctions
+        ],
+        layouts=[{"mix": {name: n for name, n in mix.items() if n}} for mix in mixes],
+        settings=dict(settings),
+        **more,
+    )
+    return make_study(content, place.parent, str(place), place.stem)
+
+
+def fronts_of(
+    study: Study,
+    rows: Sequence[Row],
+    junctions: Sequence[JunctionInfo],
+    costs: Mapping[str, float],
+) -> tuple[JunctionFront, ...]:
+    """The front of each junction, from the rows of a study; ``costs`` are those of mixes by name.
+
+    Mixes that failed are not on it, nor is one that is beaten by a mix that costs no more.
+    """
+    by_key = {row["key"]: row for row in rows}
+    options: dict[str, list[Option]] = {str(one.id): [NOTHING] for one in junctions}
+    errors: dict[str, list[str]] = {name: [] for name in options}
+    for job in study.jobs:
+        row, name = by_key[job.key], job.source.name
+        if row["status"] == "done":
+            mix = mix_name(dict(job.layout.mix))
+            options[name].append(Option(mix, costs[mix], float(row["surrogate"]), job.key))
+        else:
+            errors[name].append(f"{job.layout.name}: {row['error']}")
+    return tuple(
+        JunctionFront(one, _front(options[str(one.id)]), tuple(errors[str(one.id)]))
+        for one in junctions
+    )
+
+
+def _front(options: Sequence[Option]) -> tuple[Option, ...]:
+    """The options that no other beats, cheapest first."""
+    found: list[Option] = []
+    for option in sorted(options, key=lambda one: (one.cost, -one.score)):
+        if not found or option.score > found[-1].score:
+            found.append(option)
+    return tuple(found)
+
+
+def plan_city(
+    fronts: Sequence[JunctionFront],
+    budget: float,
+    *,
+    worst: bool = False,
+    importance: Mapping[str, float] | None = None,
+) -> CityPlan:
+    """Share a budget [US dollars] out among junctions, by their fronts.
+
+    The weighted sum of the scores is maximised; with ``worst`` the least score, and then the sum.
+    ``importance`` of junctions, by id, is 1 where it is not given. Junctions where every mix failed
+    are left out. Raises InspeError if all failed, an id is unknown, or as
+    :func:`~inspe_jax.study.budget.share_out`.
+    """
+    given = importance or {}
+    check_importance(given, [front.junction for front in fronts])
+    left_out = {front.name: front.errors[0] for front in fronts if front.failed}
+    able = tuple(front for front in fronts if not front.failed)
+    if not able:
+        name, reason = next(iter(left_out.items()), ("", "no junction is given"))
+        raise InspeError(f"every search failed; at {name or 'the map'}: {reason}")
+    weights = tuple(given.get(front.name, 1.0) for front in able)
+    costs = [[option.cost for option in front.options] for front in able]
+    scores = [[option.score for option in front.options] for front in able]
+
+    def shared(amount: float, **how: Any) -> Share:
+        return share_out(costs, scores, amount, weights=weights, worst=worst, **how)
+
+    share = shared(budget)
+    budgets = np.linspace(0, _end_of_curve(costs, budget), CURVE).round(2)
+    quick = dict(gap=CURVE_GAP, seconds=CURVE_SECONDS)
+    curve = [(float(amount), shared(float(amount), **quick)) for amount in budgets]
+    curve.append((budget, share))
+    return CityPlan(
+        budget,
+        able,
+        weights,
+        worst,
+        share,
+        _even(costs, scores, weights, budget),
+        left_out,
+        tuple(sorted(curve, key=lambda point: point[0])),
+    )
+
+
+def _end_of_curve(costs: Sequence[Sequence[float]], budget: float) -> float:
+    """The greatest budget of the curve: all that can be spent, or thrice the plan's budget."""
+    return max(min(sum(row[-1] for row in costs), 3 * budget), budget, 1.0)
+
+
+def _even(
+    costs: Sequence[Sequence[float]],
+    scores: Sequence[Sequence[float]],
+    weights: Sequence[float],
+    budget: float,
+) -> Share:
+    """What the budget brings if every junction gets the same part, and takes the best for it."""
+    part = budget / len(costs) + 1e-6
+    options = tuple(int(np.searchsorted(row, part, side="right")) - 1 for row in costs)
+    found = [row[k] for row, k in zip(scores, options, strict=True)]
+    total = sum(w * score for w, score in zip(weights, found, strict=True))
+    cost = sum(row[k] for row, k in zip(costs, options, strict=True))
+    return Share(options, round(cost, 2), total, min(found), total)
+
+
+def close_pairs(junctions: Sequence[JunctionInfo], reach: float) -> int:
+    """Number of pairs of junctions whose middles are nearer to each other than ``reach`` [m]."""
+    from scipy.spatial import cKDTree
+
+    middles = np.array([one.center[:2] for one in junctions])
+    return len(cKDTree(middles).query_pairs(0.999 * reach))  # circles may touch

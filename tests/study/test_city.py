@@ -1,0 +1,366 @@
+"""A plan for the junctions of a map: its study, its fronts, its choice, and the command line."""
+
+import csv
+import json
+import re
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import (
+    in_this_process,
+    inspe_here,
+    inspe_process,
+    kill_with_workers,
+    wait_for_rows,
+)
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.report.city import city_view, plan_words
+from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.registry import read_map, road_lines
+from inspe_jax.scene.maps.sumo.network import run
+from inspe_jax.sensing.layout import load_layout
+from inspe_jax.study.city import (
+    NOTHING,
+    JunctionFront,
+    Option,
+    choose_junctions,
+    city_study,
+    fronts_of,
+    plan_city,
+)
+from inspe_jax.study.results import read_results
+
+LIES = "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
+SMALL = ("--radius", 20, "--voxel", 2, "--frames", 2, "--density", 5, "--evaluations", 3)
+MIXES = ("--device", "velodyne-vlp-16:1-2", "--device", "paper-camera:0,1",
+         "--price", "paper-camera=850.5")  # fmt: skip
+
+
+def grid(path: Path, across: int, up: int, length: float = 100.0) -> Path:
+    """A network of SUMO: a grid of junctions with signals, at a place on the Earth."""
+    pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
+    pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
+    numbers = ("--grid.x-number", across, "--grid.y-number", up, "--grid.length", length)
+    ends = ("--grid.attach-length", length, "--sidewalks.guess", "true")
+    how = ("--default-junction-type", "traffic_light", "--seed", 1, "-o", path)
+    run("netgenerate", ["--grid", *map(str, (*numbers, *ends, *how))], "grid")
+    text = path.read_text()
+    text = re.sub(r'netOffset="[^"]*"', 'netOffset="-691000.00,-5334000.00"', text)
+    path.write_text(re.sub(r'projParameter="[^"]*"', f'projParameter="{LIES}"', text))
+    return path
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("city")
+    grid(folder / "grid.net.xml", 2, 2)
+    return folder
+
+
+@pytest.fixture
+def inspe(files, monkeypatch, capsys):
+    return partial(inspe_here, files, monkeypatch, capsys)
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "plan.csv").open(newline="") as f:
+        return list(csv.DictReader(f))
+
+
+def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
+    """The plan is the best of all choices among the rows; other budgets search nothing."""
+    there = files / "out"
+    command = ("plan", "grid.net.xml", *SMALL, *MIXES, "--out", "out")
+    with in_this_process() as running:
+        status, text, error = inspe(
+            *command, "--budget", 12_000, "--scheduler", running.scheduler_address
+        )
+    assert status == 0, error
+    assert "latitude, longitude" in text
+    assert "proved: no plan within the budget has a greater weighted sum" in text
+    assert "wrote plan.csv, plan.png, plan.geojson into out" in text
+    rows = table(there)
+    searched = read_results(there)
+    assert len(searched) == 4 * 4
+    assert {row["status"] for row in searched} == {"done"}
+    prices = {"velodyne-vlp-16": 4000, "paper-camera": 850.5}
+    options = [[(0.0, 0.0)] for _ in rows]
+    for row in searched:
+        parts = (part.split(" ", 1) for part in row["layout"].split(" + "))
+        cost = sum(int(n) * prices[name] for n, name in parts)
+        k = [one["junction"] for one in rows].index(row["scene"])
+        options[k].append((cost, float(row["surrogate"])))
+    best = max(
+        sum(score for _, score in choice)
+        for choice in product(*options)
+        if sum(cost for cost, _ in choice) <= 12_000
+    )
+    assert sum(float(row["score"]) for row in rows) == pytest.approx(best, abs=1e-9)
+    assert 0 < sum(float(row["cost_usd"]) for row in rows) <= 12_000
+    for row in rows:
+        assert (row["mix"] == "") == (row["layout"] == "") == (float(row["cost_usd"]) == 0)
+        assert 48 < float(row["latitude"]) < 49
+        assert 11 < float(row["longitude"]) < 12
+        if row["layout"]:
+            assert (there / row["layout"]).is_file()
+    assert (there / "plan.png").read_bytes().startswith(b"\x89PNG")
+    check_geojson(there, rows)
+
+    kept, first = (there / "results.csv").read_bytes(), (there / "plan.csv").read_bytes()
+    for more in (("--budget", 4_000), ("--budget", 20_000, "--worst"), ("--budget", 12_000)):
+        assert inspe(*command, *more)[0] == 0  # no scheduler, and no worker starts
+        assert (there / "results.csv").read_bytes() == kept
+    assert (there / "plan.csv").read_bytes() == first
+    status, text, _ = inspe(*command, "--budget", 20_000, "--worst")
+    assert "no plan within the budget has a greater least score, and of the sum after it" in text
+    assert all(row["mix"] for row in table(there))
+    dear = next(row["junction"] for row in table(there))
+    inspe(*command, "--budget", 4_100, "--importance", f"{dear}=50")
+    assert [row["junction"] for row in table(there) if row["mix"]] == [dear]
+    assert table(there)[0]["importance"] == "50"
+    status, _, error = inspe(*command, "--budget", 4_000, "--seed", 1)
+    assert status == 2
+    assert "are not jobs of this study" in error
+
+
+def check_geojson(there: Path, rows: list[dict[str, str]]) -> None:
+    """Every junction is a point; those with devices have their units, sensors and views."""
+    content = json.loads((there / "plan.geojson").read_text())
+    by: dict[str, dict[str, list]] = {}
+    for feature in content["features"]:
+        own = feature["properties"]
+        by.setdefault(own["junction"], {}).setdefault(own["feature"], []).append(feature)
+    assert set(by) == {row["junction"] for row in rows}
+    for row in rows:
+        (point,) = by[row["junction"]]["junction"]
+        at = point["geometry"]["coordinates"]
+        assert at == pytest.approx([float(row["longitude"]), float(row["latitude"])], abs=1e-7)
+        assert point["properties"]["cost_usd"] == float(row["cost_usd"])
+        if not row["layout"]:
+            assert set(by[row["junction"]]) == {"junction"}
+            continue
+        layout = load_layout(there / row["layout"])
+        for kind, count in (("unit", len(layout.units)), ("sensor", len(layout))):
+            found = by[row["junction"]][kind]
+            assert len(found) == count
+            for one in found:  # within 40 m: a ten-thousandth of a degree is about 10 m
+                away = np.subtract(one["geometry"]["coordinates"], at)
+                assert np.abs(away).max() < 6e-4
+        assert len(by[row["junction"]]["view"]) == len(layout)
+
+
+def test_dry_runs_and_ctrl_c(inspe, files, monkeypatch):
+    status, text, error = inspe(
+        "plan", "grid.net.xml", *MIXES, "--budget", 1, "--dry-run", "--radius", 45
+    )
+    assert status == 0
+    assert "grid.net.xml: 4 junctions, mixes of devices: 4, searches: 16" in text
+    assert "are nearer to each other than twice the radius" not in error
+    assert not (files / "plan").exists()
+    status, _, error = inspe(
+        "plan", "grid.net.xml", "--radius", 60, "--budget", 1, "--junctions", "A0,A1", "--dry-run"
+    )
+    assert "1 pair of junctions are nearer to each other than twice the radius" in error
+
+    def stopped(*given, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("inspe_jax.study.sweep.sweep", stopped)
+    status, _, error = inspe("plan", "grid.net.xml", *MIXES, "--budget", 1)
+    assert status == 130
+    assert "give the same command again to resume" in error
+
+
+BAD = [
+    (("none.net.xml",), "none.net.xml: no such file"),
+    (("grid.csv",), "grid.csv: not a map: its name must end in"),
+    (("grid.net.xml", "--junctions", "A0,B7"), "no junction 'B7' among A0, A1, B0, B1; did you"),
+    (("grid.net.xml", "--junctions", ","), "junctions ',': write signals, all, or ids"),
+    (("grid.net.xml", "--junctions", "A0,A0"), "write signals, all, or ids with commas"),
+    (("grid.net.xml", "--importance", "A9=2"), "importance: no junction 'A9' among"),
+    (("grid.net.xml", "--importance", "A0=0"), "importance A0=0: more than 0"),
+    (("grid.net.xml", "--importance", "A0"), "--importance A0: write ID=WEIGHT, such as 189=2"),
+    (("grid.net.xml", "--importance", "A0=inf"), "importance A0=inf: more than 0"),
+    (("grid.net.xml", "--budget", "-1"), "budget -1: 0 to 1e+10 US dollars"),
+    (("grid.net.xml", "--budget", "nan"), "budget nan: 0 to 1e+10 US dollars"),
+    (("grid.net.xml", "--device", "paper-camera:1"), "has no list price in the catalogue"),
+    (("grid.net.xml", "--device", "velodyne:1"), "no device 'velodyne'"),
+    (("grid.net.xml", "--price", "paper-camera=1"), "price of 'paper-camera', which is in no mix"),
+    (("grid.net.xml", "--method", "none"), "--method none: a plan needs a search"),
+    (("grid.net.xml", "--method", "gready"), "settings.method: 'gready': one of"),
+    (("grid.net.xml", "--density", "many"), "settings.density: density 'many'"),
+    (("grid.net.xml", "--frames", "0"), "settings.frames[0]"),
+    (("grid.net.xml", "--radius", "-3"), "settings.radius[0]"),
+    (("grid.net.xml", "--weight", "coverage=2"), "sum to 1"),
+    (("grid.net.xml", "--detection", "none.toml"), "none.toml: no such file"),
+    (("grid.net.xml", "--workers", "0"), "workers 0: give 1 or more"),
+    (("grid.net.xml", "--out", "no/such"), "no such folder"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(a) for a, _ in BAD])
+def test_bad_input_is_one_message(inspe, arguments, message):
+    budget = () if "--budget" in arguments else ("--budget", 1)
+    status, _, error = inspe("plan", *arguments, *budget)
+    assert status == 2
+    assert message in " ".join(error.split())
+
+
+# ── From rows to a plan, without a search ───────────────────────────────────
+
+
+def junction(name: str, x: float = 0.0, signals: int = 1) -> JunctionInfo:
+    return JunctionInfo(name, (x, 0.0, 0.0), 4, 20.0, 0, signals)
+
+
+def rows_of(study, scores):
+    """A row for each job: its score by (scene, layout), or its error."""
+    found = []
+    for job in study.jobs:
+        value = scores[job.source.name, job.layout.name]
+        done = isinstance(value, float)
+        found.append(
+            dict(
+                key=job.key,
+                status="done" if done else "failed",
+                surrogate=str(value) if done else "",
+                error="" if done else value,
+            )
+        )
+    return found
+
+
+def test_fronts_have_no_mix_that_another_beats(files):
+    places = [junction("A0"), junction("A1"), junction("B0")]
+    mixes = [{"paper-camera": n, "paper-lidar-32": 0} for n in (1, 2, 3)]
+    study = city_study(files / "grid.net.xml", places, mixes, dict(method="random"))
+    names = [job.layout.name for job in study.jobs[:3]]
+    assert names == ["1 paper-camera", "2 paper-camera", "3 paper-camera"]
+    costs = dict(zip(names, (10.0, 20.0, 20.0), strict=True))
+    values = [0.3, 0.2, 0.5, 0.3, "too many posts", 0.25, "no pole", "no pole", "no mast"]
+    keys = [(place.id, name) for place in places for name in names]
+    rows = rows_of(study, dict(zip(keys, values, strict=True)))
+    first, second, third = fronts_of(study, rows, places, costs)
+    assert [(one.cost, one.score) for one in first.options] == [(0, 0), (10, 0.3), (20, 0.5)]
+    assert first.options[2].layout == f"layouts/{study.jobs[2].key}.yaml"
+    assert [(one.cost, one.score) for one in second.options] == [(0, 0), (10, 0.3)]
+    assert second.errors == ("2 paper-camera: too many posts",)
+    assert not second.failed
+    assert third.failed
+    plan = plan_city([first, second, third], 30)
+    assert plan.left_out == {"B0": "1 paper-camera: no pole"}
+    assert [one.mix for one in plan.chosen] == ["3 paper-camera", "1 paper-camera"]
+    assert plan.text(None).splitlines()[0] == "junction,x,y,importance,mix,cost_usd,score,layout"
+    assert plan.even.options == (1, 1)  # 15 for each
+    assert [amount for amount, _ in plan.curve] == sorted(amount for amount, _ in plan.curve)
+    values = [plan.value(share) for _, share in plan.curve]
+    assert values == sorted(values)
+    with pytest.raises(InspeError, match="every search failed; at B0: 1 paper-camera: no pole"):
+        plan_city([third], 30)
+    free = fronts_of(study, rows, places, costs | {"1 paper-camera": 0.0})
+    assert free[0].options[0].score == 0.3
+
+
+def test_neither_prices_nor_the_budget_change_the_study(files):
+    """And a junction or a mix more only adds jobs."""
+    path, settings = files / "grid.net.xml", dict(method="greedy", evaluations=3)
+    one = city_study(path, [junction("A0")], [{"paper-camera": 1}], settings)
+    both = [junction("A0"), junction("A1")]
+    more = city_study(path, both, [{"paper-camera": 1}, {"paper-camera": 2}], settings)
+    keys = {job.key for job in more.jobs}
+    assert len(keys) == 4
+    assert {job.key for job in one.jobs} < keys
+
+
+def synthetic(count: int, name: str = "{}") -> list[JunctionFront]:
+    rng = np.random.default_rng(0)
+    found = []
+    for k in range(count):
+        at = (*rng.uniform(0, 3000, 2).tolist(), 0.0)
+        scores = np.sort(rng.uniform(0.1, 0.9, 3)).tolist()
+        options = [Option(f"{n} x", 4000.0 * n, scores[n - 1], f"k{n}") for n in (1, 2, 3)]
+        place = JunctionInfo(name.format(k), at, 4, 20.0, 0, 4)
+        found.append(JunctionFront(place, (NOTHING, *options)))
+    return found
+
+
+@pytest.mark.parametrize("worst", [False, True], ids=["sum", "worst"])
+@pytest.mark.parametrize(
+    ("count", "name", "labels"),
+    [(3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", [])],
+)
+def test_the_figure_names_junctions_where_there_is_room(count, name, labels, worst):
+    plan = plan_city(synthetic(count, name), 4000.0 * count, worst=worst)
+    map_, curve = city_view(plan, "town", [np.array([[0, 0], [3000, 3000]])]).axes[:2]
+    texts = [text.get_text() for text in map_.texts]
+    assert [text for text in texts if text not in ("N", "1 km", "500 m", "200 m")] == labels
+    assert curve.get_ylabel() == ("least score" if worst else "mean of the scores")
+    least, total = plan.value(plan.even), plan.value(plan.share)
+    assert least <= total
+
+
+def test_a_plan_in_words():
+    plan = plan_city(synthetic(4), 12_000)
+    spent, proof, even = plan_words(plan)
+    assert spent.startswith("12,000.00 of 12,000.00 US dollars, at")
+    assert proof == "proved: no plan within the budget has a greater weighted sum"
+    assert "would give a mean of" in even
+    empty = plan_city(synthetic(4), 0.0, worst=True)
+    assert plan_words(empty)[0].startswith("0.00 of 0.00 US dollars, at 0 of 4 junctions")
+    assert city_view(empty, "town").axes
+
+
+def test_choosing_junctions(files, monkeypatch):
+    path = files / "grid.net.xml"
+    assert [one.id for one in choose_junctions(path, "signals")] == ["A0", "A1", "B0", "B1"]
+    assert [one.id for one in choose_junctions(path, "B1, A0")] == ["B1", "A0"]
+    some = (junction("a", signals=0), junction("b", signals=0))
+    monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: some)
+    assert choose_junctions(path, "all") == some
+    with pytest.raises(InspeError, match="none of its 2 junctions has signals; `all` takes all"):
+        choose_junctions(path, "signals")
+    monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: ())
+    with pytest.raises(InspeError, match="the map has no junction"):
+        choose_junctions(path, "all")
+
+
+def test_roads_are_where_the_junctions_are(files):
+    path = files / "grid.net.xml"
+    points = np.concatenate(road_lines(path))
+    for one in choose_junctions(path, "all"):
+        away = np.hypot(*(points - np.array(one.center[:2])).T)
+        assert away.min() < 15
+    assert read_map(path, junction="A0", radius=20).georeference is not None
+
+
+def test_roads_of_an_open_drive_map(maps):
+    path = maps / "Town07.xodr"
+    points = np.concatenate(road_lines(path))
+    for one in choose_junctions(path, "all"):
+        assert np.hypot(*(points - np.array(one.center[:2])).T).min() < 20
+
+
+@pytest.mark.process
+def test_a_killed_run_ends_with_the_same_plan(files, tmp_path):
+    command = ("plan", files / "grid.net.xml", *SMALL, *MIXES, "--budget", 12_000, "--workers", 2)
+
+    def begin(name):
+        return inspe_process(*map(str, (*command, "--out", tmp_path / name)),
+                             start_new_session=True)  # fmt: skip
+
+    process = begin("whole")
+    _, error = process.communicate(timeout=500)
+    assert process.returncode == 0, error
+    process = begin("killed")
+    wait_for_rows(process, tmp_path / "killed", 5)
+    kill_with_workers(process)
+    assert len(read_results(tmp_path / "killed")) < 16
+    process = begin("killed")
+    _, error = process.communicate(timeout=500)
+    assert process.returncode == 0, error
+    for name in ("plan.csv", "plan.geojson", "results.csv", "plan.png"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

@@ -252,6 +252,8 @@ def plan(
     note(failed[:SHOWN])
     if len(failed) > SHOWN:
         note([f"{len(failed)} mixes failed in all; results.csv has their errors"])
+    if failed or found.left_out:
+        note(["some searches failed; --retry runs them again"])
     written = ["plan.csv", "plan.png"]
     write_text(folder / "plan.csv", found.text(lies))
     with busy("drawing"):

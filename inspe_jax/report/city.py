@@ -27,7 +27,7 @@ from inspe_jax.report.sheet import (
 )
 from inspe_jax.report.tables import table_of
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.study.city import CityPlan
+from inspe_jax.study.city import NOTHING, CityPlan
 
 CHOSEN, EVEN, OTHER = "#0072b2", "#d55e00", "#606060"
 ROADS: dict[str, Any] = dict(color="#d0d0d0", lw=0.7, zorder=1)
@@ -35,7 +35,7 @@ SCORES = "viridis"
 NAMED, LONGEST = 60, 8
 """Most junctions that are named on the map, and the longest id; else names are numbers of rows."""
 _SMALL, _LARGE = 4.0, 13.0  # diameters of dots [points]
-_HEAD, _BELOW = 0.86, 1.12  # above and below the panels [inch]
+_HEAD, _BELOW = 0.86, 0.98  # above and below the panels [inch]
 
 
 def plan_table(plan: CityPlan, lies: Georeference | None = None) -> RenderableType:
@@ -44,10 +44,10 @@ def plan_table(plan: CityPlan, lies: Georeference | None = None) -> RenderableTy
     Places are latitudes and longitudes where the map's projection is given, else metres.
     """
     where = "x, y [m]" if lies is None else "latitude, longitude"
-    some = len(set(plan.weights)) > 1
+    some = _some_count_more(plan)
     heads = ("importance",) if some else ()
-    title = f"{plan.budget:,.0f} US dollars for {counted(len(plan.fronts), 'junction')}"
-    table = table_of(title, "#", "junction", where, *heads, "mix", "cost\n[US$]", "score")
+    title = f"{_money(plan.budget)} US dollars for {counted(len(plan.fronts), 'junction')}"
+    table = table_of(title, "#", "junction", where, *heads, "devices", "cost\n[US$]", "score")
     rows = zip(plan.fronts, plan.chosen, plan.weights, strict=True)
     for k, (front, option, weight) in enumerate(rows):
         at = np.array(front.junction.center[:2])
@@ -63,25 +63,39 @@ def plan_words(plan: CityPlan) -> list[str]:
     """The whole plan in a few lines: what is spent, the score, how near to the best, and against an
     even share."""
     share, gets = plan.share, sum(bool(option.key) for option in plan.chosen)
-    spent = f"{share.cost:,.2f} of {plan.budget:,.2f} US dollars, at {gets} of {len(plan.fronts)}"
+    spent = f"{_money(share.cost)} of {_money(plan.budget)} US dollars, at {gets} of "
+    spent += counted(len(plan.fronts), "junction")
     scores = f"score in the {_mean_words(plan)} {share.total / sum(plan.weights):.4f}, "
     scores += f"least score {share.worst:.4f}"
-    what = "least score, and of the sum after it" if plan.worst else "weighted sum"
+    what = f"{'weighted ' * _some_count_more(plan)}sum of scores"
+    what = f"least score, or then a greater {what}" if plan.worst else what
     if share.gap:
-        proof = f"a better plan has at most {share.gap:.2%} more of the sum"
+        proof = f"of the mixes searched, a better plan has at most {share.gap:.2%} more of the sum"
     else:
-        proof = f"proved: no plan within the budget has a greater {what}"
+        proof = f"proved: of the mixes searched, no plan for this money has a greater {what}"
     even = plan.value(plan.even)
-    kind = "least score" if plan.worst else "mean"
+    kind = "least score" if plan.worst else _mean_words(plan)
+    if plan.worst and gets < len(plan.fronts):
+        first = (next((one for one in front.options if one.key), NOTHING) for front in plan.fronts)
+        least = sum(option.cost for option in first)
+        proof += f"; from {_money(least)} US dollars on, every junction gets devices"
     return [
-        f"{spent} junctions; {scores}",
+        f"{spent}; {scores}",
         proof,
         f"the same part of the budget for every junction would give a {kind} of {even:.4f}",
     ]
 
 
+def _money(amount: float) -> str:
+    return f"{amount:,.2f}".removesuffix(".00")
+
+
+def _some_count_more(plan: CityPlan) -> bool:
+    return len(set(plan.weights)) > 1
+
+
 def _mean_words(plan: CityPlan) -> str:
-    return "weighted mean" if len(set(plan.weights)) > 1 else "mean"
+    return f"{'weighted ' * _some_count_more(plan)}mean"
 
 
 def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"]] = ()) -> Figure:
@@ -93,7 +107,7 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
     words = plan_words(plan)
     facts = "\n".join(fit(line, 130) for line in words)
     with house_style():
-        title = f"{plan.budget:,.0f} US dollars for the junctions of {name}"
+        title = f"{_money(plan.budget)} US dollars for the junctions of {name}"
         fig, (left, right) = sheet_of_two(title, facts, 2, _HEAD, _BELOW)
         _draw_map(fig, left, plan, roads)
         _draw_curve(right, plan)
@@ -114,7 +128,7 @@ def _draw_map(
     reach = 0.56 * max(float((high - low).max()), 100.0)
     (left, below), (right, above) = (low + high) / 2 - reach, (low + high) / 2 + reach
     ax.set(xlim=(left, right), ylim=(below, above), aspect="equal")
-    ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
+    ax.set(xticks=[], yticks=[])  # the scale says how far; plan.csv has coordinates
     ax.add_collection(LineCollection(list(roads), **ROADS), autolim=False)
     x, y = middles.T
     ax.scatter(x[~gets], y[~gets], s=_SMALL**2, fc="white", ec=OTHER, linewidths=0.8, zorder=3)
@@ -177,9 +191,9 @@ def _draw_keys(
     """Below the map: the scale of colours, and what the sizes of dots mean."""
     height = fig.get_figheight()
     bar = fig.add_axes(
-        (SIDE_LEFT / WIDTH, (_BELOW - 0.62) / height, 0.44 * SIDE / WIDTH, 0.08 / height)
+        (SIDE_LEFT / WIDTH, (_BELOW - 0.40) / height, 0.44 * SIDE / WIDTH, 0.08 / height)
     )
-    fig.colorbar(dots, cax=bar, orientation="horizontal", ticks=MaxNLocator(4))
+    fig.colorbar(dots, cax=bar, orientation="horizontal", ticks=MaxNLocator(4, steps=[1, 2, 5, 10]))
     bar.set_title("score of the junction", size=6.5, pad=2)
     look: dict[str, Any] = dict(marker="o", ls="", mfc=OTHER, mec="white", mew=0.5)
     keys = [
@@ -191,7 +205,7 @@ def _draw_keys(
         keys.insert(0, Line2D([], [], ms=_SMALL, label="0", **look))
     ax.legend(
         handles=keys, title="US dollars spent", loc="upper left", ncols=len(keys), frameon=False,
-        bbox_to_anchor=(0.50, -0.125), borderaxespad=0, handletextpad=0.1, columnspacing=0.8,
+        bbox_to_anchor=(0.50, -0.05), borderaxespad=0, handletextpad=0.5, columnspacing=1.0,
         title_fontsize=6.5, fontsize=6.5,
     )  # fmt: skip
 
@@ -201,17 +215,19 @@ def _draw_keys(
 
 def _draw_curve(ax: Axes, plan: CityPlan) -> None:
     box = ax.get_position()
-    gap = 0.32 * SIDE_GAP / WIDTH  # room for the numbers of the axis
+    gap = SIDE_GAP / WIDTH  # room for the numbers of the axis
     ax.set_position((box.x0 + gap, box.y0, box.width - gap, box.height))
     budgets = [budget for budget, _ in plan.curve]
     values = [plan.value(share) for _, share in plan.curve]
     best = [front.options[-1].score for front in plan.fronts]
     most = min(best) if plan.worst else float(np.average(best, weights=plan.weights))
     ax.axhline(most, color=OTHER, lw=0.8, ls=(0, (4, 2)), label="the best found at every junction")
-    ax.plot(budgets, values, "o-", color=CHOSEN, lw=1.0, ms=2.2, label="best plan of a budget")
+    # Between two budgets the best plan is at least that of the smaller one.
+    ax.plot(budgets, values, color=CHOSEN, lw=1.0, drawstyle="steps-post")
+    ax.plot(budgets, values, "o", color=CHOSEN, ms=2.2, label="best plans of other budgets")
     ax.plot(
         plan.budget, plan.value(plan.even), "D", ms=5, mfc="white", mec=EVEN, mew=1.2,
-        label="every junction the same part",
+        label="the same for every junction",
     )  # fmt: skip
     ax.plot(
         plan.budget, plan.value(plan.share), "o", ms=7, color=CHOSEN, mec="white",
@@ -219,12 +235,12 @@ def _draw_curve(ax: Axes, plan: CityPlan) -> None:
     )  # fmt: skip
     words = "least score" if plan.worst else f"{_mean_words(plan)} of the scores"
     ax.set(xlabel="budget [US dollars]", ylabel=words, xlim=(0, budgets[-1] * 1.03))
-    ax.set_ylim(0, 1.08 * max(most, 1e-6))
+    ax.set_ylim(-0.03 * max(most, 1e-6), 1.08 * max(most, 1e-6))
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     ax.grid(color="#e0e0e0", lw=0.4)
     ax.set_axisbelow(True)
     ax.legend(
-        loc="upper left", frameon=False, ncols=2, bbox_to_anchor=(0.0, -0.125), borderaxespad=0,
-        columnspacing=1.0, handletextpad=0.5, fontsize=6.5,
+        loc="upper right", frameon=False, ncols=2, bbox_to_anchor=(1.02, -0.13), borderaxespad=0,
+        columnspacing=1.0, handletextpad=0.4, handlelength=1.6, fontsize=6.5,
     )  # fmt: skip

@@ -264,7 +264,7 @@ def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
     }
 
 
-_PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view"}
+_PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view", "devices"}
 _NAMES = {
     "mix",
     "P_sm",

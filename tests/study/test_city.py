@@ -81,7 +81,7 @@ def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
         )
     assert status == 0, error
     assert "latitude, longitude" in text
-    assert "proved: no plan within the budget has a greater weighted sum" in text
+    assert "proved: of the mixes searched, no plan for this money has a greater sum" in text
     assert "wrote plan.csv, plan.png, plan.geojson into out" in text
     rows = table(there)
     searched = read_results(there)
@@ -116,7 +116,7 @@ def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
         assert (there / "results.csv").read_bytes() == kept
     assert (there / "plan.csv").read_bytes() == first
     status, text, _ = inspe(*command, "--budget", 20_000, "--worst")
-    assert "no plan within the budget has a greater least score, and of the sum after it" in text
+    assert "no plan for this money has a greater least score, or then a greater sum" in text
     assert all(row["mix"] for row in table(there))
     dear = next(row["junction"] for row in table(there))
     inspe(*command, "--budget", 4_100, "--importance", f"{dear}=50")
@@ -306,11 +306,12 @@ def test_the_figure_names_junctions_where_there_is_room(count, name, labels, wor
 def test_a_plan_in_words():
     plan = plan_city(synthetic(4), 12_000)
     spent, proof, even = plan_words(plan)
-    assert spent.startswith("12,000.00 of 12,000.00 US dollars, at")
-    assert proof == "proved: no plan within the budget has a greater weighted sum"
+    assert spent.startswith("12,000 of 12,000 US dollars, at")
+    assert proof.startswith("proved: of the mixes searched, no plan for this money has")
     assert "would give a mean of" in even
     empty = plan_city(synthetic(4), 0.0, worst=True)
-    assert plan_words(empty)[0].startswith("0.00 of 0.00 US dollars, at 0 of 4 junctions")
+    assert plan_words(empty)[0].startswith("0 of 0 US dollars, at 0 of 4 junctions")
+    assert plan_words(empty)[1].endswith("; from 16,000 US dollars on, every junction gets devices")
     assert city_view(empty, "town").axes
 
 

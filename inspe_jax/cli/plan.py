@@ -156,12 +156,9 @@ def plan(
     - `inspe plan town.net.xml --junctions 189,401,53 --importance 189=3 --budget 20000 --worst`
     - `inspe plan city.osm --junctions all --budget 250000 --dry-run`
     """
-    from inspe_jax.core.files import check_folder, write_text
+    from inspe_jax.core.files import check_folder
     from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.studies.pareto import device_mixes, mix_name
-    from inspe_jax.report.city import city_view, plan_table, plan_words
-    from inspe_jax.report.sheet import save_figure
-    from inspe_jax.scene.maps.registry import road_lines
     from inspe_jax.study.budget import check_budget
     from inspe_jax.study.city import (
         check_importance,
@@ -245,6 +242,16 @@ def plan(
         fronts = fronts_of(study, rows, places, costs)
         found = plan_city(fronts, budget, worst=worst, importance=given)
     lies = _projection(source)
+    _show(found, lies)
+    with busy("drawing"):
+        written = _write(found, source, folder, size, lies)
+    out.print(f"wrote {', '.join(written)} into {folder}", highlight=False, soft_wrap=True)
+
+
+def _show(found: "CityPlan", lies: "Georeference | None") -> None:
+    """Print the plan, and which searches failed."""
+    from inspe_jax.report.city import plan_table, plan_words
+
     out.print(plan_table(found, lies))
     out.print("\n".join(plan_words(found)), highlight=False, soft_wrap=True)
     note(f"junction {name} is left out: {reason}" for name, reason in found.left_out.items())
@@ -254,14 +261,23 @@ def plan(
         note([f"{len(failed)} mixes failed in all; results.csv has their errors"])
     if failed or found.left_out:
         note(["some searches failed; --retry runs them again"])
-    written = ["plan.csv", "plan.png"]
+
+
+def _write(
+    found: "CityPlan", source: Path, folder: Path, radius: float, lies: "Georeference | None"
+) -> list[str]:
+    """Write the plan's files, in place of those of an earlier plan; returns their names."""
+    from inspe_jax.core.files import write_text
+    from inspe_jax.report.city import city_view
+    from inspe_jax.report.sheet import save_figure
+    from inspe_jax.scene.maps.registry import road_lines
+
     write_text(folder / "plan.csv", found.text(lies))
-    with busy("drawing"):
-        save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
-        if lies is not None:
-            written.append("plan.geojson")
-            write_text(folder / "plan.geojson", _geojson(found, source, folder, size, lies))
-    out.print(f"wrote {', '.join(written)} into {folder}", highlight=False, soft_wrap=True)
+    save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
+    if lies is None:
+        return ["plan.csv", "plan.png"]
+    write_text(folder / "plan.geojson", _geojson(found, source, folder, radius, lies))
+    return ["plan.csv", "plan.png", "plan.geojson"]
 
 
 def _projection(source: Path) -> "Georeference | None":

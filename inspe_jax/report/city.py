@@ -1,6 +1,6 @@
 """The plan of a city: a table of its junctions, and a figure of its map and its budget."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ ROADS: dict[str, Any] = dict(color="#d0d0d0", lw=0.7, zorder=1)
 SCORES = "viridis"
 NAMED, LONGEST = 60, 8
 """Most junctions that are named on the map, and the longest id; else names are numbers of rows."""
-_SMALL, _LARGE = 4.0, 13.0  # diameters of dots [points]
+_SMALL, _LARGE, _MANY = 4.0, 13.0, 60  # diameters of dots [points], of up to so many junctions
 _HEAD, _BELOW = 0.86, 0.98  # above and below the panels [inch]
 
 
@@ -73,17 +73,13 @@ def plan_words(plan: CityPlan) -> list[str]:
         proof = f"of the mixes searched, a better plan has at most {share.gap:.2%} more of the sum"
     else:
         proof = f"proved: of the mixes searched, no plan for this money has a greater {what}"
-    even = plan.value(plan.even)
     kind = "least score" if plan.worst else _mean_words(plan)
+    even = "the same part of the budget for every junction would give a "
+    even += f"{kind} of {plan.value(plan.even):.4f}"
     if plan.worst and gets < len(plan.fronts):
         first = (next((one for one in front.options if one.key), NOTHING) for front in plan.fronts)
-        least = sum(option.cost for option in first)
-        proof += f"; from {_money(least)} US dollars on, every junction gets devices"
-    return [
-        f"{spent}; {scores}",
-        proof,
-        f"the same part of the budget for every junction would give a {kind} of {even:.4f}",
-    ]
+        even += f"; devices for all cost {_money(sum(option.cost for option in first))} or more"
+    return [f"{spent}; {scores}", proof, even]
 
 
 def _money(amount: float) -> str:
@@ -131,15 +127,18 @@ def _draw_map(
     ax.set(xticks=[], yticks=[])  # the scale says how far; plan.csv has coordinates
     ax.add_collection(LineCollection(list(roads), **ROADS), autolim=False)
     x, y = middles.T
-    ax.scatter(x[~gets], y[~gets], s=_SMALL**2, fc="white", ec=OTHER, linewidths=0.8, zorder=3)
+    wide = _diameter(cost, cost.max()) * min(1.0, np.sqrt(_MANY / len(cost)))
+    none, order = np.flatnonzero(~gets), np.argsort(-cost, kind="stable")
+    some = order[gets[order]]  # small dots over large ones
+    ax.scatter(x[none], y[none], s=wide[none] ** 2, fc="white", ec=OTHER, linewidths=0.8, zorder=4)
     dots = ax.scatter(
-        x[gets], y[gets], s=_diameter(cost[gets], cost.max()) ** 2, c=score[gets], cmap=SCORES,
-        norm=_norm(score[gets]), ec="white", linewidths=0.5, zorder=4,
+        x[some], y[some], s=wide[some] ** 2, c=score[some], cmap=SCORES, norm=_norm(score[gets]),
+        ec="white", linewidths=0.5, zorder=4,
     )  # fmt: skip
-    _draw_names(ax, plan, middles, _diameter(np.where(gets, cost, 0.0), cost.max()))
+    _draw_names(ax, plan, middles, wide)
     _draw_scale(ax, reach)
     if gets.any():
-        _draw_keys(fig, ax, dots, cost[gets], bool((~gets).any()))
+        _draw_keys(fig, ax, dots, {float(cost[k]): float(wide[k]) for k in order})
 
 
 def _norm(scores: Float[np.ndarray, " N"]) -> Normalize:
@@ -185,24 +184,22 @@ def _draw_scale(ax: Axes, reach: float) -> None:
     ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)
 
 
-def _draw_keys(
-    fig: Figure, ax: Axes, dots: Any, cost: Float[np.ndarray, " N"], some_get_nothing: bool
-) -> None:
-    """Below the map: the scale of colours, and what the sizes of dots mean."""
+def _draw_keys(fig: Figure, ax: Axes, dots: Any, diameters: Mapping[float, float]) -> None:
+    """Below the map: the scale of colours, and what the sizes of dots mean, by cost."""
     height = fig.get_figheight()
     bar = fig.add_axes(
         (SIDE_LEFT / WIDTH, (_BELOW - 0.40) / height, 0.44 * SIDE / WIDTH, 0.08 / height)
     )
     fig.colorbar(dots, cax=bar, orientation="horizontal", ticks=MaxNLocator(4, steps=[1, 2, 5, 10]))
     bar.set_title("score of the junction", size=6.5, pad=2)
-    look: dict[str, Any] = dict(marker="o", ls="", mfc=OTHER, mec="white", mew=0.5)
-    keys = [
-        Line2D([], [], ms=float(_diameter(np.array(one), cost.max())), label=f"{one:,.0f}", **look)
-        for one in sorted({float(cost.min()), float(np.median(cost)), float(cost.max())})
-    ]
-    if some_get_nothing:
-        look |= dict(mfc="white", mec=OTHER, mew=0.8)
-        keys.insert(0, Line2D([], [], ms=_SMALL, label="0", **look))
+    costs = sorted(diameters)
+    keys = []
+    for cost in dict.fromkeys((costs[0], costs[len(costs) // 2], costs[-1])):
+        look: dict[str, Any] = dict(mfc=OTHER, mec="white", mew=0.5)
+        if not cost:
+            look = dict(mfc="white", mec=OTHER, mew=0.8)
+        look |= dict(marker="o", ls="", ms=diameters[cost], label=_money(cost))
+        keys.append(Line2D([], [], **look))
     ax.legend(
         handles=keys, title="US dollars spent", loc="upper left", ncols=len(keys), frameon=False,
         bbox_to_anchor=(0.50, -0.05), borderaxespad=0, handletextpad=0.5, columnspacing=1.0,
@@ -226,7 +223,7 @@ def _draw_curve(ax: Axes, plan: CityPlan) -> None:
     ax.plot(budgets, values, color=CHOSEN, lw=1.0, drawstyle="steps-post")
     ax.plot(budgets, values, "o", color=CHOSEN, ms=2.2, label="best plans of other budgets")
     ax.plot(
-        plan.budget, plan.value(plan.even), "D", ms=5, mfc="white", mec=EVEN, mew=1.2,
+        plan.budget, plan.value(plan.even), "D", ms=5, mfc="none", mec=EVEN, mew=1.2, zorder=5,
         label="the same for every junction",
     )  # fmt: skip
     ax.plot(

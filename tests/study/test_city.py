@@ -311,7 +311,7 @@ def test_a_plan_in_words():
     assert "would give a mean of" in even
     empty = plan_city(synthetic(4), 0.0, worst=True)
     assert plan_words(empty)[0].startswith("0 of 0 US dollars, at 0 of 4 junctions")
-    assert plan_words(empty)[1].endswith("; from 16,000 US dollars on, every junction gets devices")
+    assert plan_words(empty)[2].endswith("; devices for all cost 16,000 or more")
     assert city_view(empty, "town").axes
 
 

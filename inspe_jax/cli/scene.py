@@ -62,10 +62,11 @@ def scene(
     bodies: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.geojson|csv",
+            metavar="FILE.geojson|csv|poly.xml",
             help="Houses, walls, trees and poles of your own, besides those of the map: polygons, "
-            "lines and points in degrees, with properties kind and height_m. Points without a kind "
-            "are poles. Poles can carry sensors; with --statics map all hide what is behind them.",
+            "lines and points in degrees, with properties kind and height_m; points without a kind "
+            "are poles. Or SUMO's polygons. Poles can carry sensors; with --statics map all hide "
+            "what is behind them.",
         ),
     ] = None,
     profile: Annotated[

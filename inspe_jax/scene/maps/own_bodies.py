@@ -1,8 +1,9 @@
-"""Bodies of one's own from GeoJSON or CSV: houses, walls, trees, and poles that carry sensors."""
+"""Bodies of one's own from files: GeoJSON, CSV, and SUMO's polygons."""
 
 import os
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +17,7 @@ from inspe_jax.core.files import check_model
 from inspe_jax.scene.geojson import read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import Shape, with_bodies
+from inspe_jax.scene.maps.sumo.polygons import SUFFIX, polygons_of
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, BUILDING, FURNITURE, POLE, TREE, TREE_BASE
 from inspe_jax.scene.statics import HIGHEST, KINDS, LEAFY, octagon
 
@@ -55,13 +57,17 @@ def with_own_bodies(
     Polygons, lines and points; properties are ``kind``, one of
     :data:`~inspe_jax.scene.statics.KINDS`, ``height_m``, ``base_m``, ``width_m`` of a line,
     ``diameter_m`` of a point, and ``transmittance``. What is missing is usual
-    (:data:`USUAL`, :data:`HEIGHTS`). Poles can carry sensors. What is in the way of traffic is cut
-    off, as of a map's bodies.
+    (:data:`USUAL`, :data:`HEIGHTS`). Of SUMO's polygons (.poly.xml) it is what
+    :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of` finds. Poles can carry sensors. What is
+    in the way of traffic is cut off, as of a map's bodies.
 
     Raises InspeError as :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and
     if nothing is so near.
     """
-    features, _ = read_features(path, place)
+    if str(path).lower().endswith(SUFFIX):
+        features = polygons_of(Path(path), place)
+    else:
+        features, _ = read_features(path, place)
     shapes = [
         made
         for k, one in enumerate(features)

@@ -265,6 +265,28 @@ def test_fronts_have_no_mix_that_another_beats(files):
     assert free[0].options[0].score == 0.3
 
 
+def test_what_failed_is_told_and_left_out(inspe, files, monkeypatch):
+    """One junction has nowhere to put a pole, and at another one mix fails; the rest is planned."""
+
+    def searched(study, folder, **more):
+        Path(folder).mkdir(exist_ok=True)
+        scores = {(job.source.name, job.layout.name): 0.5 for job in study.jobs}
+        scores |= {key: "nowhere to put a pole" for key in scores if key[0] == "B0"}
+        return rows_of(study, scores | {("A1", "2 velodyne-vlp-16"): "too many"})
+
+    monkeypatch.setattr("inspe_jax.study.sweep.sweep", searched)
+    command = ("plan", "grid.net.xml", *MIXES, "--out", "failing")
+    status, text, error = inspe(*command, "--budget", 1)
+    assert status == 0
+    assert "0 of 1 US dollars, at 0 of 3 junctions" in text
+    assert re.search("junction B0 is left out: .*: nowhere to put a pole", error)
+    assert "junction A1: 2 velodyne-vlp-16: too many" in error
+    assert [row["junction"] for row in table(files / "failing")] == ["A0", "A1", "B1"]
+    status, _, error = inspe(*command, "--budget", 1, "--junctions", "B0")
+    assert status == 2
+    assert "every search failed; at B0" in error
+
+
 def test_neither_prices_nor_the_budget_change_the_study(files):
     """And a junction or a mix more only adds jobs."""
     path, settings = files / "grid.net.xml", dict(method="greedy", evaluations=3)

@@ -164,17 +164,23 @@ class Site:
     @cached_property
     def taken(self) -> BaseGeometry:
         """The ground on which static bodies let no unit stand."""
-        return unary_union([self.room_of(one) for one in self.bodies])
+        return unary_union(list(self.rooms))
 
-    def room_of(self, one: StaticBody) -> BaseGeometry:
-        """The ground on which one body lets no unit stand."""
-        return one.polygon.buffer(UNIT_PLAN if one.height > self.lowest else 0.0)
+    @cached_property
+    def rooms(self) -> tuple[BaseGeometry, ...]:
+        """The ground on which each body lets no unit stand."""
+        return tuple(
+            one.polygon.buffer(UNIT_PLAN if one.height > self.lowest else 0.0)
+            for one in self.bodies
+        )
 
     @cached_property
     def carriers(self) -> tuple[StaticBody, ...]:
-        """The bodies that are poles where a unit may be mounted, each well away from others."""
+        """The bodies that are poles where a unit may be mounted: as high as the lowest sensor, and
+        well away from each other."""
         feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
-        poles = [one for one in self.bodies if one.kind == "pole" and one.base == 0]
+        poles = [one for one in self.bodies if one.kind == "pole" and one.base == 0
+                 and one.height >= self.lowest]  # fmt: skip
         known = [one for one in poles if (np.hypot(*(feet - one.middle).T) <= AT_AXIS).any()]
         return separate(known)
 
@@ -192,10 +198,10 @@ class Site:
     def body_near(self, foot: Float[np.ndarray, "2"], within: float = 0.0) -> StaticBody | None:
         """The first body that lets no unit stand at ``foot`` (x, y), deeper than ``within`` [m]."""
         carried = self.carrier_at(foot) is not None
-        for one in self.bodies:
+        at = Point(foot)
+        for one, room in zip(self.bodies, self.rooms, strict=True):
             if carried and one in self.carriers:
                 continue
-            room, at = self.room_of(one), Point(foot)
             if room.contains(at) and room.boundary.distance(at) > within:
                 return one
         return None

@@ -89,7 +89,7 @@ class Space:
             Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
             Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
             np.array([sensor.spec.aimed for sensor in sensors]),
-            self._brackets.within(UNIT_PLAN),
+            self._brackets.largest_offset(UNIT_PLAN),
         )
 
     def _set_places(self) -> None:
@@ -186,11 +186,9 @@ class Space:
         return self._sensors(c, (1 - fx) * low + fx * high, jnp)
 
     def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
-        foot, out = c.base[self._unit], c.arm[self._unit] + c.offset
+        at = c.base[self._unit] + c.arm[self._unit] + c.offset
         if self._brackets:
-            at = self._brackets.hung(foot, out, c.yaw, self._limits.aimed, xp)
-        else:
-            at = foot + out
+            at = self._brackets.positions(at, c.yaw, self._limits.aimed, xp)
         above = c.height[self._unit] + c.rise
         # A sensor over a lane is raised to the clearance. Two sensors of a unit that are up to 4 m
         # apart stay so. If both are raised, or one up to at most the other, they come no further
@@ -281,8 +279,9 @@ class Space:
         above = poses[:, 2] - self.place.ground(feet)[self._unit]
         out = poses[:, :2] - feet[self._unit]
         if self._brackets:
-            foot, at = (xy - self.center[:2] for xy in (feet[self._unit], poses[:, :2]))
-            out = self._brackets.out(foot, at, poses[:, 5], self._limits.aimed)
+            at = poses[:, :2] - self.center[:2]
+            points = self._brackets.points(at, poses[:, 5], self._limits.aimed)
+            out = points + self.center[:2] - feet[self._unit]
         arm, height = np.zeros_like(feet), np.zeros(len(feet))
         for u, members in enumerate(map(list, layout.members())):
             # The head is the middle of the smallest circle round the foot and its sensors, each

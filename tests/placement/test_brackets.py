@@ -6,7 +6,7 @@ import pytest
 import shapely
 from mounts import assert_mountable, lanes_of
 
-from inspe_jax.placement.brackets import NEAREST, STANDOFF
+from inspe_jax.placement.brackets import STANDOFF
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.site import Site
@@ -93,24 +93,64 @@ def test_what_a_search_may_do_on_poles_can_be_mounted(scene, layout):
         placed = space.layout(x)
         assert not space.faults(placed)
         assert_mountable(scene, placed, lanes)
-        assert from_axes(scene, placed).min() > RADIUS + NEAREST - 1e-6
+        assert from_axes(scene, placed).min() > RADIUS + STANDOFF - 1e-6
         for pose in np.asarray(placed.poses):
             assert body_at(scene.statics, scene.intersection, pose[:3]) is None
         again = space.layout(space.start(placed)[0])
         assert np.abs(np.asarray(again.poses) - np.asarray(placed.poses)).max() < 1e-6
 
 
-def test_two_sensors_of_a_unit_stay_near_each_other(scene, layout):
-    """Also on opposite sides of their pole, as far out as coordinates reach."""
+def test_sensors_of_a_unit_stay_near_each_other(scene, layout):
+    """Also on opposite sides of their pole, as far out as coordinates reach, along any line."""
     space = Space(scene, layout, Constraints(places="poles"))
-    for sign in (-1, 1):
-        c = space.split(space.random(np.random.default_rng(5), 1)[0])
+    rng = np.random.default_rng(5)
+    for x in space.random(rng, 60):
+        c = space.split(x)
+        way = rng.uniform(-np.pi, np.pi)
+        line = np.array([np.cos(way), np.sin(way)])
+        yaw = way + np.resize([0.0, np.pi], c.yaw.shape)
+        along = rng.choice([0.0, 0.3, 0.8, 9.0], len(c.offset))[:, None]
+        sides = np.resize([[1.0], [-1.0]], along.shape)
         wide = c._replace(
-            arm=np.full_like(c.arm, 9.0 * sign),
-            offset=9.0 * np.resize([[1.0, 0.0], [-1.0, 0.0]], c.offset.shape),
+            arm=rng.choice([0.0, 0.3, 9.0]) * np.tile(line, (len(c.arm), 1)),
+            offset=along * sides * line,
+            yaw=yaw,
         )
         placed = space.layout(space.project(wide.flat(), np))
         assert not space.faults(placed)
+
+
+@pytest.mark.parametrize("out", [0.0, 0.05, 0.399, 0.4, 0.4005, 0.45, 0.79, 0.81, 1.4])
+def test_a_given_sensor_stays_where_it_may(scene, layout, out):
+    """On any side of its pole; one that is too near moves out as far as it must, the same way."""
+    space = Space(scene, layout, Constraints(places="poles"))
+    feet = np.array([unit.base[:2] for unit in layout.units])
+    length = space._brackets.length[0]
+    for way in np.radians([10.0, 130.0, 250.0]):
+        poses = np.array(layout.poses)
+        units = np.array([sensor.unit for sensor in layout.sensors])
+        toward = np.array([np.cos(way), np.sin(way)])
+        poses[:, :2] = feet[units] + out / 0.4 * length * toward
+        placed = space.layout(space.start(layout.with_poses(poses))[0])
+        assert not space.faults(placed)
+        moved = np.asarray(placed.poses)[:, :2] - feet[units]
+        if out > 0:
+            wanted = max(out / 0.4, 1.0) * length
+            assert np.abs(moved @ toward - wanted).max() < 2e-3
+            assert np.abs(moved @ [-toward[1], toward[0]]).max() < 2e-3
+
+
+def test_strategies_are_starts_as_they_are(scene):
+    for name in ("Cam-d1", "Cam-d2", "L-d1", "Cam-d1/L-d1", "Cam-d2/L-d2"):
+        placed = strategy(scene, name)
+        assert Space(scene, placed).start(placed)[1] == ()
+
+
+def test_low_poles_carry_nothing(scene):
+    place = scene.intersection
+    low = tuple(pole(p[:2], radius=RADIUS, height=1.0) for p in place.poles)
+    assert not Site(place, 40.0, 30.0, bodies=low).carriers
+    assert not len(Site(place, 40.0, 30.0, bodies=low).poles)
 
 
 def test_a_camera_s_bracket_turns_with_it(scene, layout):

@@ -191,15 +191,15 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
     from inspe_jax.placement.strategies import STRATEGIES, strategy
-    from inspe_jax.scene.geojson import SUFFIXES
+    from inspe_jax.scene.geojson import SUFFIX
     from inspe_jax.sensing.layout import load_layout
     from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
     suffix = Path(sensors).suffix.lower()
-    if suffix in (".yaml", ".yml", *SUFFIXES) or Path(sensors).is_file():
+    if suffix in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file():
         layout = (
             load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
-            if suffix in SUFFIXES
+            if suffix == SUFFIX
             else load_layout(sensors, world, unit_rule=unit_rule)
         )
         note_other_profile(world, layout)

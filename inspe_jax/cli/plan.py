@@ -241,18 +241,18 @@ def plan(
     with busy("sharing out the budget"):
         fronts = fronts_of(study, rows, places, costs)
         found = plan_city(fronts, budget, worst=worst, importance=given)
-    lies = _projection(source)
-    _show(found, lies)
+    georeference = _projection(source)
+    _show(found, georeference)
     with busy("drawing"):
-        written = _write(found, source, folder, size, lies)
+        written = _write(found, source, folder, size, georeference)
     out.print(f"wrote {', '.join(written)} into {folder}", highlight=False, soft_wrap=True)
 
 
-def _show(found: "CityPlan", lies: "Georeference | None") -> None:
+def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
     """Print the plan, and which searches failed."""
     from inspe_jax.report.city import plan_table, plan_words
 
-    out.print(plan_table(found, lies))
+    out.print(plan_table(found, georeference))
     out.print("\n".join(plan_words(found)), highlight=False, soft_wrap=True)
     note(f"junction {name} is left out: {reason}" for name, reason in found.left_out.items())
     failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
@@ -264,7 +264,11 @@ def _show(found: "CityPlan", lies: "Georeference | None") -> None:
 
 
 def _write(
-    found: "CityPlan", source: Path, folder: Path, radius: float, lies: "Georeference | None"
+    found: "CityPlan",
+    source: Path,
+    folder: Path,
+    radius: float,
+    georeference: "Georeference | None",
 ) -> list[str]:
     """Write the plan's files, in place of those of an earlier plan; returns their names."""
     from inspe_jax.core.files import write_text
@@ -272,11 +276,11 @@ def _write(
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.scene.maps.registry import road_lines
 
-    write_text(folder / "plan.csv", found.text(lies))
+    write_text(folder / "plan.csv", found.text(georeference))
     save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
-    if lies is None:
+    if georeference is None:
         return ["plan.csv", "plan.png"]
-    write_text(folder / "plan.geojson", _geojson(found, source, folder, radius, lies))
+    write_text(folder / "plan.geojson", _geojson(found, source, folder, radius, georeference))
     return ["plan.csv", "plan.png", "plan.geojson"]
 
 
@@ -284,18 +288,18 @@ def _projection(source: Path) -> "Georeference | None":
     """The projection of a map; None where it has none, and with a note where it cannot be used."""
     from inspe_jax.scene.maps.registry import georeference_of
 
-    lies = georeference_of(source)
-    if lies is not None:
+    georeference = georeference_of(source)
+    if georeference is not None:
         try:
-            lies.check()
+            georeference.check()
         except InspeError as e:
             note([f"no coordinates: {e}"])
             return None
-    return lies
+    return georeference
 
 
 def _geojson(
-    found: "CityPlan", source: Path, folder: Path, radius: float, lies: "Georeference"
+    found: "CityPlan", source: Path, folder: Path, radius: float, georeference: "Georeference"
 ) -> str:
     """The plan as GeoJSON. Each junction that gets devices is read once more for its ground."""
     import numpy as np
@@ -306,7 +310,7 @@ def _geojson(
 
     layouts, points = {}, []
     for front, option in zip(found.fronts, found.chosen, strict=True):
-        lon, lat = lies.to_degrees(np.array(front.junction.center[:2])[None])[0].tolist()
+        lon, lat = georeference.to_degrees(np.array(front.junction.center[:2])[None])[0].tolist()
         about = dict(mix=option.mix, cost_usd=option.cost, score=option.score)
         points.append(dict(junction=front.name, longitude=lon, latitude=lat, **about))
         if option.key:

@@ -292,8 +292,8 @@ def _list_places(source: str) -> None:
 
     if is_map(source):
         with busy(f"reading {source}"):
-            found, lies = list_junctions(source), georeference_of(source)
-        out.print(junctions_table(found, Path(source).name, lies))
+            found, georeference = list_junctions(source), georeference_of(source)
+        out.print(junctions_table(found, Path(source).name, georeference))
         return
     known(source)
     out.print(built_ins_table())

@@ -112,7 +112,7 @@ def read_json(path: Path) -> Any:
     check_input(path)
     try:
         return json.loads(path.read_bytes())
-    except ValueError as e:
+    except (ValueError, RecursionError) as e:
         raise InspeError(f"{path}: not JSON: {e}") from e
 
 

@@ -38,12 +38,12 @@ _SMALL, _LARGE, _MANY = 4.0, 13.0, 60  # diameters of dots [points], of up to so
 _HEAD, _BELOW = 0.86, 0.98  # above and below the panels [inch]
 
 
-def plan_table(plan: CityPlan, lies: Georeference | None = None) -> RenderableType:
+def plan_table(plan: CityPlan, georeference: Georeference | None = None) -> RenderableType:
     """What each junction gets: its place, its mix of devices, the cost and the score.
 
     Places are latitudes and longitudes where the map's projection is given, else metres.
     """
-    where = "x, y [m]" if lies is None else "latitude, longitude"
+    where = "x, y [m]" if georeference is None else "latitude, longitude"
     some = _some_count_more(plan)
     heads = ("importance",) if some else ()
     title = f"{_money(plan.budget)} US dollars for {counted(len(plan.fronts), 'junction')}"
@@ -51,7 +51,7 @@ def plan_table(plan: CityPlan, lies: Georeference | None = None) -> RenderableTy
     rows = zip(plan.fronts, plan.chosen, plan.weights, strict=True)
     for k, (front, option, weight) in enumerate(rows):
         at = np.array(front.junction.center[:2])
-        place = "{:.1f}, {:.1f}".format(*at) if lies is None else lies.words(at)
+        place = "{:.1f}, {:.1f}".format(*at) if georeference is None else georeference.words(at)
         cells = [f"{weight:g}"] if some else []
         cells += [option.mix or "nothing", f"{option.cost:,.0f}", f"{option.score:.3f}"]
         look = "" if option.key else "dim"

@@ -14,7 +14,7 @@ from shapely.geometry.polygon import orient
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import csv_text
 from inspe_jax.report.outlines import view_outline
-from inspe_jax.scene.geojson import georeference_of
+from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout, made_with
@@ -29,13 +29,16 @@ FILL = "30"
 def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
     """A plan as GeoJSON features in degrees: units, sensors, and what each sensor looks at.
 
-    A ``view`` is a polygon on the ground at the height of the junction's middle
+    A ``view`` is a polygon on level ground at the height of the sensor's foot
     (:func:`~inspe_jax.report.outlines.view_outline`), without regard to what stands in the way.
     Raises InspeError if the place has no coordinates.
     """
     found, poses = layout_features(layout, place), np.asarray(layout.poses, float)
-    for sensor, pose in zip(layout.sensors, poses, strict=True):
-        outline = view_outline(sensor.spec, pose, float(place.center[2]))
+    ground = place.ground(np.array([layout.units[s.unit].base[:2] for s in layout.sensors]))
+    for sensor, pose, level in zip(layout.sensors, poses, ground, strict=True):
+        outline = view_outline(sensor.spec, pose, float(level))
+        if len(outline) < 4:  # it looks at nothing, as from below the ground
+            continue
         ring = orient(Polygon(_degrees(outline, place)))
         about = dict(feature="view", name=sensor.name, kind=sensor.spec.kind)
         found.append({"type": "Feature", "geometry": mapping(ring), "properties": about})
@@ -43,7 +46,7 @@ def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
 
 
 def _degrees(points: Float[np.ndarray, "N 2"], place: Intersection) -> Float[np.ndarray, "N 2"]:
-    return georeference_of(place).to_degrees(points).round(DIGITS)
+    return known_georeference(place).to_degrees(points).round(DIGITS)
 
 
 def plan_geojson(layout: Layout, place: Intersection) -> str:
@@ -93,9 +96,9 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
             geometry = geometry | {"coordinates": [*geometry["coordinates"], own["height_m"]]}
         view = own.pop("feature") == "view"
         return Placemark(
-            name=own.pop("name"),
-            description="\n".join(f"{key}: {value}" for key, value in own.items()),
-            style_url=StyleUrl(url=f"#{own['kind']}") if view else None,
+            name=_readable(own.pop("name")),
+            description=_readable("<br/>".join(f"{key}: {value}" for key, value in own.items())),
+            style_url=StyleUrl(url=f"#{own['kind']}") if view and own["kind"] in LINE else None,
             kml_geometry=create_kml_geometry(shape(geometry), altitude_mode=mode),
         )
 
@@ -114,10 +117,17 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
         )
         for kind, colour in LINE.items()
     ]
-    document = Document(name=f"{layout.name} at {place.name}", styles=styles, features=folders)
+    document = Document(
+        name=_readable(f"{layout.name} at {place.name}"), styles=styles, features=folders
+    )
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + KML(features=[document]).to_string(
         prettyprint=True
     )
+
+
+def _readable(text: str) -> str:
+    """A text without the characters that XML forbids."""
+    return "".join(c for c in text if c in "\t\n" or (c >= " " and not "\ud800" <= c <= "\udfff"))
 
 
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:

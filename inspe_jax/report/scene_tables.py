@@ -53,10 +53,10 @@ def scene_table(scene: Scene) -> RenderableType:
     return Group(facts, "", regions)
 
 
-def _on_earth(lies: Georeference | None, point: Float[np.ndarray, "3"]) -> str:
+def _on_earth(georeference: Georeference | None, point: Float[np.ndarray, "3"]) -> str:
     """Latitude and longitude of a point; empty where they are unknown, or pyproj is missing."""
     try:
-        return "" if lies is None else lies.words(point[:2])
+        return "" if georeference is None else georeference.words(point[:2])
     except InspeError:
         return ""
 
@@ -128,7 +128,7 @@ def profile_table(profile: Profile) -> RenderableType:
 
 
 def junctions_table(
-    infos: "Iterable[JunctionInfo]", map_name: str, lies: Georeference | None = None
+    infos: "Iterable[JunctionInfo]", map_name: str, georeference: Georeference | None = None
 ) -> RenderableType:
     """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals.
 
@@ -138,7 +138,7 @@ def junctions_table(
         (
             str(info.id),
             _position(info.center),
-            _on_earth(lies, np.array(info.center)),
+            _on_earth(georeference, np.array(info.center)),
             str(info.arms),
             f"{info.size:.1f}",
             str(info.crosswalks),

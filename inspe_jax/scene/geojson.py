@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -15,18 +16,22 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, check_model, read_json
-from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.georeference import WGS84, Georeference, to_wgs84
 from inspe_jax.scene.intersection import Intersection
 
-SUFFIXES = (".geojson", ".json")
-_DEGREES = ("CRS84", "4326")  # at the end of the name of a coordinate system of degrees
+SUFFIX = ".geojson"
+
+
+_AT = ("longitude", "latitude")  # columns of a CSV file
 
 
 class Feature(NamedTuple):
-    """A feature of a file: its geometry in plan, in world metres, and its properties."""
+    """A feature of a file: its geometry in plan, in world metres, and its properties; ``where`` it
+    is in the file is for messages."""
 
     geometry: BaseGeometry
     properties: dict[str, Any]
+    where: str
 
 
 class _Entry(BaseModel):
@@ -51,7 +56,7 @@ class _File(BaseModel):
     crs: _System | None = None
 
 
-def georeference_of(place: Intersection) -> Georeference:
+def known_georeference(place: Intersection) -> Georeference:
     """The projection of a place. Raises InspeError if it has none."""
     if place.georeference is None:
         raise InspeError(
@@ -62,47 +67,50 @@ def georeference_of(place: Intersection) -> Georeference:
 
 
 def read_features(
-    path: str | os.PathLike[str], place: Intersection
+    path: str | os.PathLike[str],
+    place: Intersection,
+    wanted: Callable[[dict[str, Any]], bool] = lambda properties: True,
 ) -> tuple[tuple[Feature, ...], dict[str, Any]]:
     """The features of a file in the world metres of a place, and its further members.
 
-    Coordinates are longitudes and latitudes, or those of the projection that an older GeoJSON file
-    names in ``crs``. Features without a geometry are left out. A CSV file has a row for each point,
-    with columns ``latitude``, ``longitude`` and those of its properties. Raises InspeError if the
-    place has no coordinates, the file is no such file, or its coordinates are none.
+    Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
+    names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
+    and those of its properties. Properties that are null are as if they were not there.
+    ``wanted`` says by its properties whether a feature is read. Raises InspeError if the place has
+    no coordinates, the file is no such file, or a wanted feature has no coordinates.
     """
-    lies = georeference_of(place)
+    georeference = known_georeference(place)
     content = _points(Path(path)) if str(path).lower().endswith(".csv") else read_json(Path(path))
     found = check_model(_File, content, str(path))
-    to_degrees = None
-    if found.crs is not None and not found.crs.properties.name.endswith(_DEGREES):
-        other = Georeference(found.crs.properties.name)
-        try:
-            other.check()
-        except InspeError as error:
-            raise InspeError(f"{path}: crs: {error}") from None
-        to_degrees = other.to_degrees
+    system = WGS84 if found.crs is None else found.crs.properties.name
 
     def to_world(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        return lies.from_degrees(points if to_degrees is None else to_degrees(points))
+        return georeference.from_degrees(to_wgs84(system, points))
 
     features = []
     for k, entry in enumerate(found.features):
-        if entry.geometry is None:
+        where = f"{path}: features[{k}]"
+        properties = {key: v for key, v in (entry.properties or {}).items() if v is not None}
+        if not wanted(properties):
             continue
         try:
             geometry = shapely.force_2d(shape(entry.geometry))
-        except (ValueError, TypeError, KeyError, AttributeError, IndexError,
+        except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError,
                 shapely.errors.ShapelyError) as error:  # fmt: skip
-            raise InspeError(f"{path}: features[{k}].geometry: no geometry: {error}") from error
-        moved = shapely.transform(geometry, to_world)
+            raise InspeError(f"{where}.geometry: no geometry of GeoJSON") from error
+        if geometry.is_empty:
+            raise InspeError(f"{where}.geometry: has no coordinates")
+        try:
+            moved = shapely.transform(geometry, to_world)
+        except InspeError as error:
+            raise InspeError(f"{path}: crs: {error}") from None
         if not np.isfinite(shapely.get_coordinates(moved)).all():
             at = shapely.get_coordinates(geometry)[0].tolist()
             raise InspeError(
-                f"{path}: features[{k}]: {at} is no longitude and latitude; write the file in "
+                f"{where}: {at} is no longitude and latitude; write the file in "
                 "WGS 84, as GeoJSON has to be, or name its projection in 'crs'"
             )
-        features.append(Feature(moved, entry.properties or {}))
+        features.append(Feature(moved, properties, where))
     return tuple(features), found.model_extra or {}
 
 
@@ -116,14 +124,14 @@ def _points(path: Path) -> dict[str, Any]:
     features = []
     for k, row in enumerate(rows):
         try:
-            at = [float(row.pop(key)) for key in ("longitude", "latitude")]
+            at = [float(row[key]) for key in _AT]
         except (KeyError, TypeError, ValueError) as error:
             raise InspeError(
-                f"{path}: row {k + 1}: needs a number under each of 'latitude' and 'longitude': "
-                f"{error}"
+                f"{path}: row {k + 1}: needs a number under each of 'latitude' and 'longitude'; "
+                f"columns are {', '.join(str(key) for key in rows[k])}"
             ) from error
         point = {"type": "Point", "coordinates": at}
-        own = {key: _number(value) for key, value in row.items() if key and value}
+        own = {key: _number(v) for key, v in row.items() if key and v and key not in _AT}
         features.append({"type": "Feature", "geometry": point, "properties": own})
     return {"type": "FeatureCollection", "features": features}
 

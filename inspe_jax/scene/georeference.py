@@ -77,6 +77,22 @@ class Georeference:
         return np.arctan2(*(end - start).T[::-1])
 
 
+def to_wgs84(system: str, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+    """Longitudes and latitudes [degrees] of points of a coordinate system, x or longitude first.
+
+    ``system`` is all that PROJ reads. Raises InspeError where it is not known.
+    """
+    if system.endswith(("CRS84", ":4326")):
+        return np.asarray(points, float)
+    pyproj = _pyproj()
+    try:
+        known = pyproj.CRS.from_user_input(system).to_2d()
+        there = pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise InspeError(f"'{system}' is no coordinate system that PROJ knows: {error}") from error
+    return np.column_stack(there.transform(*np.asarray(points, float).T))
+
+
 def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georeference | None:
     """The projection that an OpenDRIVE ``<geoReference>`` names; None for an empty one.
 

@@ -299,7 +299,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
     shapes = [
         shapely.from_wkb(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)
     ]
-    lies = record.get("georeference")  # none in older files
+    given = record.get("georeference")  # none in older files
     points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
     place = Intersection(
         name=record["name"],
@@ -316,7 +316,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         ground_points=data["ground_points"],
         notes=tuple(record["notes"]),
         bodies=unpack_bodies(data, OF_MAP),
-        georeference=lies and Georeference(lies[0], (lies[1], lies[2])),
+        georeference=given and Georeference(given[0], (given[1], given[2])),
     )
     size, radius, level_count, *spacing = record["grid"]  # none in older files
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model
-from inspe_jax.scene.geojson import Feature, georeference_of, read_features
+from inspe_jax.scene.geojson import Feature, known_georeference, read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.layout import Layout, made_with, parse_layout
 
@@ -28,6 +28,7 @@ _Finite = Annotated[float, Field(allow_inf_nan=False)]
 class _Unit(BaseModel):
     model_config = ConfigDict(extra="ignore")
     name: str
+    profile: str | None = None
 
 
 class _Sensor(BaseModel):
@@ -36,7 +37,7 @@ class _Sensor(BaseModel):
     unit: str
     device: str
     height_m: _Finite
-    azimuth_deg: _Finite
+    azimuth_deg: Annotated[float, Field(ge=-360, le=720)]
     pitch_deg: _Finite = 0.0
     roll_deg: _Finite = 0.0
 
@@ -44,15 +45,19 @@ class _Sensor(BaseModel):
 def layout_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
     """The units and sensors of a layout as features. Raises InspeError if the place has no
     coordinates."""
-    lies, poses = georeference_of(place), np.asarray(layout.poses, float)
+    georeference, poses = known_georeference(place), np.asarray(layout.poses, float)
     feet = np.array([unit.base[:2] for unit in layout.units])
     ground = place.ground(feet)
-    azimuth = lies.azimuth(poses[:, :2], poses[:, 5])
-    bases, ends = (lies.to_degrees(at).round(DIGITS).tolist() for at in (feet, poses[:, :2]))
+    azimuth = georeference.azimuth(poses[:, :2], poses[:, 5])
+    bases, ends = (
+        georeference.to_degrees(at).round(DIGITS).tolist() for at in (feet, poses[:, :2])
+    )
     found = []
     for u, members in enumerate(layout.members()):
         name = layout.units[u].name
-        found.append(point_feature(bases[u], feature="unit", name=name, sensors=len(members)))
+        own = {"profile": layout.profile} if layout.profile else {}
+        about = dict(feature="unit", name=name, sensors=len(members), **own)
+        found.append(point_feature(bases[u], **about))
         for s in members:
             spec, (_, _, z, roll, pitch, _) = layout.sensors[s].spec, poses[s]
             found.append(
@@ -93,20 +98,23 @@ def load_layout_geojson(
     :func:`~inspe_jax.scene.geojson.read_features` and
     :func:`~inspe_jax.sensing.layout.load_layout`, and if a sensor's unit is not in the file.
     """
-    features, further = read_features(path, place)
+    kinds = ("unit", "sensor")
+    features, further = read_features(path, place, lambda own: own.get("feature") in kinds)
     units: dict[str, tuple[np.ndarray, list[dict[str, Any]]]] = {}
-    for k, one in _of("unit", features, path):
-        name = check_model(_Unit, one.properties, f"{path}: features[{k}].properties").name
-        if name in units:
-            raise InspeError(f"{path}: features[{k}]: two units are named '{name}'")
-        units[name] = (_point(one), [])
-    for k, one in _of("sensor", features, path):
-        where = f"{path}: features[{k}].properties"
+    profiles = []
+    for one in _of("unit", features, path):
+        unit = check_model(_Unit, one.properties, f"{one.where}.properties")
+        if unit.name in units:
+            raise InspeError(f"{one.where}: two units are named '{unit.name}'")
+        units[unit.name] = (_point(one), [])
+        profiles += [unit.profile] if unit.profile else []
+    for one in _of("sensor", features, path):
+        where = f"{one.where}.properties"
         sensor, at = check_model(_Sensor, one.properties, where), _point(one)
         if sensor.unit not in units:
             raise InspeError(f"{where}: no unit '{sensor.unit}'{nearest(sensor.unit, [*units])}")
         base, members = units[sensor.unit]
-        yaw = georeference_of(place).yaw(at[None], np.array([sensor.azimuth_deg]))[0]
+        yaw = known_georeference(place).yaw(at[None], np.array([sensor.azimuth_deg]))[0]
         members.append(
             dict(
                 name=sensor.name,
@@ -118,9 +126,8 @@ def load_layout_geojson(
                 roll_deg=sensor.roll_deg,
             )
         )
-    content: dict[str, Any] = {
-        key: further[key] for key in ("name", "profile", "devices") if key in further
-    }
+    content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}
+    content |= {key: further[key] for key in ("name", "profile", "devices") if key in further}
     content["units"] = [
         dict(name=name, base=[*base.tolist(), float(place.ground(base)[0])], sensors=members)
         for name, (base, members) in units.items()
@@ -129,14 +136,12 @@ def load_layout_geojson(
     return parse_layout(content, str(path), Path(path).stem, unit_rule=unit_rule)
 
 
-def _of(
-    kind: str, features: tuple[Feature, ...], path: str | os.PathLike[str]
-) -> list[tuple[int, Feature]]:
-    """The features of a kind, with their numbers. Raises InspeError unless they are points."""
-    found = [(k, f) for k, f in enumerate(features) if f.properties.get("feature") == kind]
-    for k, one in found:
+def _of(kind: str, features: tuple[Feature, ...], path: str | os.PathLike[str]) -> list[Feature]:
+    """The features of a kind. Raises InspeError unless there is one, and all are points."""
+    found = [f for f in features if f.properties["feature"] == kind]
+    for one in found:
         if one.geometry.geom_type != "Point":
-            raise InspeError(f"{path}: features[{k}]: a {kind} is a Point")
+            raise InspeError(f"{one.where}: a {kind} is a Point")
     if not found:
         raise InspeError(
             f"{path}: no {kind}: a layout is features whose property 'feature' is 'unit' or "

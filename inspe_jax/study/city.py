@@ -111,13 +111,13 @@ class CityPlan:
         """What is maximised: the least score, or the weighted mean of the scores."""
         return share.worst if self.worst else share.total / sum(self.weights)
 
-    def text(self, lies: Georeference | None) -> str:
+    def text(self, georeference: Georeference | None) -> str:
         """The plan as CSV, one row for each junction that can get devices.
 
         It has latitudes and longitudes where the map's projection is given.
         """
         middles = np.array([front.junction.center[:2] for front in self.fronts])
-        degrees = None if lies is None else lies.to_degrees(middles)
+        degrees = None if georeference is None else georeference.to_degrees(middles)
         rows: list[dict[str, Any]] = []
         for k, (front, option) in enumerate(zip(self.fronts, self.chosen, strict=True)):
             row: dict[str, Any] = {"junction": front.name}

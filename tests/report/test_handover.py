@@ -19,6 +19,8 @@ from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import make_layout
 from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
+PRICES = {"paper-camera": 900.0, "hesai-xt32": 5000.5}
+
 pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
 
 SYSTEMS = {
@@ -107,10 +109,13 @@ def test_gdal_reads_the_plan(scene, layout, tmp_path):
     assert kinds.count("unit") == len(layout.units)
     found = shapely.from_wkb(geometry)
     assert shapely.is_valid(found).all()
-    lies = scene.intersection.georeference
+    georeference = scene.intersection.georeference
     at = [shapely.get_coordinates(g)[0] for g, kind in zip(found, kinds, strict=True)
           if kind == "sensor"]  # fmt: skip
-    assert np.abs(lies.from_degrees(np.array(at)) - np.asarray(layout.poses)[:, :2]).max() < 1e-3
+    assert (
+        np.abs(georeference.from_degrees(np.array(at)) - np.asarray(layout.poses)[:, :2]).max()
+        < 1e-3
+    )
 
 
 def test_kml_is_valid_and_says_the_same(scene, layout, tmp_path):
@@ -127,11 +132,11 @@ def test_kml_is_valid_and_says_the_same(scene, layout, tmp_path):
     assert [len(folders[k]) for k in ("units", "sensors", "views")] == [
         len(layout.units), len(layout), len(layout),
     ]  # fmt: skip
-    poses, lies = np.asarray(layout.poses), scene.intersection.georeference
+    poses, georeference = np.asarray(layout.poses), scene.intersection.georeference
     ground = scene.intersection.ground(poses[:, :2])
     for one, pose, level in zip(folders["sensors"], poses, ground, strict=True):
         lon, lat, height = one.geometry.coords[0]
-        assert np.abs(lies.from_degrees(np.array([[lon, lat]]))[0] - pose[:2]).max() < 1e-3
+        assert np.abs(georeference.from_degrees(np.array([[lon, lat]]))[0] - pose[:2]).max() < 1e-3
         assert height == pytest.approx(pose[2] - level, abs=0.05)
         assert one.kml_geometry.altitude_mode.value == "relativeToGround"
     broken = path.read_text().replace("relativeToGround", "nonsense")
@@ -141,18 +146,52 @@ def test_kml_is_valid_and_says_the_same(scene, layout, tmp_path):
 
 
 def test_a_bill_adds_up(layout):
-    rows = list(csv.DictReader(io.StringIO(bill_of_materials(layout, {"paper-camera": 900}))))
+    rows = list(csv.DictReader(io.StringIO(bill_of_materials(layout, PRICES))))
     count = {row["device"]: int(row["count"]) for row in rows}
     assert sum(count.values()) == len(layout)
     assert count["hesai-xt32"] == 4
-    prices = {row["device"]: row for row in rows}
-    camera = next(row for name, row in prices.items() if "camera" in name)
-    if camera["device"] == "paper-camera":
-        assert float(camera["price_usd"]) == 900
+    assert {row["device"]: float(row["price_usd"]) for row in rows} == PRICES
     for row in rows:
-        if row["price_usd"]:
-            each, total = float(row["price_usd"]), float(row["total_usd"])
-            assert total == pytest.approx(each * int(row["count"]), abs=0.01)
+        assert float(row["total_usd"]) == pytest.approx(
+            PRICES[row["device"]] * count[row["device"]]
+        )
+    (row, *_) = csv.DictReader(io.StringIO(bill_of_materials(layout, {})))
+    assert (row["device"], row["price_usd"], row["total_usd"]) == ("paper-camera", "", "")
+
+
+def test_a_layer_saved_anew_is_still_the_layout(scene, layout, tmp_path):
+    """As GDAL writes it: without the file's own members, with other coordinates' names."""
+    pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio: extra [test]")
+    path, again = tmp_path / "plan.geojson", tmp_path / "again.geojson"
+    path.write_text(plan_geojson(layout, scene.intersection))
+    meta, _, geometry, fields = pyogrio.raw.read(path)
+    pyogrio.raw.write(
+        again, geometry, fields, meta["fields"], geometry_type="Unknown", crs="EPSG:4326",
+        driver="GeoJSON", COORDINATE_PRECISION=9,
+    )  # fmt: skip
+    found = load_layout_geojson(again, scene.intersection)
+    assert found.profile == layout.profile
+    assert np.abs(np.asarray(found.poses) - np.asarray(layout.poses))[:, :3].max() < 2e-3
+
+
+def test_views_are_on_the_ground_of_their_pole(scene, layout):
+    """On a hill of its own, a sensor sees as far as on level ground; in the ground, nothing."""
+    place = scene.intersection
+    heads = [shape(f["geometry"]).area for f in json.loads(plan_geojson(layout, place))["features"]]
+    raised = replace(place, center=place.center + np.array([0.0, 0.0, 50.0]))
+    again = json.loads(plan_geojson(layout, raised))["features"]
+    assert [shape(f["geometry"]).area for f in again] == heads
+    poses = np.array(layout.poses)
+    poses[0, 2] = -1.0
+    sunk = json.loads(plan_geojson(layout.with_poses(poses), place))["features"]
+    kinds = [f["properties"]["feature"] for f in sunk]
+    assert kinds.count("view") == len(layout) - 1
+
+
+def test_names_may_be_anything(scene, layout):
+    sensor = replace(layout.sensors[0], name="Südost <1> & \x07\ud800 ☃")
+    odd = replace(layout, sensors=(sensor, *layout.sensors[1:]))
+    assert "Südost &lt;1&gt; &amp;  ☃" in plan_kml(odd, scene.intersection)
 
 
 # ── Bad files ───────────────────────────────────────────────────────────────
@@ -194,11 +233,16 @@ def set_at(*path, to):
         (set_at("features", 1, "geometry", "coordinates", to=["a", "b"]), "no geometry"),
         (set_at("features", 0, "geometry", "coordinates", to=[691600.0, 5334700.0]),
          "is no longitude and latitude; write the file in WGS 84"),
-        (set_at("crs", to={"type": "name", "properties": {"name": "EPSG:1"}}), "crs: 'EPSG:1'"),
+        (set_at("crs", to={"type": "name", "properties": {"name": "EPSG:1"}}),
+         "crs: 'EPSG:1' is no coordinate system"),
         (set_at("features", 0, "geometry", to={"type": "LineString",
                                                "coordinates": [[11, 48], [11.1, 48]]}),
          "a unit is a Point"),
         (set_at("features", 1, "geometry", "coordinates", to=[11.6, 48.14]), "at most 2 m"),
+        (set_at("features", 1, "geometry", to=None), "features[1].geometry: no geometry"),
+        (set_at("features", 0, "geometry", "coordinates", to=[]), "has no coordinates"),
+        (set_at("features", 1, "geometry", "coordinates", to=[int("9" * 400), 1]), "no geometry"),
+        (set_at("features", 1, "properties", "azimuth_deg", to=1e300), "azimuth_deg"),
     ],
 )  # fmt: skip
 def test_a_wrong_file_says_what_is_wrong(scene, layout, tmp_path, change, words):

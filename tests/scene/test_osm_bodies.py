@@ -80,18 +80,18 @@ def test_nodes_of_a_real_extract_are_where_netconvert_puts_them():
 
     file = f"{sumo.SUMO_HOME}/tools/game/racing/spreewaldring.osm"
     road = load_net(Path(file))
-    lies = road.georeference
+    georeference = road.georeference
     root = ET.parse(file).getroot()
     nodes = {n.get("id"): (n.get("lon"), n.get("lat")) for n in root.iter("node")}
     kept = {node.getID() for node in road.net.getNodes()}
-    found = lies.from_degrees(np.array([nodes[n] for n in kept if n in nodes], float))
+    found = georeference.from_degrees(np.array([nodes[n] for n in kept if n in nodes], float))
     own = np.array([road.net.getNode(n).getCoord() for n in kept if n in nodes])
     assert len(own) > 10
     assert np.abs(found - own).max() < 0.02  # what netconvert writes, rounded to 1 cm
-    assert np.allclose(lies.to_degrees(found), np.array([nodes[n] for n in kept if n in nodes],
-                                                        float), atol=1e-9)  # fmt: skip
+    given = np.array([nodes[n] for n in kept if n in nodes], float)
+    assert np.allclose(georeference.to_degrees(found), given, atol=1e-9)
     lon, lat = nodes[next(iter(kept & nodes.keys()))]
-    ours = lies.from_degrees(np.array([[lon, lat]], float))[0]
+    ours = georeference.from_degrees(np.array([[lon, lat]], float))[0]
     assert np.allclose(ours, road.net.convertLonLat2XY(float(lon), float(lat)), atol=1e-6)
 
 

@@ -14,6 +14,7 @@ from shapely.geometry import mapping
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.site import Site
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.bodies import Ways
 from inspe_jax.scene.maps.own_bodies import with_own_bodies
@@ -27,9 +28,9 @@ REACH = 40.0
 
 @pytest.fixture(scope="module")
 def place():
-    lies = Georeference("EPSG:25832", (-691600.0, -5334700.0))
+    georeference = Georeference("EPSG:25832", (-691600.0, -5334700.0))
     built = inspe_jax.built_in("t_junction")
-    return replace(built, georeference=lies, poles=np.zeros((0, 3)), bodies=())
+    return replace(built, georeference=georeference, poles=np.zeros((0, 3)), bodies=())
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +65,11 @@ def write(path, place, geometries, properties=(), crs=None):
     return path
 
 
-@pytest.mark.parametrize("crs", [None, 25832, 31468])
+@pytest.mark.parametrize("crs", [None, 25832, 31468, 4258])
 def test_poles_carry_sensors(place, spots, tmp_path, crs):
     wanted = spots[[0, 1]]
     points = shapely.points([*wanted, wanted[0] + 0.02, wanted[0] + [900.0, 0.0]])
-    path = write(tmp_path / "poles.geojson", place, points[[0, 1, 3]], crs=crs)
+    path = write(tmp_path / "poles.geojson", place, points, crs=crs)
     found = with_own_bodies(place, path, REACH)
     # The datum of Gauß-Krüger is converted with parameters for all of Germany: 3 m.
     near = 3.0 if crs == 31468 else 1e-3
@@ -77,6 +78,26 @@ def test_poles_carry_sensors(place, spots, tmp_path, crs):
     assert np.allclose(found.poles[:, 2], place.ground(found.poles[:, :2]))
     assert [one.kind for one in found.bodies] == ["pole", "pole"]
     assert {one.height for one in found.bodies} == {6.0}
+    assert any("1 of 4 features are farther than 40 m: left out" in n for n in found.notes)
+
+
+def test_a_pole_of_one_s_own_takes_the_place_of_the_map_s(place, spots, tmp_path):
+    """Else each would be in the way of the other, and neither carry anything."""
+    first = write(tmp_path / "map.geojson", place, shapely.points(spots[:2]))
+    given = with_own_bodies(place, first, REACH)
+    own = write(
+        tmp_path / "own.geojson", place, [shapely.Point(spots[0] + 0.05)], [dict(height_m=8.0)]
+    )
+    found = with_own_bodies(given, own, REACH)
+    assert sorted(one.height for one in found.bodies) == [6.0, 8.0]
+    assert len(found.poles) == 2
+    assert len(Site(found, 40.0, 30.0, bodies=found.bodies).carriers) == 2
+
+
+def test_empty_columns_are_as_if_they_were_not_there(place, spots, tmp_path):
+    row = dict(kind=None, height_m=None, base_m=None, width_m=None)
+    path = write(tmp_path / "own.geojson", place, [shapely.Point(spots[0])], [row])
+    assert with_own_bodies(place, path, REACH).bodies[0].height == 6.0
 
 
 def test_every_kind_has_its_size(place, spots, tmp_path):
@@ -135,7 +156,7 @@ def test_a_table_of_poles(place, spots, tmp_path):
 
 
 BAD = {
-    "far": (dict(at=[0, 9000.0]), r"nothing within 40 m of .* the nearest is [89],\d\d\d m away"),
+    "far": (dict(), r"nothing within 40 m of .* the nearest is [89],\d\d\d m away"),
     "kind": (dict(kind="house"), r"features\[0\]: kind 'house': one of building, wall"),
     "height": (dict(height_m=-1), "height_m: input should be greater than 0"),
     "text": (dict(height_m="high"), "height_m: input should be a valid number"),
@@ -147,7 +168,7 @@ BAD = {
 @pytest.mark.parametrize("wrong", BAD)
 def test_a_wrong_file_says_what_is_wrong(place, spots, tmp_path, wrong):
     properties, words = BAD[wrong]
-    at = properties.pop("at", [0, 0]) if wrong == "far" else [0, 0]
+    at = [0.0, 9000.0] if wrong == "far" else [0.0, 0.0]
     path = write(tmp_path / "own.geojson", place, [shapely.Point(spots[0] + at)], [properties])
     with pytest.raises(InspeError, match=words):
         with_own_bodies(place, path, REACH)
@@ -158,7 +179,12 @@ def test_a_wrong_file_says_what_is_wrong(place, spots, tmp_path, wrong):
     [
         ("a.geojson", '{"type": "FeatureCollection", "features": []}', "has no features"),
         ("a.geojson", "{", "not JSON"),
-        ("a.csv", "lat,lon\n1,2\n", "row 1: needs a number under each of 'latitude'"),
+        (
+            "a.csv",
+            "lat,lon\n1,2\n",
+            "under each of 'latitude' and 'longitude'; columns are lat, lon",
+        ),
+        ("a.geojson", "[" * 100_000, "not JSON"),
         ("a.csv", "latitude,longitude\n48,\n", "row 1: needs a number"),
         ("a.csv", "", "has no features"),
     ],

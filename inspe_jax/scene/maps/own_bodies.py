@@ -14,9 +14,9 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
-from inspe_jax.scene.geojson import read_features
+from inspe_jax.scene.geojson import Feature, read_features
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.bodies import Shape, with_bodies
+from inspe_jax.scene.maps.bodies import NO_POLES, SAME_POLE, Shape, with_bodies
 from inspe_jax.scene.maps.sumo.polygons import SUFFIX, polygons_of
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, BUILDING, FURNITURE, POLE, TREE, TREE_BASE
 from inspe_jax.scene.statics import HIGHEST, KINDS, LEAFY, octagon
@@ -33,6 +33,8 @@ HEIGHTS = {
     "parked vehicle": PARKED,
 }
 """Height of each kind of body of which the file says none [m]."""
+LARGE = 10.0
+"""What lies this much beyond the reach may still come into it, as a crown about a point [m]."""
 USUAL = {"Polygon": "building", "LineString": "wall", "Point": "pole"}
 """The kind of body of a geometry of which the file says none."""
 
@@ -68,32 +70,50 @@ def with_own_bodies(
         features = polygons_of(Path(path), place)
     else:
         features, _ = read_features(path, place)
-    shapes = [
-        made
-        for k, one in enumerate(features)
-        for made in _shapes(
-            one.geometry, check_model(_Body, one.properties, f"{path}: features[{k}].properties"),
-            f"{path}: features[{k}]",
-        )
-    ]  # fmt: skip
-    if not shapes:
-        raise InspeError(f"{path}: has no features")
-    middle = shapely.Point(place.center[:2])
-    nearest = min(middle.distance(one.area) for one in shapes)
-    if nearest > reach:
+    if not features:
+        raise InspeError(f"{path}: has no features that are bodies")
+    away = shapely.distance([one.geometry for one in features], shapely.Point(place.center[:2]))
+    if away.min() > reach + LARGE:
         raise InspeError(
-            f"{path}: nothing within {reach:g} m of {place.name}: the nearest is {nearest:,.0f} m "
-            "away; coordinates are a longitude and then a latitude"
+            f"{path}: nothing within {reach:g} m of {place.name}: the nearest is "
+            f"{away.min():,.0f} m away; coordinates are a longitude and then a latitude"
         )
+    near = [one for one, far in zip(features, away, strict=True) if far <= reach + LARGE]
+    shapes = _once([made for one in near for made in _shapes(one)])
     notes: list[str] = []
     found = with_bodies(replace(place, bodies=()), shapes, reach, notes)
-    words = (f"{os.path.basename(path)}: {note.replace('of the map ', '')}" for note in notes)
-    return replace(found, bodies=(*place.bodies, *found.bodies), notes=(*place.notes, *words))
+    poles = [one.polygon for one in found.bodies if one.kind == "pole"]
+    kept = tuple(
+        one
+        for one in place.bodies
+        if one.kind != "pole" or not shapely.dwithin(poles, one.polygon, SAME_POLE).any()
+    )
+    words = [f"{os.path.basename(path)}: {note.replace('of the map ', '')}" for note in notes]
+    if len(near) < len(features):
+        words.append(
+            f"{os.path.basename(path)}: {len(features) - len(near)} of {len(features)} features "
+            f"are farther than {reach:g} m: left out"
+        )
+    before = tuple(note for note in place.notes if note != NO_POLES or not len(found.poles))
+    return replace(found, bodies=(*kept, *found.bodies), notes=(*before, *words))
 
 
-def _shapes(geometry: BaseGeometry, own: _Body, where: str) -> Iterator[Shape]:
+def _once(shapes: list[Shape]) -> list[Shape]:
+    """The shapes, without poles that stand where an earlier one does."""
+    found, feet = list[Shape](), list[BaseGeometry]()
+    for one in shapes:
+        if one.kind == "pole":
+            if feet and shapely.dwithin(feet, one.area, SAME_POLE).any():
+                continue
+            feet.append(one.area)
+        found.append(one)
+    return found
+
+
+def _shapes(one: Feature) -> Iterator[Shape]:
     """The bodies of one feature."""
-    for part in shapely.get_parts(geometry):
+    where, own = one.where, check_model(_Body, one.properties, f"{one.where}.properties")
+    for part in _parts(one.geometry):
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")
         kind = own.kind or USUAL[part.geom_type]
@@ -116,3 +136,12 @@ def _shapes(geometry: BaseGeometry, own: _Body, where: str) -> Iterator[Shape]:
             radius = (own.diameter_m or usual) / 2
             area, trunk = Polygon(octagon(part.coords[0], radius)), min(trunk, radius / 2)
         yield Shape(kind, area, height, base, through or 0.0, trunk)
+
+
+def _parts(geometry: BaseGeometry) -> Iterator[BaseGeometry]:
+    """The parts of a geometry that has some, and of its parts."""
+    for part in shapely.get_parts(geometry):
+        if hasattr(part, "geoms"):
+            yield from _parts(part)
+        else:
+            yield part

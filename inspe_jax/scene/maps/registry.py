@@ -53,7 +53,7 @@ FORMATS = [
 
 
 FAR = 100.0
-"""A junction this near to a point that a user names is the one that is meant [m]."""
+"""A junction farther than this from a point that a user names is not the one that is meant [m]."""
 
 
 def map_suffixes() -> tuple[str, ...]:
@@ -99,19 +99,21 @@ def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> Junctio
     Raises InspeError if the map has no projection, if that point is farther than
     :data:`FAR` from every junction, or as :func:`read_map`.
     """
-    lies = georeference_of(path)
-    if lies is None:
+    georeference = georeference_of(path)
+    if georeference is None:
         raise InspeError(
             f"{path}: the map does not say where on the Earth it is: choose a place with "
             "--junction ID or --center X Y; --list shows the junctions"
         )
     if not (abs(lat) <= 90 and abs(lon) <= 180):
         raise InspeError(f"{lat:g},{lon:g}: a latitude of -90 to 90, and then a longitude")
-    at = lies.from_degrees(np.array([[lon, lat]]))[0]
+    at = georeference.from_degrees(np.array([[lon, lat]]))[0]
     found = list_junctions(path)
     away = [float(np.hypot(*(np.array(one.center[:2]) - at))) for one in found]
-    if not away or not min(away) <= FAR:
-        middle = lies.to_degrees(np.mean([one.center[:2] for one in found], 0)[None])[0]
+    if not found:
+        raise InspeError(f"{path}: the map has no junction")
+    if not min(away) <= FAR:
+        middle = georeference.to_degrees(np.mean([one.center[:2] for one in found], 0)[None])[0]
         raise InspeError(
             f"{path}: no junction within {FAR:g} m of {lat:g},{lon:g}; the middle of the map's "
             f"junctions is at {middle[1]:.5f},{middle[0]:.5f} (latitude, longitude)"

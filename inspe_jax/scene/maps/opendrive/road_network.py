@@ -114,10 +114,10 @@ def load_map(path: Path) -> TownMap:
         raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
     signals = _deduplicate([position(m.transform.location) for m in marks])
     shapes, notes = shapes_of(root)
-    lies, on_it = _georeference(root)
+    georeference, on_it = _georeference(root)
     return TownMap(
         path.stem, path.name, parsed, roads, tuple(junctions), tuple(_loops(corners)), signals,
-        shapes, lies, (*notes, *on_it),
+        shapes, georeference, (*notes, *on_it),
     )  # fmt: skip
 
 

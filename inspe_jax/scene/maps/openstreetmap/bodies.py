@@ -34,7 +34,7 @@ def shapes_of(
     path: Path,
     middle: Float[np.ndarray, "2"],
     reach: float,
-    lies: Georeference,
+    georeference: Georeference,
     notes: list[str],
 ) -> list[Shape]:
     """The bodies of an extract about a point in world metres, as far as its box of degrees goes.
@@ -45,22 +45,22 @@ def shapes_of(
     far = reach + BEYOND
     rim = np.linspace(-far, far, 9)
     square = [(x, y) for x in rim for y in (-far, far)] + [(x, y) for y in rim for x in (-far, far)]
-    degrees = lies.to_degrees(np.asarray(middle, float)[:2] + np.array(square))
+    degrees = georeference.to_degrees(np.asarray(middle, float)[:2] + np.array(square))
     extract = read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
     disc = Point(*np.asarray(middle)[:2]).buffer(reach)
-    return _Reader(extract, lies, disc, notes).shapes()
+    return _Reader(extract, georeference, disc, notes).shapes()
 
 
 class _Reader:
     """Makes shapes of an extract's elements that come into a disc."""
 
     def __init__(
-        self, extract: Extract, lies: Georeference, disc: Polygon, notes: list[str]
+        self, extract: Extract, georeference: Georeference, disc: Polygon, notes: list[str]
     ) -> None:
         self.extract, self.disc, self.notes, self.sizes = extract, disc, notes, Sizes()
         names = list(extract.nodes)
         degrees = np.array([extract.nodes[n] for n in names], float).reshape(-1, 2)
-        self.at = dict(zip(names, lies.from_degrees(degrees), strict=True))
+        self.at = dict(zip(names, georeference.from_degrees(degrees), strict=True))
         self.open = 0  # outlines that could not be closed
 
     def shapes(self) -> list[Shape]:

@@ -10,7 +10,7 @@ from shapely.geometry import LineString, Point, Polygon
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
-from inspe_jax.scene.geojson import Feature, georeference_of
+from inspe_jax.scene.geojson import Feature, known_georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES, load_net
@@ -54,6 +54,7 @@ def polygons_of(path: Path, place: Intersection) -> tuple[Feature, ...]:
                 f"{path}: <{element.tag}> '{element.get('id', '')}': a coordinate is missing or no "
                 f"number: {error}"
             ) from error
+        where = f"{path}: <{element.tag}> '{element.get('id', '')}'"
         degrees = element.get("geo") in ("1", "true") or "lon" in element.attrib
         at = _world(points, degrees, place, path)
         properties: dict[str, Any] = {"kind": kind}
@@ -65,11 +66,11 @@ def polygons_of(path: Path, place: Intersection) -> tuple[Feature, ...]:
         elif (given := sizes.length(tags, "height")) is not None:
             properties["height_m"] = given
         if len(at) == 1:
-            found.append(Feature(Point(at[0]), properties))
+            found.append(Feature(Point(at[0]), properties, where))
         elif len(at) > 3 and (at[0] == at[-1]).all():
-            found.append(Feature(Polygon(at), properties))
+            found.append(Feature(Polygon(at), properties, where))
         elif kind != "building":
-            found.append(Feature(LineString(at), properties))
+            found.append(Feature(LineString(at), properties, where))
     return tuple(found)
 
 
@@ -93,7 +94,7 @@ def _world(
     points: Float[np.ndarray, "N 2"], degrees: bool, place: Intersection, path: Path
 ) -> Float[np.ndarray, "N 2"]:
     if degrees:
-        return georeference_of(place).from_degrees(points)
+        return known_georeference(place).from_degrees(points)
     if place.map is None or not str(place.map).lower().endswith((*NET_SUFFIXES, *OSM_SUFFIXES)):
         raise InspeError(
             f"{path}: is in the coordinates of a SUMO network; build the scene from that network "

@@ -181,10 +181,10 @@ def _shapes(
     streets: Streets, path: Path, middle: np.ndarray, reach: float, notes: list[str]
 ) -> list[Shape]:
     """The bodies of an OpenStreetMap extract; a network has none."""
-    lies = streets.road.georeference
-    if not path.name.lower().endswith(OSM_SUFFIXES) or lies is None:
+    georeference = streets.road.georeference
+    if not path.name.lower().endswith(OSM_SUFFIXES) or georeference is None:
         return []
-    return shapes_of(path, middle[:2], reach, lies, notes)
+    return shapes_of(path, middle[:2], reach, georeference, notes)
 
 
 def _middle(streets: Streets, name: str) -> np.ndarray:

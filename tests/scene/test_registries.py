@@ -37,10 +37,6 @@ def list_junctions(path):
     )
 
 
-def georeference_of(path):
-    """It has no coordinates on the Earth."""
-
-
 def road_lines(path):
     """Its roads are straight lines from the origin."""
     bearings = [a for given in _junctions(path).values() for a in given["bearings_deg"]]
@@ -97,7 +93,7 @@ def parked(monkeypatch):
 def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
     assert maps.is_map(toy_map)
     assert [info.id for info in maps.list_junctions(toy_map)] == ["north", "south"]
-    assert maps.georeference_of(toy_map) is None
+    assert maps.georeference_of(toy_map) is None  # its module has no such function
     assert len(maps.road_lines(toy_map)) == 7
     place = maps.read_map(toy_map, junction="north", radius=30)
     own = crossing("own", (0, 90, 180, 270), lanes_in=1, lanes_out=1)

@@ -22,10 +22,10 @@ from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 class MapFormat:
     """A format of map files.
 
-    ``suffixes`` are those of its files, in lower case. ``module`` has the functions
-    ``list_junctions(path)``, ``georeference_of(path)`` and ``road_lines(path)``, and one with the
-    name ``reader``, which is called as :func:`read_map`. It is imported on first use, because it
-    may need a package of an extra.
+    ``suffixes`` are those of its files, in lower case. ``module`` has a function
+    ``list_junctions(path)``, and one with the name ``reader``, which is called as
+    :func:`read_map`. It may have ``georeference_of(path)`` and ``road_lines(path)``. It is imported
+    on first use, because it may need a package of an extra.
     """
 
     name: str
@@ -36,6 +36,11 @@ class MapFormat:
     def call(self, function: str, *given: Any, **options: Any) -> Any:
         """Call a function of the module."""
         return getattr(import_module(self.module), function)(*given, **options)
+
+    def may_call(self, function: str, *given: Any) -> Any:
+        """Call a function that the module may have; None where it has none."""
+        known = hasattr(import_module(self.module), function)
+        return self.call(function, *given) if known else None
 
 
 FORMATS = [
@@ -83,14 +88,13 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
 def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
     """The projection of a map's coordinates, None if it has none. Raises InspeError as
     :func:`read_map`."""
-    found: Georeference | None = _format_of(path).call("georeference_of", path)
+    found: Georeference | None = _format_of(path).may_call("georeference_of", path)
     return found
 
 
 def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
     """The lines of a map's roads [m], for drawing. Raises InspeError as :func:`read_map`."""
-    found: list[np.ndarray] = _format_of(path).call("road_lines", path)
-    return found
+    return _format_of(path).may_call("road_lines", path) or []
 
 
 def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:

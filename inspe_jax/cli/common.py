@@ -19,6 +19,8 @@ from inspe_jax.core.errors import InspeError, nearest
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
     from inspe_jax.sensing.layout import Layout
+    from inspe_jax.study.plan import Study
+    from inspe_jax.study.work import Row
 
 app = typer.Typer(
     help="Score and optimise roadside cameras and LiDARs at road intersections.",
@@ -262,6 +264,32 @@ def progress(what: str) -> Iterator[Any]:
             bar.update(task, completed=done, facts=facts)
 
         yield report
+
+
+def run_study(
+    study: "Study",
+    folder: Path,
+    what: str,
+    scheduler: str | None,
+    workers: int | None,
+    retry: bool,
+) -> "list[Row]":
+    """The rows of a study, run with a bar that counts ``what``. Ctrl-C ends the command."""
+    from inspe_jax.study.sweep import sweep as run
+
+    try:
+        with progress(what) as report:
+            return run(
+                study,
+                folder,
+                scheduler=scheduler,
+                workers=workers,
+                retry=retry,
+                progress=report,
+            )
+    except KeyboardInterrupt:
+        err.print("stopped; give the same command again to resume", soft_wrap=True)
+        raise typer.Exit(130) from None
 
 
 @contextmanager

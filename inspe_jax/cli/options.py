@@ -44,6 +44,26 @@ DetectionOption = Annotated[
         "keeps the usual curve.",
     ),
 ]
+DEFAULT_DEVICES = ("velodyne-vlp-16:1-4",)
+DeviceCountsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DEVICE:COUNTS",
+        help="A device of the catalogue, and the numbers of it to try, such as 0-4 or 0,4,8; "
+        f"repeat it for other devices. {DEFAULT_DEVICES[0]} if not given.",
+    ),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address of a running Dask scheduler, such as tcp://host:8786; if not given, this "
+        "machine's cores are used.",
+    ),
+]
+WorkersOption = Annotated[
+    int | None, typer.Option(help="Processes on this machine; one per core if not given.")
+]
 OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")]
 
 

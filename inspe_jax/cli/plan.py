@@ -13,21 +13,23 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
-    err,
     note,
     out,
-    progress,
+    run_study,
 )
 from inspe_jax.cli.options import (
+    DEFAULT_DEVICES,
+    DeviceCountsOption,
     OutOption,
     PriceOption,
+    SchedulerOption,
     WeightOptions,
+    WorkersOption,
     counts,
     importances,
     prices,
     takes,
 )
-from inspe_jax.cli.planning import DEFAULT_DEVICES
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import counted
 
@@ -56,14 +58,7 @@ def plan(
             "`inspe scene MAP --list` lists them.",
         ),
     ] = "signals",
-    device: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DEVICE:COUNTS",
-            help="A device of the catalogue, and the numbers of it to try at each junction, such "
-            f"as 0-4 or 0,4,8; repeat it for other devices. {DEFAULT_DEVICES[0]} if not given.",
-        ),
-    ] = None,
+    device: DeviceCountsOption = None,
     price: PriceOption = None,
     worst: Annotated[
         bool,
@@ -115,17 +110,8 @@ def plan(
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Wall time of each search [s].")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the traffic and of the searches.")] = 0,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a running Dask scheduler, such as tcp://host:8786; if not given, this "
-            "machine's cores are used.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; one per core if not given.")
-    ] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
     retry: Annotated[
         bool, typer.Option("--retry", help="Search again where an earlier run failed.")
     ] = False,
@@ -169,7 +155,6 @@ def plan(
         plan_city,
     )
     from inspe_jax.study.plan import SCORE_ONLY
-    from inspe_jax.study.sweep import sweep
 
     check_folder(folder)
     check_budget(budget)
@@ -224,19 +209,7 @@ def plan(
             highlight=False,
         )
         return
-    try:
-        with progress("searches") as report:
-            rows = sweep(
-                study,
-                folder,
-                scheduler=scheduler,
-                workers=workers,
-                retry=retry,
-                progress=report,
-            )
-    except KeyboardInterrupt:
-        err.print("stopped; give the same command again to resume", soft_wrap=True)
-        raise typer.Exit(130) from None
+    rows = run_study(study, folder, "searches", scheduler, workers, retry)
     costs = {mix_name(row): cost for cost, row in mixes}
     with busy("sharing out the budget"):
         fronts = fronts_of(study, rows, places, costs)

@@ -30,6 +30,8 @@ from inspe_jax.cli.common import (
     show,
 )
 from inspe_jax.cli.options import (
+    DEFAULT_DEVICES,
+    DeviceCountsOption,
     MethodOption,
     OutOption,
     PriceOption,
@@ -40,21 +42,12 @@ from inspe_jax.cli.options import (
     takes,
 )
 
-DEFAULT_DEVICES = ("velodyne-vlp-16:1-4",)
-
 
 @app.command()
 @takes(SearchOptions)
 def pareto(
     source: SceneArgument = DEFAULT_SCENE,
-    device: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DEVICE:COUNTS",
-            help="A device of the catalogue, and the numbers of it to try, such as 0-4 or 0,4,8; "
-            f"repeat it for other devices. {DEFAULT_DEVICES[0]} if not given.",
-        ),
-    ] = None,
+    device: DeviceCountsOption = None,
     price: PriceOption = None,
     budget: Annotated[
         float | None, typer.Option(metavar="USD", help="Leave out mixes of devices that cost more.")

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.cli.common import app, busy, err, note, out, run_study
+from inspe_jax.cli.options import SchedulerOption, WorkersOption
 from inspe_jax.core.words import counted
 
 SHOWN = 3
@@ -22,17 +23,8 @@ StudyArgument = Annotated[
 @app.command()
 def sweep(
     source: StudyArgument,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a running Dask scheduler, such as tcp://host:8786; if not given, this "
-            "machine's cores are used.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; one per core if not given.")
-    ] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
     retry: Annotated[
         bool, typer.Option("--retry", help="Run jobs again that failed in an earlier run.")
     ] = False,
@@ -76,7 +68,6 @@ def sweep(
     from inspe_jax.core.files import check_folder
     from inspe_jax.report.tables import sweep_table
     from inspe_jax.study.plan import load_study
-    from inspe_jax.study.sweep import sweep as run
 
     check_folder(folder)
     with busy(f"reading {source}"):
@@ -90,19 +81,7 @@ def sweep(
             highlight=False,
         )
         return
-    try:
-        with progress("jobs") as report:
-            rows = run(
-                study,
-                folder,
-                scheduler=scheduler,
-                workers=workers,
-                retry=retry,
-                progress=report,
-            )
-    except KeyboardInterrupt:
-        err.print("stopped; give the same command again to resume", soft_wrap=True)
-        raise typer.Exit(130) from None
+    rows = run_study(study, folder, "jobs", scheduler, workers, retry)
     out.print(sweep_table(rows))
     failures = [row for row in rows if row["status"] != "done"]
     note(f"{row['layout']} on {row['scene']}: {row['error']}" for row in failures[:SHOWN])

@@ -52,10 +52,10 @@ def layout_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]
     bases, ends = (
         georeference.to_degrees(at).round(DIGITS).tolist() for at in (feet, poses[:, :2])
     )
+    own = {"profile": layout.profile} if layout.profile else {}
     found = []
     for u, members in enumerate(layout.members()):
         name = layout.units[u].name
-        own = {"profile": layout.profile} if layout.profile else {}
         about = dict(feature="unit", name=name, sensors=len(members), **own)
         found.append(point_feature(bases[u], **about))
         for s in members:

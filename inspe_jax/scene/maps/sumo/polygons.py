@@ -47,14 +47,11 @@ def polygons_of(path: Path, place: Intersection) -> tuple[Feature, ...]:
         kind = _kind(element)
         if kind is None:
             continue
+        where = f"{path}: <{element.tag}> '{element.get('id', '')}'"
         try:
             points = _points(element)
         except (KeyError, ValueError) as error:
-            raise InspeError(
-                f"{path}: <{element.tag}> '{element.get('id', '')}': a coordinate is missing or no "
-                f"number: {error}"
-            ) from error
-        where = f"{path}: <{element.tag}> '{element.get('id', '')}'"
+            raise InspeError(f"{where}: a coordinate is missing or no number: {error}") from error
         degrees = element.get("geo") in ("1", "true") or "lon" in element.attrib
         at = _world(points, degrees, place, path)
         properties: dict[str, Any] = {"kind": kind}

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.pytree import pytree
 
 REACH = 3.0
 """Widths from the threshold at which a soft reading is certain."""
@@ -51,7 +52,7 @@ RAYS = ("exact", "density")
 """The two readings of rays; see :class:`Softness`."""
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Softness:
     """How margins are read. ``field`` and ``shadow`` are widths [m]; None, the default, is exact.

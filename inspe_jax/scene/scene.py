@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
-import jax
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
@@ -18,6 +17,7 @@ from jaxtyping import Bool, Float
 from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, check_output, whole_file
+from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
@@ -58,7 +58,7 @@ class _Earlier(Exception):
     """The file is a scene in an older format that is no longer read."""
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.

@@ -4,13 +4,13 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import jax
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
 from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 
@@ -26,7 +26,7 @@ BYTES_PER_VOXEL = 50
 """Peak memory of scoring, for each voxel and sensor, and once more for all sensors [bytes]."""
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class VoxelGrid:
     """Voxels as columns × levels, in world metres.

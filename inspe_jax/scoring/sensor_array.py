@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from inspe_jax.core.arrays import bucket, on_device
 from inspe_jax.core.numerics import Groups
+from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.sensing.sensors import RayGrid, repeat_last
@@ -50,7 +51,7 @@ SENSORS = 4
 """Least number of places for sensors."""
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class SensorArray:
     """A :class:`SensorSet` as arrays: a compiled program serves other sensors of these kinds.

@@ -20,6 +20,7 @@ from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.parallel import cores, untraced
+from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.scene import Scene
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center
@@ -48,7 +49,7 @@ class SceneArrays(NamedTuple):
     occupancy: Float[Array, " V"] | None = None
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class WorkChunk:
     """Some of the tiles in some of the frames: the work of one core.
@@ -78,7 +79,7 @@ class WorkChunk:
         return slice(self.begin, self.begin + len(self.prisms.top))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class TiledScene:
     """What scores need of a scene or of a sample of one. It is the same for every layout.

@@ -27,7 +27,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import numpy as np
 import yaml
 from jaxtyping import Array, Float
@@ -36,6 +35,7 @@ from pydantic import BaseModel, Field
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.profiles import profile_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device, devices, spec_of, table_of
@@ -69,7 +69,7 @@ class Sensor:
     unit: int
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Layout:
     """Sensors with their poses.

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.geometry import FAR, Point
 from inspe_jax.core.numerics import arctan2
+from inspe_jax.core.pytree import pytree
 
 _MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
 _ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
@@ -237,7 +238,7 @@ class Rays:
         return first + index * table.column_step
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class SphericalRays(Rays):
     """A LiDAR's rays: rows are elevations ψ, columns azimuths θ [rad]."""
@@ -328,7 +329,7 @@ class SphericalRays(Rays):
         return clear(nearest) & (~exists | (clear(other) & opposite))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class PinholeRays(Rays):
     """A camera's rays: rows and columns are the tangents z/x and y/x."""

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt
 
 from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.geometry import NEVER, Prism, top_over
+from inspe_jax.core.pytree import pytree
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
 
@@ -51,7 +52,7 @@ class Tile(NamedTuple):
     high: Float[Array, "*N"]
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Tiles:
     """All voxels in N tiles of up to C columns and :data:`~inspe_jax.visibility.bitmask.WORD`

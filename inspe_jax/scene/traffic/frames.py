@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.pytree import pytree
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
@@ -130,7 +130,7 @@ MIXES: dict[str, Mix] = {
 ``largest`` is the paper's: every box is the largest vehicle."""
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class TrafficFrames:
     """T frames of up to B vehicles or people, each an oriented vertical prism, in world metres.

@@ -1,0 +1,36 @@
+"""Dataclasses as pytrees: what compiled programs take and give."""
+
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import jax
+
+Class = TypeVar("Class", bound=type)
+
+
+def pytree(cls: Class) -> Class:
+    """Register a dataclass with JAX; fields with ``metadata={"static": True}`` are no arrays.
+
+    Unlike :func:`jax.tree_util.register_dataclass`, the class is part of the structure. JAX 0.10
+    holds the structures of two dataclasses to be equal where they have as many fields and equal
+    static ones, though their hashes differ. Once in a while, when its tables of compiled functions
+    happen to compare the two, it then runs what was traced for one class on the other.
+    """
+    arrays = tuple(f.name for f in fields(cls) if not f.metadata.get("static"))
+    static = tuple(f.name for f in fields(cls) if f.metadata.get("static"))
+    keys = tuple(map(jax.tree_util.GetAttrKey, arrays))
+
+    def flatten(of: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        return tuple(getattr(of, name) for name in arrays), tuple(getattr(of, n) for n in static)
+
+    def flatten_with_keys(of: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        children, structure = flatten(of)
+        return tuple(zip(keys, children, strict=True)), structure
+
+    def unflatten(structure: tuple[Any, ...], children: Iterable[Any]) -> Any:
+        given = dict(zip(arrays, children, strict=True))
+        return cls(**given, **dict(zip(static, structure, strict=True)))
+
+    jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+    return cls

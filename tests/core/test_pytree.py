@@ -1,0 +1,51 @@
+"""Dataclasses as pytrees."""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+import numpy as np
+import pytest
+
+import inspe_jax
+from inspe_jax.core.pytree import pytree
+from inspe_jax.sensing.rays import PinholeRays, SphericalRays
+
+
+@pytree
+@dataclass(frozen=True)
+class One:
+    x: object
+    fixed: int = field(metadata={"static": True})
+    y: object = None
+
+
+@pytree
+@dataclass(frozen=True)
+class Other:
+    x: object
+    fixed: int = field(metadata={"static": True})
+    y: object = None
+
+
+def test_there_and_back_with_the_names_of_fields():
+    one = One(np.arange(3.0), 7, {"a": 2.0})
+    leaves, structure = jax.tree.flatten(one)
+    assert len(leaves) == 2
+    back = jax.tree.unflatten(structure, leaves)
+    assert (type(back), back.fixed, back.y) == (One, 7, {"a": 2.0})
+    paths = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(one)]
+    assert paths == [".x", ".y['a']"]
+    assert structure != jax.tree.structure(replace(one, fixed=8))
+
+
+def test_two_classes_with_the_same_fields_have_structures_that_differ():
+    """Else programs traced for one run on the other: JAX's own dataclasses are taken as equal."""
+    assert jax.tree.structure(One(1.0, 7)) != jax.tree.structure(Other(1.0, 7))
+
+
+def test_a_cameras_rays_are_not_taken_for_a_lidars():
+    table = inspe_jax.device("paper-camera").spec.grid.rays.table
+    camera, lidar = (kind(table, False) for kind in (PinholeRays, SphericalRays))
+    assert jax.tree.structure(camera) != jax.tree.structure(lidar)
+    with pytest.raises(ValueError, match="SphericalRays"):
+        jax.tree.map(lambda a, b: a, camera, lidar)

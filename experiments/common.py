@@ -16,6 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from filelock import FileLock
 
 import inspe_jax
 from inspe_jax.core.files import write_text
@@ -132,6 +133,26 @@ def write_results(path: Path, rows: list[dict[str, Any]], settings: dict[str, An
         writer.writeheader()
         writer.writerows(rows)
     write_settings(path.with_suffix(".json"), settings)
+
+
+def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Add rows to a CSV, with a head if it is new; of several processes, one after the other."""
+    with FileLock(path.with_name(f".{path.name}.lock")):
+        known = read_rows(path)
+        names = list(known[0] if known else rows[0])  # a file of before may have fewer columns
+        with path.open("a", newline="", encoding="utf-8") as f:
+            writer = csv.DictWriter(f, names, extrasaction="ignore", lineterminator="\n")
+            if not known:
+                writer.writeheader()
+            writer.writerows(rows)
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV; none where there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as f:
+        return list(csv.DictReader(f))
 
 
 def write_settings(path: Path, settings: dict[str, Any]) -> None:

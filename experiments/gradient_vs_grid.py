@@ -16,7 +16,6 @@ one core.
 """
 
 import argparse
-import csv
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -26,7 +25,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from common import MAPS, command_line, write_settings
+from common import MAPS, append_rows, command_line, read_rows, write_settings
 from matplotlib.figure import Figure
 from rich.console import Console
 
@@ -185,25 +184,6 @@ def cell(
         yield dict(zip(FIELDS, (*row, *spent), strict=True)), history
 
 
-def append(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Add rows to a CSV, with a head if it is new."""
-    known = read(path)
-    names = list(known[0] if known else rows[0])  # a file of before may have fewer columns
-    with path.open("a", newline="", encoding="utf-8") as f:
-        writer = csv.DictWriter(f, names, extrasaction="ignore", lineterminator="\n")
-        if not known:
-            writer.writeheader()
-        writer.writerows(rows)
-
-
-def read(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV; none where there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as f:
-        return list(csv.DictReader(f))
-
-
 def medians(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
     """(lower quartile, median, upper quartile) of the final score, by cell and method."""
     table: dict[tuple[str, str], dict[str, list[float]]] = {}
@@ -325,26 +305,28 @@ def main() -> None:
     given = options()
     stem = "gradient_vs_grid" + "_cold" * given.cold + "_quick" * given.quick
     path, courses_path = given.out / f"{stem}.csv", given.out / f"{stem}_history.csv"
-    for row in read(path):
+    for row in read_rows(path):
         if float(row["budget"]) != given.seconds:
             raise SystemExit(
                 f"{path} has searches of {row['budget']} s, not {given.seconds:g} s: name another "
                 "folder, or delete it to begin anew"
             )
-    done = {(r["place"], r["mix"], r["method"], r["seed"]) for r in read(path)}
+    done = {(r["place"], r["mix"], r["method"], r["seed"]) for r in read_rows(path)}
     for place, scene in scenes(given.quick, given.places):
         for mix in given.mixes.split(",")[: 1 if given.quick else None]:
             jax.clear_caches()  # else the compiled code of many cells exhausts the memory maps
             layout = starting_layout(scene, MIXES[mix])
             for row, history in cell(place, mix, scene, layout, given, done):
                 key = {k: row[k] for k in ("place", "mix", "method", "seed")}
-                append(path, [row])
-                append(courses_path, [key | dict(seconds=p.seconds, best=p.best) for p in history])
+                append_rows(path, [row])
+                append_rows(
+                    courses_path, [key | dict(seconds=p.seconds, best=p.best) for p in history]
+                )
                 console.print(
                     f"{place}, {mix}, {row['method']} {row['seed']}: {row['score']:.4f}",
                     highlight=False,
                 )
-    rows, steps = read(path), read(courses_path)
+    rows, steps = read_rows(path), read_rows(courses_path)
     write_settings(given.out / f"{stem}.json", vars(given))
     text = summary(rows, steps)
     write_text(given.out / f"{stem}.md", text)

@@ -20,7 +20,6 @@ read them, must give the numbers of ``inspe_jax.evaluate``.
 """
 
 import argparse
-import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -33,7 +32,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from calibrate import START, jobs
-from common import METRICS, command_line, write_results
+from common import METRICS, command_line, read_rows, write_results
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -944,8 +943,7 @@ def setting_of(path: Path | None) -> dict[str, Any]:
     """What ``calibrate.py`` found with all placements; or what it begins with."""
     if path is None:
         return dict(START)
-    with path.open(newline="", encoding="utf-8") as f:
-        found = next((row for row in csv.DictReader(f) if not row["fitted_without"]), None)
+    found = next((row for row in read_rows(path) if not row["fitted_without"]), None)
     if found is None or set(START) - set(found):
         raise SystemExit(f"{path}: no row of calibrate.py's that is fitted to all placements")
     return {key: type(value)(found[key]) for key, value in START.items()}

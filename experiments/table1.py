@@ -10,30 +10,42 @@ concludes from its table, yes or no with numbers.
 
 P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``paper``.
 
-All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there; a
-training that is done has its rows in its folder. ``--only MODEL,PLACEMENT,SEED`` trains one: on
-another machine, with a --keep of its own, from which the training's folder can be copied here.
+All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there. A
+training that is done has its rows in the CSV in --out: with that file at hand, on any machine and
+with an empty --keep, the run goes on with those that are left. To use several cores, begin it
+several times, one process on each core: each training is done by one of them. ``--models`` does
+some of the detectors.
 
 ``--quick`` trains one detector of each modality on eight frames, until it knows them.
 """
 
 import argparse
-import csv
 import time
-from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from common import METRICS, command_line, kept_folder, machine, processes, write_results
+from common import (
+    MAPS,
+    METRICS,
+    append_rows,
+    command_line,
+    kept_folder,
+    machine,
+    processes,
+    read_rows,
+    write_results,
+    write_settings,
+)
+from filelock import FileLock, Timeout
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
 from table2 import HERE, begin, places, read_paper
 
 from inspe_jax.cli.common import progress
-from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.dataset import Cache, cache, generate, load_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, model_of
 from inspe_jax.perception.evaluation import Evaluation
@@ -57,16 +69,20 @@ SPREAD = ("lss-resnet", "coalign", "attfuse")
 """One detector of each modality, trained from three seeds."""
 PICTURES = (300, 400)
 SETS: dict[str, dict[str, Any]] = {
-    "train": dict(seed=0, splits=dict(train=7, validate=1, test=2), split_by="intersection"),
-    "later": dict(seed=1, splits=dict(test=1)),
+    "train": dict(
+        seed=0, seconds=15, splits=dict(train=7, validate=1, test=2), split_by="intersection"
+    ),
+    "later": dict(seed=1, seconds=5, splits=dict(test=1)),
 }
-"""Held-out intersections are a split of the first set; held-out time is the second, on all."""
+"""Held-out intersections are a split of the first set; held-out time is the second, on all. Each
+scenario has a frame a second."""
+STEPS = 1500
 RESAMPLES = 10_000
-ROWS = "table1_rows.csv"
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
 
 console = Console()
+Rows = list[dict[str, Any]]
 
 
 class Job(NamedTuple):
@@ -86,17 +102,19 @@ def options() -> argparse.Namespace:
     """The command line."""
     parser = command_line(__doc__)
     parser.add_argument("--keep", type=Path, help="folder that sets and trainings stay in: 40 GB")
-    parser.add_argument("--steps", type=int, default=1500)
-    parser.add_argument("--only", metavar="MODEL,PLACEMENT,SEED", help="this training alone")
+    parser.add_argument("--steps", type=int, default=STEPS, help="of each training")
+    parser.add_argument("--models", metavar="NAMES", help="only these detectors, with commas")
     parser.add_argument("--record", action="store_true", help="only record and decode")
     parser.add_argument("--lights", nargs="+", default=["midday", "night"])
     parser.add_argument("--densities", nargs="+", default=["medium", "high"])
-    parser.add_argument("--seconds", type=int, default=15, help="of each scenario, at 1 Hz")
     parser.add_argument("--paper1", type=Path, metavar="FILE", help="the paper's Table 1 as CSV")
     parser.add_argument(
         "--workers", type=int, help="processes that record; one a core if not given"
     )
     given = parser.parse_args()
+    for name in given.models.split(",") if given.models else ():
+        if name not in NAMES:
+            parser.error(f"--models {name}: some of {', '.join(NAMES)}")
     given.out.mkdir(parents=True, exist_ok=True)
     return given
 
@@ -104,11 +122,16 @@ def options() -> argparse.Namespace:
 # ── Data ────────────────────────────────────────────────────────────────────
 
 
+def on_maps(scenes: Rows) -> Rows:
+    """Entries of a study with whole paths of their maps."""
+    return [scene | dict(map=str(MAPS / scene["map"])) for scene in scenes]
+
+
 def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:
     """The frames of a placement, recorded and decoded as far as they are not there."""
     stem = into / f"{part}__{placement.replace('/', '_')}"
-    lights, densities, seconds = given.lights, given.densities, given.seconds
-    content = dict(SETS[part])
+    lights, densities, content = given.lights, given.densities, dict(SETS[part])
+    seconds = content.pop("seconds")
     settings: dict[str, Any] = dict(mix="fleet", seed=content.pop("seed"))
     size = list(PICTURES[::-1])
     if given.quick:
@@ -116,7 +139,7 @@ def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -
         lights, densities, seconds, size = ["midday"], ["high"], 8, [200, 150]
         settings |= dict(radius=25.0, voxel=1.0)
     settings |= dict(density=densities, light=lights, seconds=seconds)
-    scenes = places(given)[:1] if given.quick else places(given)
+    scenes = places(given)[:1] if given.quick else on_maps(places(given))
     content |= dict(
         name=part, scenes=scenes, layouts=[placement], settings=settings,
         rate_hz=1, pictures="jpeg", image_size=size,
@@ -133,21 +156,20 @@ def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -
 # ── Trainings ───────────────────────────────────────────────────────────────
 
 
-def jobs(given: argparse.Namespace) -> list[Job]:
+def every_job() -> list[Job]:
     """All trainings: each detector on its placements, and some of them from more seeds."""
-    found = [
+    return [
         Job(name, placement, seed)
         for seed in range(3)
         for name in NAMES
         for placement in BY_SENSORS[model_of(name).sensors]
         if seed == 0 or name in SPREAD
     ]
-    if given.only:
-        model, placement, seed = given.only.split(",")
-        found = [job for job in found if job == Job(model, placement, int(seed))]
-        if not found:
-            raise SystemExit(f"--only {given.only}: no such training")
-    return found
+
+
+def of_job(row: dict[str, str]) -> Job:
+    """The training that a row is of."""
+    return Job(row["model"], row["placement"], int(row["seed"]))
 
 
 def trained(job: Job, data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run:
@@ -172,9 +194,7 @@ def measured(predictor: Predictor, model: str, data: Cache, split: str) -> Evalu
     return predictor.evaluate(loader)
 
 
-def rows_of(
-    job: Job, of: str, found: Evaluation, steps: int, seconds: float
-) -> list[dict[str, Any]]:
+def rows_of(job: Job, of: str, found: Evaluation, steps: int, seconds: float) -> Rows:
     """A row for each class."""
     return [
         dict(
@@ -187,37 +207,47 @@ def rows_of(
     ]  # fmt: skip
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The rows of a training that is done."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+def done_in(path: Path, steps: int) -> Rows:
+    """The rows of trainings that are done. Raises SystemExit if they had other numbers of steps."""
+    rows = read_rows(path)
+    for other in {row["steps"] for row in rows} - {str(steps)}:
+        raise SystemExit(f"{path} has trainings of {other} steps, not {steps}: use another --out")
+    return rows
 
 
-def run_all(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
-    """Every training that is not done yet; gives the rows of all."""
-    for job in jobs(given):
+def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
+    """Every training that is not done yet, and that no other process does; gives all rows."""
+    wanted = given.models.split(",") if given.models else NAMES
+    for job in every_job():
+        if job.model not in wanted or job in map(of_job, done_in(path, given.steps)):
+            continue
         data = recorded(given, into, job.placement, "train")
         later = recorded(given, into, job.placement, "later")
-        path = into / job.folder / ROWS
-        if given.record or path.is_file():
+        if given.record:
             continue
-        settings = Settings(model=job.model, steps=given.steps, seed=job.seed)
-        began = time.monotonic()
-        run = trained(job, data, into / job.folder, settings, BevGrid())
-        seconds = time.monotonic() - began
-        rows, predictor = [], predictor_of(run)
-        for of, frames, split in (("places", data, "test"), ("time", later, "test")):
-            found = measured(predictor, job.model, frames, split)
-            rows += rows_of(job, of, found, run.steps, seconds)
-            console.print(f"{job.folder}, other {of}: mAP {found.mean_ap:.1%}", highlight=False)
-        write_text(path, csv_text(rows))
-    every = [row for path in sorted(into.glob(f"*/{ROWS}")) for row in read_rows(path)]
-    if len({row["steps"] for row in every}) > 1:
-        raise SystemExit(f"{into} has trainings of different numbers of steps: use another --keep")
-    return every
+        with suppress(Timeout), FileLock(into / f"{job.folder}.lock", timeout=0):
+            rows = train_and_measure(given, job, data, later, into / job.folder)
+            append_rows(path, rows)
+    return done_in(path, given.steps)
 
 
-def quick(given: argparse.Namespace, into: Path) -> list[dict[str, Any]]:
+def train_and_measure(
+    given: argparse.Namespace, job: Job, data: Cache, later: Cache, folder: Path
+) -> Rows:
+    """The rows of a training."""
+    settings = Settings(model=job.model, steps=given.steps, seed=job.seed)
+    began = time.monotonic()
+    run = trained(job, data, folder, settings, BevGrid())
+    seconds = time.monotonic() - began
+    rows, predictor = [], predictor_of(run)
+    for of, frames in (("places", data), ("time", later)):
+        found = measured(predictor, job.model, frames, "test")
+        rows += rows_of(job, of, found, run.steps, seconds)
+        console.print(f"{job.folder}, other {of}: mAP {found.mean_ap:.1%}", highlight=False)
+    return rows
+
+
+def quick(given: argparse.Namespace, into: Path) -> Rows:
     """One detector of LiDARs and one of cameras, until they know eight frames."""
     rows = []
     for model, placement, steps in (("coalign", "L-d1", 120), ("lss-resnet", "Cam-d1", 240)):
@@ -244,7 +274,7 @@ Means = dict[tuple[str, str, str], float]
 """AP in percent by detector, placement and class."""
 
 
-def means(rows: Sequence[dict[str, Any]], of: str) -> Means:
+def means(rows: Rows, of: str) -> Means:
     """The mean over seeds, on frames of other places or of another time."""
     found: dict[tuple[str, str, str], list[float]] = {}
     for row in rows:
@@ -259,11 +289,10 @@ def read_paper1(path: Path | None) -> Means:
     if path is None:
         return {}
     ours = {paper: name for name, paper in NAMES.items()}
-    with path.open(newline="", encoding="utf-8") as file:
-        return {
-            (ours[row["model"]], row["placement"], row["class"]): float(row["map_percent"])
-            for row in csv.DictReader(file)
-        }
+    return {
+        (ours[row["model"]], row["placement"], row["class"]): float(row["map_percent"])
+        for row in read_rows(path)
+    }
 
 
 def table(found: Means, paper: Means) -> str:
@@ -373,24 +402,26 @@ def main() -> None:
     """Record, train, measure, tell."""
     given = options()
     stem = begin(given, "table1")
+    path = given.out / f"{stem}.csv"
     with kept_folder(given.keep) as into:
-        rows = quick(given, into) if given.quick else run_all(given, into)
-    if not rows:
+        rows = quick(given, into) if given.quick else run_all(given, into, path)
+    if given.quick:
+        write_results(path, rows, dict(vars(given)))
         return
-    write_results(given.out / f"{stem}.csv", rows, dict(vars(given)))
+    write_settings(path.with_suffix(".json"), dict(vars(given)))
     found = means(rows, "places")
-    wanted = {(job.model, job.placement) for job in jobs(given) if job.seed == 0}
-    if given.quick or wanted - {at[:2] for at in found} or given.only:
-        left = len(wanted - {at[:2] for at in found})
-        console.print(f"{left} trainings are left: no table yet" if not given.quick else "")
+    text = [
+        "# On other intersections", table(found, read_paper1(given.paper1)),
+        "# At another time", table(means(rows, "time"), {}),
+    ]  # fmt: skip
+    console.print("\n\n".join(text), highlight=False)
+    left = len([job for job in every_job() if job not in {of_job(row) for row in rows}])
+    if left:
+        console.print(f"{left} trainings are left; what they tell together comes after them")
         return
     ours = read_paper(HERE / "table2.csv")
     related = correlations(found, ours)
-    text = [
-        "# On other intersections", table(found, read_paper1(given.paper1)),
-        "# At another time", table(means(rows, "time"), {}), *conclusions(found),
-    ]  # fmt: skip
-    console.print("\n\n".join(text), highlight=False)
+    console.print("\n".join(conclusions(found)), highlight=False)
     for row in related:
         if row["road_user"] == "all":
             console.print(

@@ -17,14 +17,13 @@ The study runs on all cores, or by a Dask scheduler, and goes on where it was st
 """
 
 import argparse
-import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, METRICS, command_line, processes, write_results
+from common import MAPS, METRICS, command_line, processes, read_rows, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import spearmanr
@@ -129,11 +128,10 @@ def statistics(rows: list[Row], by: Callable[[Row], str] = lambda row: row["layo
 
 def read_paper(path: Path) -> Stats:
     """The paper's table from a CSV."""
-    with path.open(newline="", encoding="utf-8") as f:
-        return {
-            (row["placement"], row["metric"]): (float(row["mean"]), float(row["std"]))
-            for row in csv.DictReader(f)
-        }
+    return {
+        (row["placement"], row["metric"]): (float(row["mean"]), float(row["std"]))
+        for row in read_rows(path)
+    }
 
 
 def table(stats: Stats, paper: Stats) -> str:

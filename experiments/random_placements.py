@@ -1,0 +1,388 @@
+"""Claim: of placements that nobody picked, a detector finds more under those with a higher P_sm.
+
+The paper has nine placements, made by hand. Here one detector of LiDARs is trained on random
+placements that can be mounted, of one to four LiDARs, at eight of the ten intersections, some of
+each for every one. It is then measured at the two others: under thirty random placements, the
+paper's three by hand with LiDARs, and three that a search for P_sm found with as many LiDARs as
+those. All placements at a place see the same traffic. Tells the correlation of mAP, of all classes
+and of each, with P_sm, C, O, IG and detectability D, with intervals from resampling the placements:
+over all of them with what differs between the two places taken out, and also with what the number
+of LiDARs alone explains taken out. Then what the search gained over the placements by hand, and the
+placements that P_sm ranks worst.
+
+Sets, caches and the training are in the folder of --keep. A run that was stopped goes on there.
+"""
+
+import argparse
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from common import (
+    append_rows,
+    command_line,
+    kept_folder,
+    machine,
+    processes,
+    read_rows,
+    write_results,
+)
+from matplotlib.figure import Figure
+from rich.console import Console
+from scipy.stats import pearsonr, spearmanr
+from table1 import on_maps
+from table2 import begin, places
+
+import inspe_jax
+from inspe_jax import Layout, Scene
+from inspe_jax.cli.common import progress
+from inspe_jax.dataset import Cache, Generation, Loader, cache, generate
+from inspe_jax.dataset.plan import make_generation
+from inspe_jax.perception.detections import Detections, truth_of
+from inspe_jax.perception.evaluation import Evaluation, evaluate
+from inspe_jax.perception.inputs import BevGrid
+from inspe_jax.perception.training import Predictor, Report, Run, Settings, train
+from inspe_jax.perception.training.predict import loader_of
+from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.studies.pareto import starting_layout
+from inspe_jax.sensing.layout import save_layout
+from inspe_jax.simulation.frame import KINDS
+from inspe_jax.study.sources import SceneSource
+from inspe_jax.study.work import scene_of
+
+HELD_OUT = ("Town05 four-way", "Town10HD four-way")
+"""Where the detector is measured: one of two roads of many lanes, and one with crosswalks."""
+LIDAR = "paper-lidar-32"
+COUNTS = (1, 2, 3, 4)
+"""Numbers of LiDARs, in turns."""
+METRICS = {
+    "surrogate": "P_sm",
+    "coverage": "C",
+    "occlusion": "O",
+    "information_gain": "IG",
+    "detectability": "D",
+}
+RESAMPLES = 1000
+MODEL = "coalign"
+
+console = Console()
+Rows = list[dict[str, Any]]
+
+
+class Size(NamedTuple):
+    """How much is recorded, searched and trained."""
+
+    trained_on: int  # random placements at each intersection of the training
+    measured_on: int  # and at each that is held out
+    train_seconds: int  # of each scenario, with a frame a second
+    test_seconds: int
+    densities: tuple[str, ...]
+    by_hand: tuple[str, ...]
+    search: float  # the work of a search, in exact scores
+    steps: int
+    scene: dict[str, Any]
+    grid: BevGrid
+
+
+WHOLE = Size(
+    *(8, 15, 5, 12, ("medium", "high"), ("L-c", "L-d2", "L-d1"), 150, 600),
+    *(dict(frames=100, radius=50.0), BevGrid()),
+)
+QUICK = Size(
+    *(1, 4, 2, 2, ("high",), ("L-c",), 4, 8),
+    dict(frames=4, radius=25.0, voxel=1.0),
+    BevGrid(half=25.6),
+)
+
+
+def options() -> argparse.Namespace:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--keep", type=Path, help="folder that sets and training stay in: 3 GB")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--steps", type=int, help=f"of the training; {WHOLE.steps} if not given")
+    parser.add_argument("--workers", type=int, help="processes that record; one a core")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    return given
+
+
+# ── Placements ──────────────────────────────────────────────────────────────
+
+
+def drawn(scene: Scene, number: int, seed: int) -> dict[str, Layout]:
+    """Random placements that can be mounted, of one to four LiDARs in turns."""
+    found = {}
+    for count in COUNTS:
+        problem = Problem(scene, starting_layout(scene, {LIDAR: count}))
+        own = range(count - 1, number, len(COUNTS))
+        rng = np.random.default_rng([seed, count])
+        for k, x in zip(own, problem.space.random(rng, len(own)), strict=True):
+            found[f"random {k}"] = problem.space.layout(x)
+    return found
+
+
+def picked(scene: Scene, size: Size, seed: int) -> dict[str, Layout]:
+    """The placements by hand, and what a search found from each."""
+    found = {}
+    for name in size.by_hand:
+        start = inspe_jax.strategy(scene, name)
+        found[name] = start
+        result = inspe_jax.optimise(scene, start, evaluations=size.search, seed=seed)
+        found[f"found from {name}"] = result.layout
+    return found
+
+
+def placed(
+    source: SceneSource, settings: dict[str, Any], test: bool, size: Size, seed: int, into: Path
+) -> list[Path]:
+    """The files of a place's placements, with their scores in a CSV beside them if measured on."""
+    folder = into / "layouts" / source.name
+    scores = folder / "scores.csv"
+    known = sorted(folder.glob("*.yaml"))
+    number = size.measured_on if test else size.trained_on
+    if len(known) == number + test * 2 * len(size.by_hand) and scores.is_file() == test:
+        return known
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = scene_of(source, settings)
+    layouts = drawn(scene, number, seed)
+    if test:
+        layouts |= picked(scene, size, seed)
+        scores.unlink(missing_ok=True)
+        append_rows(
+            scores,
+            [
+                dict(layout=name, lidars=len(layout))
+                | {metric: own.value(metric) for metric in METRICS}
+                for name, layout in layouts.items()
+                for own in [inspe_jax.evaluate(scene, layout, metrics=("detectability",))]
+            ],
+        )
+    for name, layout in layouts.items():
+        save_layout(replace(layout, name=name), folder / f"{name}.yaml")
+    jax.clear_caches()  # else the compiled code of many places exhausts the memory maps
+    return sorted(folder.glob("*.yaml"))
+
+
+# ── Data, training, measuring ───────────────────────────────────────────────
+
+
+def planned(given: argparse.Namespace, size: Size, into: Path) -> Generation:
+    """The set: each place's own placements in the same traffic; two places are for testing."""
+    scenarios: list[Any] = []
+    scenes = places(given) if given.quick else on_maps(places(given))
+    for number, scene in enumerate(scenes, 1):
+        test = number == len(scenes) if given.quick else scene["name"] in HELD_OUT
+        settings: dict[str, Any] = dict(
+            mix="fleet", density=list(size.densities), seed=given.seed,
+            seconds=size.test_seconds if test else size.train_seconds,
+        )  # fmt: skip
+        settings |= {k: v for k, v in size.scene.items() if k != "frames"}
+        content = dict(
+            name="random", scenes=[scene], layouts=["L-c"], settings=settings, rate_hz=1,
+            splits={"test" if test else "train": 1},
+        )  # fmt: skip
+        source = make_generation(content, into).scenarios[0].source
+        wanted = dict(seed=given.seed, **size.scene)
+        own = placed(source, wanted, test, size, given.seed, into)
+        content["layouts"] = [dict(file=str(path), name=path.stem) for path in own]
+        scenarios += make_generation(content, into).scenarios
+    return Generation("random", tuple(scenarios))
+
+
+def trained(data: Cache, size: Size, given: argparse.Namespace, folder: Path) -> Run:
+    """The detector, trained on all placements together."""
+    settings = Settings(
+        model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
+    )
+    with progress(MODEL) as bar:
+
+        def report(now: Report) -> None:
+            bar(now.step, now.steps, MODEL, f"loss {now.loss:.2f}")
+
+        return train(data, folder, settings, grid=size.grid, progress=report if bar else None)
+
+
+Found = dict[tuple[str, str], tuple[list[Detections], list[Detections]]]
+
+
+def detected(run: Run, data: Cache, size: Size, which: dict[str, tuple[str, str]]) -> Found:
+    """Detections and truth of each place and placement; ``which`` these are, by scenario."""
+    predictor = Predictor(run.detector(), run.content.agents, run.content.grid)
+    loader: Loader = loader_of(MODEL, data, "test", size.grid, batch=1, shuffle=False)
+    found: Found = {}
+    with progress("measuring") as bar:
+        for done, batch in enumerate(loader, 1):
+            at = which[loader.scenarios[int(batch.scenario[0])].name]
+            detections, truth = found.setdefault(at, ([], []))
+            detections += predictor(batch)
+            truth.append(truth_of(batch.targets, 0))
+            if bar:
+                bar(done, len(loader))
+    return found
+
+
+def row_of(place: str, scores: dict[str, str], found: Evaluation) -> dict[str, Any]:
+    """A placement's scores and its AP in percent, of all classes and of each."""
+    row: dict[str, Any] = dict(place=place, layout=scores["layout"], lidars=int(scores["lidars"]))
+    row |= {metric: round(float(scores[metric]), 5) for metric in METRICS}
+    row |= dict(frames=found.frames, mean_ap=round(100 * found.mean_ap, 3))
+    each = zip(found.kinds, found.class_ap, strict=True)
+    return row | {f"ap_{kind}": round(100 * float(ap), 3) for kind, ap in each}
+
+
+# ── What it tells ───────────────────────────────────────────────────────────
+
+
+def within(values: np.ndarray, groups: Iterable[Any]) -> np.ndarray:
+    """Values less the mean of their group."""
+    of = np.unique([str(group) for group in groups], return_inverse=True)[1]
+    return values - (np.bincount(of, values) / np.bincount(of))[of]
+
+
+def correlation(
+    rows: Rows, metric: str, ap: str, group: Callable[[dict[str, Any]], Any], measure: Any
+) -> tuple[float, float, float]:
+    """A correlation within groups of rows, and the middle 95 % of it over rows drawn anew."""
+
+    def of(some: Rows) -> float:
+        x, y = (
+            within(np.array([float(row[key]) for row in some]), map(group, some))
+            for key in (metric, ap)
+        )
+        return float(measure(x, y)[0])
+
+    rng = np.random.default_rng(0)
+    draws = rng.integers(0, len(rows), (RESAMPLES, len(rows)))
+    low, high = np.nanpercentile([of([rows[k] for k in d]) for d in draws.tolist()], [2.5, 97.5])
+    return of(rows), float(low), float(high)
+
+
+def correlations(rows: Rows) -> Rows:
+    """Of AP with each metric, over random placements."""
+    chosen = [row for row in rows if row["layout"].startswith("random")]
+    groups: dict[str, Callable[[dict[str, Any]], Any]] = {
+        "place": lambda row: row["place"],
+        "place and number": lambda row: (row["place"], row["lidars"]),
+    }
+    found = []
+    for less, group in groups.items():
+        for kind in ("mean", *KINDS):
+            ap = "mean_ap" if kind == "mean" else f"ap_{kind}"
+            for metric in METRICS:
+                for name, measure in (("pearson", pearsonr), ("spearman", spearmanr)):
+                    value, low, high = correlation(chosen, metric, ap, group, measure)
+                    found.append(
+                        dict(less=less, road_user=kind, metric=metric, correlation=name,
+                             value=round(value, 3), low=round(low, 3), high=round(high, 3))
+                    )  # fmt: skip
+    return found
+
+
+def told(rows: Rows) -> list[str]:
+    """What the search gained, and where P_sm is furthest off, in lines."""
+    lines = ["| place | from | P_sm | found | mAP | found | |", "|---" * 7 + "|"]
+    for place in dict.fromkeys(row["place"] for row in rows):
+        own = {row["layout"]: row for row in rows if row["place"] == place}
+        for name in [name for name in own if f"found from {name}" in own]:
+            by, found = own[name], own[f"found from {name}"]
+            numbers = [f"{float(row['surrogate']):.3f}" for row in (by, found)]
+            aps = [float(row["mean_ap"]) for row in (by, found)]
+            gain = f"{aps[1] - aps[0]:+.1f}"
+            lines.append(
+                f"| {place} | {name} | {' | '.join(numbers)} | {aps[0]:.1f} | {aps[1]:.1f} "
+                f"| {gain} |"
+            )
+    x, y = (
+        within(np.array([float(r[key]) for r in rows]), (r["place"] for r in rows))
+        for key in ("surrogate", "mean_ap")
+    )
+    off = y - np.polyval(np.polyfit(x, y, 1), x)
+    for k in np.argsort(-np.abs(off))[:5]:
+        row = rows[int(k)]
+        lines.append(
+            f"{row['place']}, {row['layout']}, {row['lidars']} LiDARs: P_sm "
+            f"{float(row['surrogate']):.3f}, mAP {float(row['mean_ap']):.1f}, "
+            f"{off[k]:+.1f} from the line"
+        )
+    return lines
+
+
+def draw(rows: Rows) -> Figure:
+    """mAP over each metric: colours are places, signs the numbers of LiDARs."""
+    figure = Figure(figsize=(15, 3.8), layout="constrained")
+    places_ = list(dict.fromkeys(row["place"] for row in rows))
+    for ax, (metric, symbol) in zip(
+        figure.subplots(1, len(METRICS), sharey=True), METRICS.items(), strict=True
+    ):
+        for row in rows:
+            random = row["layout"].startswith("random")
+            ax.plot(
+                float(row[metric]),
+                float(row["mean_ap"]),
+                marker=f"${row['lidars']}$" if random else "*" if "found" in row["layout"] else "s",
+                markersize=7,
+                color=f"C{places_.index(row['place'])}",
+                markerfacecolor=None if random or "found" in row["layout"] else "none",
+                linestyle="none",
+            )
+        value = correlation(
+            [row for row in rows if row["layout"].startswith("random")],
+            metric, "mean_ap", lambda row: row["place"], pearsonr,
+        )  # fmt: skip
+        ax.set_xlabel(symbol)
+        ax.set_title(f"r = {value[0]:.2f} [{value[1]:.2f}, {value[2]:.2f}]", fontsize=10)
+    for n, place in enumerate(places_):
+        figure.axes[0].plot([], [], "o", color=f"C{n}", label=place)
+    signs = (("$4$", "4 LiDARs at random"), ("s", "by hand"), ("*", "found by the search"))
+    for sign, words in signs:
+        fill = "none" if sign == "s" else None
+        figure.axes[0].plot(
+            [], [], marker=sign, linestyle="none", color="0.3", markerfacecolor=fill, label=words
+        )
+    figure.axes[0].set_ylabel("mAP [%]")
+    figure.legend(loc="outside upper center", ncols=5, fontsize=9)
+    return figure
+
+
+def main() -> None:
+    """Place, record, train, measure, tell."""
+    given = options()
+    stem = begin(given, "random_placements")
+    size = QUICK if given.quick else WHOLE
+    with kept_folder(given.keep) as into:
+        plan = planned(given, size, into)
+        with progress("recording") as report:
+            made = generate(plan, into / "set", workers=processes(given), progress=report)
+        assert not made.failures, made.failures
+        with progress("decoding") as report:
+            data = cache(into / "set", into / "cache", pictures=None, progress=report)
+        run = trained(data, size, given, into / "run")
+        which = {s.name: (s.source.name, s.layout.name) for s in plan.scenarios}
+        found = detected(run, data, size, which)
+        rows = [
+            row_of(place, scores, evaluate(*found[place, scores["layout"]]))
+            for place in dict.fromkeys(at[0] for at in found)
+            for scores in read_rows(into / "layouts" / place / "scores.csv")
+        ]
+    path = given.out / f"{stem}.csv"
+    write_results(path, rows, dict(vars(given), size=size._asdict()))
+    related = correlations(rows)
+    write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(machine=machine()))
+    for row in related:
+        if row["road_user"] == "mean":
+            console.print(
+                f"less {row['less']}: {METRICS[row['metric']]}: {row['correlation']} "
+                f"{row['value']} [{row['low']}, {row['high']}]",
+                highlight=False,
+            )
+    console.print("\n".join(told(rows)), highlight=False)
+    draw(rows).savefig(path.with_suffix(".png"), dpi=150)
+    console.print(f"wrote {path}, .json and .png", highlight=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -21,30 +21,23 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from common import (
-    append_rows,
-    command_line,
-    kept_folder,
-    machine,
-    processes,
-    read_rows,
-    write_results,
-)
+from common import METRICS, command_line, kept_folder, processes, read_rows, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
-from table1 import on_maps
+from table1 import on_maps, predictor_of, trained
 from table2 import begin, places
 
 import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.cli.common import progress
+from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.dataset import Cache, Generation, Loader, cache, generate
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detections import Detections, truth_of
 from inspe_jax.perception.evaluation import Evaluation, evaluate
 from inspe_jax.perception.inputs import BevGrid
-from inspe_jax.perception.training import Predictor, Report, Run, Settings, train
+from inspe_jax.perception.training import Run, Settings
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.studies.pareto import starting_layout
@@ -58,13 +51,8 @@ HELD_OUT = ("Town05 four-way", "Town10HD four-way")
 LIDAR = "paper-lidar-32"
 COUNTS = (1, 2, 3, 4)
 """Numbers of LiDARs, in turns."""
-METRICS = {
-    "surrogate": "P_sm",
-    "coverage": "C",
-    "occlusion": "O",
-    "information_gain": "IG",
-    "detectability": "D",
-}
+SCORES = {"surrogate": "P_sm", **METRICS, "detectability": "D"}
+"""What is compared with mAP: names in records, and symbols."""
 RESAMPLES = 1000
 MODEL = "coalign"
 
@@ -151,16 +139,13 @@ def placed(
     layouts = drawn(scene, number, seed)
     if test:
         layouts |= picked(scene, size, seed)
-        scores.unlink(missing_ok=True)
-        append_rows(
-            scores,
-            [
-                dict(layout=name, lidars=len(layout))
-                | {metric: own.value(metric) for metric in METRICS}
-                for name, layout in layouts.items()
-                for own in [inspe_jax.evaluate(scene, layout, metrics=("detectability",))]
-            ],
-        )
+        rows = []
+        for name, layout in layouts.items():
+            own = inspe_jax.evaluate(scene, layout, metrics=("detectability",))
+            rows.append(
+                dict(layout=name, lidars=len(layout)) | {key: own.value(key) for key in SCORES}
+            )
+        write_text(scores, csv_text(rows))
     for name, layout in layouts.items():
         save_layout(replace(layout, name=name), folder / f"{name}.yaml")
     jax.clear_caches()  # else the compiled code of many places exhausts the memory maps
@@ -193,26 +178,13 @@ def planned(given: argparse.Namespace, size: Size, into: Path) -> Generation:
     return Generation("random", tuple(scenarios))
 
 
-def trained(data: Cache, size: Size, given: argparse.Namespace, folder: Path) -> Run:
-    """The detector, trained on all placements together."""
-    settings = Settings(
-        model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
-    )
-    with progress(MODEL) as bar:
-
-        def report(now: Report) -> None:
-            bar(now.step, now.steps, MODEL, f"loss {now.loss:.2f}")
-
-        return train(data, folder, settings, grid=size.grid, progress=report if bar else None)
-
-
 Found = dict[tuple[str, str], tuple[list[Detections], list[Detections]]]
 
 
-def detected(run: Run, data: Cache, size: Size, which: dict[str, tuple[str, str]]) -> Found:
+def detected(run: Run, data: Cache, which: dict[str, tuple[str, str]]) -> Found:
     """Detections and truth of each place and placement; ``which`` these are, by scenario."""
-    predictor = Predictor(run.detector(), run.content.agents, run.content.grid)
-    loader: Loader = loader_of(MODEL, data, "test", size.grid, batch=1, shuffle=False)
+    predictor = predictor_of(run)
+    loader: Loader = loader_of(MODEL, data, "test", predictor.grid, batch=1, shuffle=False)
     found: Found = {}
     with progress("measuring") as bar:
         for done, batch in enumerate(loader, 1):
@@ -228,13 +200,18 @@ def detected(run: Run, data: Cache, size: Size, which: dict[str, tuple[str, str]
 def row_of(place: str, scores: dict[str, str], found: Evaluation) -> dict[str, Any]:
     """A placement's scores and its AP in percent, of all classes and of each."""
     row: dict[str, Any] = dict(place=place, layout=scores["layout"], lidars=int(scores["lidars"]))
-    row |= {metric: round(float(scores[metric]), 5) for metric in METRICS}
+    row |= {metric: round(float(scores[metric]), 5) for metric in SCORES}
     row |= dict(frames=found.frames, mean_ap=round(100 * found.mean_ap, 3))
     each = zip(found.kinds, found.class_ap, strict=True)
     return row | {f"ap_{kind}": round(100 * float(ap), 3) for kind, ap in each}
 
 
 # ── What it tells ───────────────────────────────────────────────────────────
+
+
+def at_random(row: dict[str, Any]) -> bool:
+    """Whether a row's placement was drawn."""
+    return bool(row["layout"].startswith("random"))
 
 
 def within(values: np.ndarray, groups: Iterable[Any]) -> np.ndarray:
@@ -263,7 +240,7 @@ def correlation(
 
 def correlations(rows: Rows) -> Rows:
     """Of AP with each metric, over random placements."""
-    chosen = [row for row in rows if row["layout"].startswith("random")]
+    chosen = [row for row in rows if at_random(row)]
     groups: dict[str, Callable[[dict[str, Any]], Any]] = {
         "place": lambda row: row["place"],
         "place and number": lambda row: (row["place"], row["lidars"]),
@@ -272,7 +249,7 @@ def correlations(rows: Rows) -> Rows:
     for less, group in groups.items():
         for kind in ("mean", *KINDS):
             ap = "mean_ap" if kind == "mean" else f"ap_{kind}"
-            for metric in METRICS:
+            for metric in SCORES:
                 for name, measure in (("pearson", pearsonr), ("spearman", spearmanr)):
                     value, low, high = correlation(chosen, metric, ap, group, measure)
                     found.append(
@@ -311,30 +288,29 @@ def told(rows: Rows) -> list[str]:
     return lines
 
 
-def draw(rows: Rows) -> Figure:
+def draw(rows: Rows, related: Rows) -> Figure:
     """mAP over each metric: colours are places, signs the numbers of LiDARs."""
     figure = Figure(figsize=(15, 3.8), layout="constrained")
     places_ = list(dict.fromkeys(row["place"] for row in rows))
     for ax, (metric, symbol) in zip(
-        figure.subplots(1, len(METRICS), sharey=True), METRICS.items(), strict=True
+        figure.subplots(1, len(SCORES), sharey=True), SCORES.items(), strict=True
     ):
         for row in rows:
-            random = row["layout"].startswith("random")
+            sign = f"${row['lidars']}$" if at_random(row) else "s"
+            sign = "*" if "found" in row["layout"] else sign
             ax.plot(
                 float(row[metric]),
                 float(row["mean_ap"]),
-                marker=f"${row['lidars']}$" if random else "*" if "found" in row["layout"] else "s",
+                marker=sign,
                 markersize=7,
                 color=f"C{places_.index(row['place'])}",
-                markerfacecolor=None if random or "found" in row["layout"] else "none",
+                markerfacecolor="none" if sign == "s" else None,
                 linestyle="none",
             )
-        value = correlation(
-            [row for row in rows if row["layout"].startswith("random")],
-            metric, "mean_ap", lambda row: row["place"], pearsonr,
-        )  # fmt: skip
+        wanted = dict(less="place", road_user="mean", metric=metric, correlation="pearson")
+        r = next(row for row in related if wanted.items() <= row.items())
         ax.set_xlabel(symbol)
-        ax.set_title(f"r = {value[0]:.2f} [{value[1]:.2f}, {value[2]:.2f}]", fontsize=10)
+        ax.set_title(f"r = {r['value']:.2f} [{r['low']:.2f}, {r['high']:.2f}]", fontsize=10)
     for n, place in enumerate(places_):
         figure.axes[0].plot([], [], "o", color=f"C{n}", label=place)
     signs = (("$4$", "4 LiDARs at random"), ("s", "by hand"), ("*", "found by the search"))
@@ -360,9 +336,12 @@ def main() -> None:
         assert not made.failures, made.failures
         with progress("decoding") as report:
             data = cache(into / "set", into / "cache", pictures=None, progress=report)
-        run = trained(data, size, given, into / "run")
+        settings = Settings(
+            model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
+        )
+        run = trained(data, into / "run", settings, size.grid)
         which = {s.name: (s.source.name, s.layout.name) for s in plan.scenarios}
-        found = detected(run, data, size, which)
+        found = detected(run, data, which)
         rows = [
             row_of(place, scores, evaluate(*found[place, scores["layout"]]))
             for place in dict.fromkeys(at[0] for at in found)
@@ -371,16 +350,16 @@ def main() -> None:
     path = given.out / f"{stem}.csv"
     write_results(path, rows, dict(vars(given), size=size._asdict()))
     related = correlations(rows)
-    write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(machine=machine()))
+    write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(vars(given)))
     for row in related:
         if row["road_user"] == "mean":
             console.print(
-                f"less {row['less']}: {METRICS[row['metric']]}: {row['correlation']} "
+                f"less {row['less']}: {SCORES[row['metric']]}: {row['correlation']} "
                 f"{row['value']} [{row['low']}, {row['high']}]",
                 highlight=False,
             )
     console.print("\n".join(told(rows)), highlight=False)
-    draw(rows).savefig(path.with_suffix(".png"), dpi=150)
+    draw(rows, related).savefig(path.with_suffix(".png"), dpi=150)
     console.print(f"wrote {path}, .json and .png", highlight=False)
 
 

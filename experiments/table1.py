@@ -21,7 +21,6 @@ some of the detectors.
 
 import argparse
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +32,6 @@ from common import (
     append_rows,
     command_line,
     kept_folder,
-    machine,
     processes,
     read_rows,
     write_results,
@@ -145,12 +143,13 @@ def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -
         rate_hz=1, pictures="jpeg", image_size=size,
     )  # fmt: skip
     path = stem.with_suffix(".yaml")
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with progress(stem.name) as report:
-        made = generate(load_generation(path), stem, workers=processes(given), progress=report)
-    assert not made.failures, made.failures
-    with progress(f"decoding {stem.name}") as report:
-        return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)
+    with FileLock(stem.with_suffix(".lock")):  # another process may be at it
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        with progress(stem.name) as report:
+            made = generate(load_generation(path), stem, workers=processes(given), progress=report)
+        assert not made.failures, made.failures
+        with progress(f"decoding {stem.name}") as report:
+            return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)
 
 
 # ── Trainings ───────────────────────────────────────────────────────────────
@@ -172,13 +171,13 @@ def of_job(row: dict[str, str]) -> Job:
     return Job(row["model"], row["placement"], int(row["seed"]))
 
 
-def trained(job: Job, data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run:
-    """The training of a job, with a bar."""
-    with progress(job.folder) as bar:
+def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run:
+    """The training in a folder, with a bar."""
+    with progress(folder.name) as bar:
 
         def report(now: Report) -> None:
             told = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
-            bar(now.step, now.steps, job.folder, f"loss {now.loss:.2f}{told}")
+            bar(now.step, now.steps, folder.name, f"loss {now.loss:.2f}{told}")
 
         return train(data, folder, settings, grid=grid, progress=report if bar else None)
 
@@ -219,15 +218,19 @@ def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
     """Every training that is not done yet, and that no other process does; gives all rows."""
     wanted = given.models.split(",") if given.models else NAMES
     for job in every_job():
-        if job.model not in wanted or job in map(of_job, done_in(path, given.steps)):
+        if job.model not in wanted:
             continue
-        data = recorded(given, into, job.placement, "train")
-        later = recorded(given, into, job.placement, "later")
-        if given.record:
+        try:
+            held = FileLock(into / f"{job.folder}.lock").acquire(timeout=0)
+        except Timeout:
             continue
-        with suppress(Timeout), FileLock(into / f"{job.folder}.lock", timeout=0):
-            rows = train_and_measure(given, job, data, later, into / job.folder)
-            append_rows(path, rows)
+        with held:
+            if job in map(of_job, done_in(path, given.steps)):
+                continue
+            data = recorded(given, into, job.placement, "train")
+            later = recorded(given, into, job.placement, "later")
+            if not given.record:
+                append_rows(path, train_and_measure(given, job, data, later, into / job.folder))
     return done_in(path, given.steps)
 
 
@@ -237,7 +240,7 @@ def train_and_measure(
     """The rows of a training."""
     settings = Settings(model=job.model, steps=given.steps, seed=job.seed)
     began = time.monotonic()
-    run = trained(job, data, folder, settings, BevGrid())
+    run = trained(data, folder, settings, BevGrid())
     seconds = time.monotonic() - began
     rows, predictor = [], predictor_of(run)
     for of, frames in (("places", data), ("time", later)):
@@ -257,7 +260,7 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )
         began = time.monotonic()
-        run = trained(job, data, into / job.folder, settings, BevGrid(half=25.6))
+        run = trained(data, into / job.folder, settings, BevGrid(half=25.6))
         seconds = time.monotonic() - began
         found = measured(predictor_of(run), model, data, "train")
         console.print(
@@ -429,7 +432,7 @@ def main() -> None:
                 f"[{row['low']}, {row['high']}]",
                 highlight=False,
             )
-    write_results(given.out / f"{stem}_correlations.csv", related, dict(machine=machine()))
+    write_results(given.out / f"{stem}_correlations.csv", related, dict(vars(given)))
     draw(found, ours).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
 

@@ -1,6 +1,6 @@
 """Dataclasses as pytrees."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, make_dataclass, replace
 
 import jax
 import numpy as np
@@ -11,20 +11,13 @@ from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.rays import PinholeRays, SphericalRays
 
 
-@pytree
-@dataclass(frozen=True)
-class One:
-    x: object
-    fixed: int = field(metadata={"static": True})
-    y: object = None
+def dataclass_of(name: str) -> type:
+    of = {"metadata": {"static": True}}
+    rows = ("x", object), ("fixed", int, field(**of)), ("y", object, field(default=None))
+    return pytree(make_dataclass(name, rows, frozen=True))
 
 
-@pytree
-@dataclass(frozen=True)
-class Other:
-    x: object
-    fixed: int = field(metadata={"static": True})
-    y: object = None
+One, Other = dataclass_of("One"), dataclass_of("Other")
 
 
 def test_there_and_back_with_the_names_of_fields():

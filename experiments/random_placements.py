@@ -310,7 +310,7 @@ def draw(rows: Rows, related: Rows) -> Figure:
         wanted = dict(less="place", road_user="mean", metric=metric, correlation="pearson")
         r = next(row for row in related if wanted.items() <= row.items())
         ax.set_xlabel(symbol)
-        ax.set_title(f"r = {r['value']:.2f} [{r['low']:.2f}, {r['high']:.2f}]", fontsize=10)
+        ax.set_title(f"r = {r['value']:.3f} [{r['low']:.3f}, {r['high']:.3f}]", fontsize=10)
     for n, place in enumerate(places_):
         figure.axes[0].plot([], [], "o", color=f"C{n}", label=place)
     signs = (("$4$", "4 LiDARs at random"), ("s", "by hand"), ("*", "found by the search"))

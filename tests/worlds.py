@@ -213,8 +213,10 @@ _FACES = np.array(
 
 def triangles(scene: Scene, frame: int, depth: float = 50.0) -> np.ndarray:
     """The vehicles of a frame and the static bodies as triangles (N, 3, 3), carried ``depth``
-    metres into the ground."""
+    metres into the ground; and the terrain, if the scene has one."""
     t, found = scene.traffic, [body_triangles(scene, depth)]
+    if (terrain := scene.terrain) is not None:
+        found.append(terrain.points[terrain.faces])
     for b in np.flatnonzero(t.valid[frame]):
         (length, width, height), (x, y, z) = t.size[frame, b], t.center[frame, b]
         foot, size = (x, y, z - height / 2 - depth), (length, width, height + depth)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
-from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.parallel import Job, parts_of, run
 from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.asked import Asked
@@ -23,6 +22,7 @@ from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.statics import past_statics_masks
 from inspe_jax.visibility.tiles import Tile
 from inspe_jax.visibility.view_masks import view_masks
@@ -66,8 +66,8 @@ def view_from_poses(
     found = tuple(metric for metric in asked.metrics if metric.name == FOUND)
     # Other metrics do not change what is seen: without them fewer programs are compiled.
     asked = asked._replace(metrics=found, detection=asked.detection if found else None)
-    bodies = 0 if tiled.statics is None else len(tiled.statics.top)
-    key = (_view, grid.kind, lengths, chunk.solid.shape, chunk.prisms.top.shape, bodies, asked)
+    shapes = chunk.solid.shape, chunk.prisms.top.shape, tiled.statics and tiled.statics.shapes
+    key = (_view, grid.kind, lengths, *shapes, asked)
     fixed = dict(chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, asked=asked)
     given = partial(_view, rays, half, pixels, **fixed)
     jobs: list[Job] = [
@@ -91,7 +91,7 @@ def _view(
     poses: Float[Array, "K 6"],
     *,
     chunk: WorkChunk,
-    statics: ConvexPrism | None,
+    statics: Statics | None,
     last: Bool[Array, " N"],
     asked: Asked,
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"], Float[Array, "K N Q C"]]:

@@ -102,7 +102,7 @@ class Intersection:
         xy = np.atleast_2d(np.asarray(xy, float))
         neighbours = min(4, len(self.ground_points))
         distance, index = self._ground_index.query(xy, k=neighbours)
-        distance, index = distance.reshape(len(xy), -1), index.reshape(len(xy), -1)
+        distance, index = (found.reshape(len(xy), neighbours) for found in (distance, index))
         weight = 1.0 / np.maximum(distance, 1e-6) ** 2
         height = self.ground_points[index, 2]
         return (weight * height).sum(1) / weight.sum(1)

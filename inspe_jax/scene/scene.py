@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
-from inspe_jax.core.digest import added
+from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, check_output, whole_file
 from inspe_jax.core.pytree import pytree
@@ -27,6 +27,7 @@ from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, 
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
+from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall
 from inspe_jax.scene.traffic.registry import traffic_model
@@ -35,6 +36,8 @@ from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 FORMAT = "inspe_jax scene 2"
 WITH_STATICS = "inspe_jax scene 3"
 """The format of scenes with static bodies, which earlier versions would leave out in silence."""
+WITH_TERRAIN = "inspe_jax scene 4"
+"""And of scenes whose ground hides what is behind it."""
 OF_MAP = "map_bodies"
 """How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
@@ -64,8 +67,9 @@ class Scene:
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
     ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
-    traffic, seed, and statics if it was built with some. ``statics`` are the bodies that stand in
-    every frame (:meth:`with_statics`).
+    traffic, seed, and statics and terrain if it was built with some. ``statics`` are the bodies
+    that stand in every frame (:meth:`with_statics`). ``terrain`` is the surface of the ground where
+    it hides what is behind it (:meth:`with_terrain`); None if it hides nothing.
     """
 
     voxels: VoxelGrid
@@ -73,6 +77,18 @@ class Scene:
     intersection: Intersection = field(metadata={"static": True})
     settings: tuple[tuple[str, str], ...] = field(metadata={"static": True}, default=())
     statics: tuple[StaticBody, ...] = added((), static=True)
+    terrain: Terrain | None = field(default=None, metadata={ADDED: None, "static": True})
+
+    def with_terrain(self) -> "Scene":
+        """This scene with the ground of its map in the way: it hides what is behind its brows.
+
+        Voxels stand on its surface. Level ground hides nothing, and leaves the scene as it is.
+        """
+        terrain = terrain_of(self.intersection, self.voxels.radius)
+        if terrain is None:
+            return self
+        ground = terrain.height(self.voxels.columns)
+        return replace(self, voxels=replace(self.voxels, ground=ground), terrain=terrain)
 
     def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
         """This scene with these bodies in place of its own; with none, an open scene.
@@ -137,6 +153,7 @@ def build_scene(
     traffic: str | os.PathLike[str] = "waypoints",
     seed: int = 0,
     statics: str = "none",
+    terrain: str = "none",
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """Voxelise an intersection and fill it with traffic.
@@ -153,13 +170,15 @@ def build_scene(
     of CARLA's recorder (.log), which has its own density and mix. ``statics`` is ``none``;
     ``map`` for the buildings, trees and walls that the map brings; or ``street`` for made-up street
     furniture (:mod:`inspe_jax.scene.street`). Bodies of one's own are for
-    :meth:`Scene.with_statics`. ``progress`` is called with (steps done, steps).
+    :meth:`Scene.with_statics`. ``terrain`` is ``none``, or ``ground`` where the ground itself hides
+    what is behind it (:meth:`Scene.with_terrain`). ``progress`` is called with (steps done, steps).
 
     Raises InspeError if a value is out of range, and as the model of the traffic does.
     """
     given = dict(radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix)
     own = profile_of(profile).of_scene(**given)
     check_statics(statics)
+    check_terrain(terrain)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
     voxels = build_voxels(intersection, **lengths)
@@ -184,7 +203,10 @@ def build_scene(
         settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
     if statics != "none":
         settings |= dict(statics=statics)
+    if terrain != "none":
+        settings |= dict(terrain=terrain)
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
+    scene = scene if terrain == "none" else scene.with_terrain()
     return scene.with_statics(statics_of(statics, intersection, radius, found))
 
 
@@ -260,11 +282,18 @@ _GRID = ("columns", "ground", "region", "center")
 _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 
+def _format(scene: Scene) -> str:
+    """The oldest format that holds all of a scene."""
+    if scene.terrain is not None:
+        return WITH_TERRAIN
+    return WITH_STATICS if scene.statics else FORMAT
+
+
 def _pack(scene: Scene) -> dict[str, np.ndarray]:
     """A scene as plain arrays and one JSON text, with polygons as WKB."""
     place, grid = scene.intersection, scene.voxels
     record = {
-        "format": WITH_STATICS if scene.statics else FORMAT,
+        "format": _format(scene),
         "name": place.name,
         "source": place.source,
         "notes": place.notes,
@@ -286,13 +315,16 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     }
     arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
     arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
+    if (terrain := scene.terrain) is not None:
+        arrays |= dict(terrain_corner=terrain.corner, terrain_step=np.array(terrain.step))
+        arrays |= dict(terrain_heights=terrain.heights)
     arrays |= {f"traffic_{k}": np.asarray(getattr(scene.traffic, k)) for k in _TRAFFIC}
     return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)
 
 
 def _unpack(data: dict[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
-    if record["format"] not in (FORMAT, WITH_STATICS):
+    if record["format"] not in (FORMAT, WITH_STATICS, WITH_TERRAIN):
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
             raise _Earlier
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
@@ -332,4 +364,8 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
     )
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     settings = tuple((k, v) for k, v in record["settings"])
-    return Scene(grid, traffic, place, settings, unpack_bodies(data))
+    terrain = None
+    if "terrain_heights" in data:
+        corner, step, heights = (data[f"terrain_{k}"] for k in ("corner", "step", "heights"))
+        terrain = Terrain(corner, float(step), heights)
+    return Scene(grid, traffic, place, settings, unpack_bodies(data), terrain)

@@ -1,4 +1,4 @@
-"""What static bodies leave of what sensors see: found once, the same in all frames."""
+"""What static bodies and the ground leave of what sensors see, the same in all frames."""
 
 from functools import partial
 from typing import Any
@@ -19,7 +19,7 @@ def past_statics(
     views: UInt[Array | np.ndarray, "S N C"],
     sensors: Float[Array | np.ndarray, "S 3"],
 ) -> Any:
-    """Masks (S, N, C) of the voxels that no body hides from sensors at positions ``sensors``.
+    """Masks (S, N, C) of the voxels that neither bodies nor the ground hide from ``sensors``.
 
     ``views`` are masks of what each sensor has in view: tiles of which one has nothing are left
     out, and so are all of a scene without bodies.
@@ -32,7 +32,7 @@ def past_statics(
             lambda of: past_statics_masks(of[0], statics, tile, of[1]), (sensors, views)
         )
     present = np.flatnonzero(np.asarray(views).any((1, 2)))
-    key = past_statics_of_sensor, tile.heights.shape, statics.corners.shape
+    key = past_statics_of_sensor, tile.heights.shape, statics.shapes
     jobs: list[Job] = [
         (key, partial(past_statics_of_sensor, sensors[s], statics, tile, views[s])) for s in present
     ]
@@ -48,9 +48,9 @@ def sights_past_statics(
     views: UInt[Array | np.ndarray, "S N C"],
     sensors: Float[Array | np.ndarray, "S 3"],
 ) -> Any:
-    """In how many frames each sensor has each voxel in line of sight, with bodies in the way too.
+    """In how many frames each sensor has each voxel in line of sight, past what stands in all.
 
-    ``sights`` are those numbers without bodies; ``views`` as in :func:`past_statics`.
+    ``sights`` are those numbers without that; ``views`` as in :func:`past_statics`.
     """
     if tiled.statics is None:
         return sights

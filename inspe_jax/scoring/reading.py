@@ -23,7 +23,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
-from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import (
     Groups,
@@ -35,6 +34,7 @@ from inspe_jax.core.numerics import (
 )
 from inspe_jax.scoring.asked import Asked
 from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.in_view import soft_view
 from inspe_jax.visibility.shadows import (
     WON,
@@ -399,10 +399,10 @@ class Numbers:
         self,
         tile: Tile,
         sensors: Float[Array, "S 3"],
-        statics: ConvexPrism | None,
+        statics: Statics | None,
         views: Float[Array, "S Z C"],
     ) -> Float[Array, "S Z C"] | None:
-        """The chance that static bodies leave each voxel in line of sight; None without bodies.
+        """The chance that bodies and the ground leave each voxel in sight; None without any.
 
         Of a sensor that has nothing of the tile in view it is 0.
         """

@@ -17,13 +17,12 @@ from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core import sharding
 from inspe_jax.core.arrays import on_device, wide_bucket
-from inspe_jax.core.convex import ConvexPrism
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.parallel import cores, untraced
 from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.scene import Scene
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.centered_scene import CenteredScene, about_center
+from inspe_jax.visibility.centered_scene import CenteredScene, Statics, about_center
 from inspe_jax.visibility.tiles import CHUNKS, Tile, Tiles, one_tile, solid, tiles_of
 
 FRAMES = 128
@@ -88,9 +87,9 @@ class TiledScene:
     ``occupancy`` (U,) is p̂ of the voxels that may have entropy, padded with 0 at the end.
     ``column`` and ``level`` (U,) say which voxels these are: the column's number among the tiles'
     columns, and the level in its slab. ``device_tiles`` are the tiles in :func:`device_order`,
-    divided among the devices; None where there is one device. ``statics`` are the convex prisms of
-    bodies that stand in every frame; None if there are none. A column of which some voxels are
-    inside a body has the share of its weight that the others are of it.
+    divided among the devices; None where there is one device. ``statics`` are bodies that
+    stand in every frame, and the ground where it hides something; None if there are none. A column
+    of which some voxels are inside a body has the share of its weight that the others are of it.
     """
 
     tiles: Tiles
@@ -101,7 +100,7 @@ class TiledScene:
     level: Int[Array, " U"]
     frame_count: int = field(metadata={"static": True})
     device_tiles: Tile | None = None
-    statics: ConvexPrism | None = None
+    statics: Statics | None = None
 
     @property
     def voxel_occupancy(self) -> Float[np.ndarray, " V"]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.core.arrays import bucket, on_device, on_host
 from inspe_jax.core.convex import ConvexPrism, sides
 from inspe_jax.core.geometry import FAR, Prism
+from inspe_jax.core.height_field import HeightField
 from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
@@ -20,13 +21,26 @@ PARTS = 32
 """Least number of places for the convex prisms of static bodies."""
 
 
+class Statics(NamedTuple):
+    """What stands in every frame: the convex prisms of bodies, and the ground as a surface; None
+    where there is nothing of it."""
+
+    bodies: ConvexPrism | None = None
+    ground: HeightField | None = None
+
+    @property
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """The shapes of its arrays, for which programs are compiled."""
+        return tuple(leaf.shape for leaf in jax.tree.leaves(self))
+
+
 class CenteredScene(NamedTuple):
     """A scene's arrays relative to its centre, where single precision is finest.
 
     ``columns`` (L, 2) are x and y of the columns, ``heights`` (L, Z) those of the voxel centres
     and ``ground`` (L,) that of the ground [m], ``prisms`` (T, B) the road users in T frames.
-    ``statics`` (P,) are the convex prisms of static bodies, and ``inside`` (L, Z) says which voxels
-    are inside one; None where there is nothing of it.
+    ``statics`` are static bodies and the ground where it hides something, and ``inside`` (L, Z)
+    says which voxels are inside a body; None where there is nothing of it.
     """
 
     columns: Float[Array, "L 2"]
@@ -34,7 +48,7 @@ class CenteredScene(NamedTuple):
     ground: Float[Array, " L"]
     prisms: Prism
     inside: Bool[Array, "L Z"] | None = None
-    statics: ConvexPrism | None = None
+    statics: Statics | None = None
 
     @property
     def centers(self) -> Float[Array, "V 3"]:
@@ -72,7 +86,27 @@ def about_center(scene: Scene) -> CenteredScene:
     )
 
 
-def _statics_about_center(scene: Scene) -> ConvexPrism | None:
+def _statics_about_center(scene: Scene) -> Statics | None:
+    bodies, ground = _bodies_about_center(scene), _ground_about_center(scene)
+    return None if bodies is None and ground is None else Statics(bodies, ground)
+
+
+def _ground_about_center(scene: Scene) -> HeightField | None:
+    """A scene's terrain relative to its centre; None if it has none."""
+    if (terrain := scene.terrain) is None:
+        return None
+    x, y, z = scene.voxels.center
+    heights = terrain.heights - z
+    return HeightField(
+        corner=on_device(terrain.corner - [x, y], float),
+        step=on_device(np.array(terrain.step), float),
+        heights=on_device(heights, float),
+        highest=on_device(heights.max(), float),
+        steepest=on_device(np.array(terrain.steepest), float),
+    )
+
+
+def _bodies_about_center(scene: Scene) -> ConvexPrism | None:
     """The convex prisms of a scene's bodies relative to its centre; None if it has none.
 
     They end in some that are not valid, so that scenes of similar size have arrays of one shape.

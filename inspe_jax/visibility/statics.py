@@ -1,12 +1,14 @@
-"""Line of sight past static bodies: found once for all frames, as bodies do not move.
+"""Line of sight past static bodies and the ground: found once for all frames, as neither moves.
 
-A body is convex prisms (:mod:`inspe_jax.core.convex`). It hides a voxel where the line from the
-sensor to the voxel's centre meets one of them. Read exactly, a prism hides if less than
-:data:`HALF` of the light passes through it. Read softly, what all prisms let through is multiplied.
+A body is convex prisms (:mod:`inspe_jax.core.convex`), the ground a surface of triangles
+(:mod:`inspe_jax.core.height_field`). They hide a voxel where the line from the sensor to the
+voxel's centre meets one of them. Read exactly, a prism hides if less than :data:`HALF` of the light
+passes through it. Read softly, what all prisms and the ground let through is multiplied.
 """
 
+import operator
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -15,10 +17,12 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 
 from inspe_jax.core.convex import ConvexPrism, convex_shadow, convex_terms, prism_margins
 from inspe_jax.core.geometry import FAR, NEVER, Prism
+from inspe_jax.core.height_field import HeightField, ground_ceiling, ground_margin
 from inspe_jax.core.numerics import Width, certain_beyond, exact, step
 from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.shadows import ShadowBounds, may_shade, shadow_bounds
-from inspe_jax.visibility.tiles import Tile, pack_levels, unless_empty
+from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels, unless_empty
 
 TOGETHER = 16
 """Prisms that are read exactly at once; a divisor of
@@ -27,43 +31,64 @@ HALF = 0.5
 """Read exactly, a crown hides what is behind it if its transmittance is less than this."""
 
 
-def _bounds(sensor: Float[Array, "3"], statics: ConvexPrism, wider: Any = 0.0) -> ShadowBounds:
+def _bounds(sensor: Float[Array, "3"], bodies: ConvexPrism, wider: Any = 0.0) -> ShadowBounds:
     """The bounds of one sensor's shadows of the circles around prisms, the same for all tiles.
 
     Shadows are taken ``wider`` by so much [m].
     """
-    low, high = statics.corners.min(1), statics.corners.max(1)
+    low, high = bodies.corners.min(1), bodies.corners.max(1)
     middle = (low + high) / 2
-    away = statics.corners - middle[:, None]
+    away = bodies.corners - middle[:, None]
     radius = jnp.hypot(away[..., 0], away[..., 1]).max(1)
     around = Prism(
         center=middle,
         yaw=jnp.zeros_like(radius),
         half=jnp.stack([radius, jnp.zeros_like(radius)], -1),
-        top=statics.top,
-        valid=statics.valid,
+        top=bodies.top,
+        valid=bodies.valid,
     )
     return shadow_bounds(sensor, jax.tree.map(lambda leaf: leaf[None], around), wider)
 
 
 def past_statics_masks(
     sensor: Float[Array, "3"],
-    statics: ConvexPrism,
+    statics: Statics,
     tiles: Tile,
     views: UInt[Array, "N C"],
 ) -> UInt[Array, "N C"]:
-    """Masks of the voxels of N tiles that no body hides from a sensor.
+    """Masks of the voxels of N tiles that neither bodies nor the ground hide from a sensor.
 
     ``views`` are masks of what the sensor has in view; a tile of which it has nothing is left out,
-    and has no such voxels. What stands on the ground hides all below its shadow's ceiling: of many
-    prisms the highest ceiling decides. What begins above the ground hides levels in between.
+    and has no such voxels.
     """
-    hides = statics.valid & (statics.clear < HALF)
-    stands = statics.bottom <= -FAR / 2
-    terms, bounds = convex_terms(sensor, statics), _bounds(sensor, statics)
+    hide = [_behind_bodies(sensor, statics.bodies)] if statics.bodies is not None else []
+    hide += [_behind_ground(sensor, statics.ground)] if statics.ground is not None else []
 
     @unless_empty
     def of_tile(tile: Tile) -> UInt[Array, " C"]:
+        return reduce(operator.and_, [clear(tile) for clear in hide], tile.there)
+
+    def unless_unseen(part: tuple[Tile, Array]) -> UInt[Array, " C"]:
+        tile, view = part
+        nothing = jnp.zeros_like(tile.there)
+        return jax.lax.cond((view != 0).any(), of_tile, lambda _: nothing, tile)
+
+    return jax.lax.map(unless_unseen, (tiles, views))
+
+
+def _behind_bodies(
+    sensor: Float[Array, "3"], bodies: ConvexPrism
+) -> Callable[[Tile], UInt[Array, " C"]]:
+    """What gives masks of the voxels of a tile that no body hides.
+
+    What stands on the ground hides all below its shadow's ceiling: of many prisms the highest
+    ceiling decides. What begins above the ground hides levels in between.
+    """
+    hides = bodies.valid & (bodies.clear < HALF)
+    stands = bodies.bottom <= -FAR / 2
+    terms, bounds = convex_terms(sensor, bodies), _bounds(sensor, bodies)
+
+    def clear(tile: Tile) -> UInt[Array, " C"]:
         dx, dy = tile.columns[0] - sensor[0], tile.columns[1] - sensor[1]
         near = may_shade(sensor, bounds, tile)[:, 0] & hides
         # Those that stand first, then those that begin above the ground, then all others.
@@ -87,14 +112,36 @@ def past_statics_masks(
 
         ceiling = _fold(order, 0, ends[0], lift, jnp.full_like(dx, NEVER))
         hidden = _fold(order, ends[0], ends[1], hide, jnp.zeros_like(tile.there))
-        return pack_levels(tile.heights > ceiling[None], tile.there.dtype) & tile.there & ~hidden
+        return pack_levels(tile.heights > ceiling[None], tile.there.dtype) & ~hidden
 
-    def unless_unseen(part: tuple[Tile, Array]) -> UInt[Array, " C"]:
-        tile, view = part
-        nothing = jnp.zeros_like(tile.there)
-        return jax.lax.cond((view != 0).any(), of_tile, lambda _: nothing, tile)
+    return clear
 
-    return jax.lax.map(unless_unseen, (tiles, views))
+
+def _behind_ground(
+    sensor: Float[Array, "3"], ground: HeightField
+) -> Callable[[Tile], UInt[Array, " C"]]:
+    """What gives masks of the voxels of a tile that the ground does not hide."""
+
+    def clear(tile: Tile) -> UInt[Array, " C"]:
+        def ceiling() -> Array:
+            return ground_ceiling(ground, sensor, tile.columns, tile.low)
+
+        nothing = jnp.full_like(tile.ground, NEVER)
+        some = jax.lax.cond(_may_rise(sensor, ground, tile), ceiling, lambda: nothing)
+        return pack_levels(tile.heights > some[None], tile.there.dtype)
+
+    return clear
+
+
+def _may_rise(
+    sensor: Float[Array, "3"], ground: HeightField, tile: Tile, spare: Any = 0.0
+) -> Bool[Array, ""]:
+    """Whether the ground may rise to a sight line from ``spare`` [m] below the sensor to a tile.
+
+    Where no slope is steeper than the line from the sensor to a column's foot, it does not.
+    """
+    away = jnp.hypot(tile.center[0] - sensor[0], tile.center[1] - sensor[1]) + tile.radius + CLOSE
+    return sensor[2] - spare - tile.ground.max() < ground.steepest * away + CLOSE
 
 
 def _fold(
@@ -136,24 +183,37 @@ def _hidden(
 
 
 def past_statics_chance(
-    sensor: Float[Array, "3"], statics: ConvexPrism, tile: Tile, width: Width
+    sensor: Float[Array, "3"], statics: Statics, tile: Tile, width: Width
 ) -> Float[Array, "Z C"]:
-    """The chance that bodies leave the sight line from a sensor to each voxel of a tile clear.
+    """The chance that bodies and the ground leave the sight line from a sensor to each voxel of a
+    tile clear.
 
     It is ∏ (1 − p·(1 − transmittance)) over all prisms, with p the product of the three margins
-    read with ``width`` [m]. A prism that narrowly misses counts too. Only the sensor has a
-    gradient.
+    read with ``width`` [m], and of the ground, whose margin is how far the sensor is too low. What
+    narrowly misses counts too. Only the sensor has a gradient.
     """
-    fixed = jax.lax.stop_gradient(sensor)
-    near = may_shade(fixed, _bounds(fixed, statics, certain_beyond(width)), tile)
-    marked = bitmask.marks(near & statics.valid[:, None])
-    return _clear(sensor, statics, marked, tile.columns, tile.heights, width)
+    clear, fixed = jnp.ones_like(tile.heights), jax.lax.stop_gradient(sensor)
+    beyond = certain_beyond(width)
+    if (bodies := statics.bodies) is not None:
+        near = may_shade(fixed, _bounds(fixed, bodies, beyond), tile)
+        marked = bitmask.marks(near & bodies.valid[:, None])
+        clear *= _clear(sensor, bodies, marked, tile.columns, tile.heights, width)
+    if (ground := statics.ground) is not None:
+
+        def over(at: Array) -> Array:
+            given = ground, at, tile.columns, tile.heights, tile.low, beyond
+            return 1.0 - step(ground_margin(*given), width)
+
+        clear *= jax.lax.cond(
+            _may_rise(fixed, ground, tile, beyond), over, lambda _: jnp.ones_like(clear), sensor
+        )
+    return clear
 
 
 @jax.custom_vjp
 def _clear(
     sensor: Float[Array, "3"],
-    statics: ConvexPrism,
+    bodies: ConvexPrism,
     marked: UInt[Array, "W 1"],
     columns: Float[Array, "2 C"],
     heights: Float[Array, "Z C"],
@@ -162,7 +222,7 @@ def _clear(
     """The product over the marked prisms, one after another: as many steps as are marked."""
 
     def add(clear: Array, index: Int[Array, "1"], some: Array) -> Array:
-        prism = jax.tree.map(lambda leaf: leaf[index[0]], statics)
+        prism = jax.tree.map(lambda leaf: leaf[index[0]], bodies)
         left = 1.0 - _hidden(sensor, prism, columns, heights, width)
         return clear * jnp.where(some, left, 1.0)
 
@@ -180,10 +240,10 @@ def _clear_backward(kept: tuple, wanted: Float[Array, "Z C"]) -> tuple:
     ∂∏(1 − pᵢ) = −Σ ∂pᵢ · ∏/(1 − pᵢ). Where a prism hides for certain, pᵢ = 1, its own slope is 0,
     and so is what the others add.
     """
-    clear, sensor, statics, marked, columns, heights, width = kept
+    clear, sensor, bodies, marked, columns, heights, width = kept
 
     def add(slope: Array, index: Int[Array, "1"], some: Array) -> Array:
-        prism = jax.tree.map(lambda leaf: leaf[index[0]], statics)
+        prism = jax.tree.map(lambda leaf: leaf[index[0]], bodies)
         of = partial(_hidden, prism=prism, columns=columns, heights=heights, width=width)
         hidden, back = jax.vjp(of, sensor)
         left = 1.0 - hidden

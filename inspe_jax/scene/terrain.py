@@ -1,0 +1,110 @@
+"""The ground as a surface that hides what is behind its brows.
+
+A map gives the height of the ground at points: along its lanes, or on the grid of an elevation
+model. Between them the surface is that of triangles, as fine as what scores and recordings need.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.spatial import QhullError
+
+from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene.intersection import Intersection
+
+TERRAINS = ("none", "ground")
+"""What of the ground a scene has: nothing, so that it hides nothing; or the ground of its map."""
+STEP = 1.0
+"""Edge of the cells that are cut into two triangles each [m]."""
+MARGIN = 15.0
+"""The surface reaches so far beyond the radius of the region of interest [m]: units stand there."""
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Terrain:
+    """A surface of triangles over a square lattice.
+
+    ``corner`` (2,) is the lattice's first point [m], ``step`` the edge of its cells [m] and
+    ``heights`` (X, Y) are those of its points [m]. Each cell is cut from its first point to the
+    opposite one.
+    """
+
+    corner: Float[np.ndarray, "2"]
+    step: float
+    heights: Float[np.ndarray, "X Y"]
+
+    def height(self, xy: Float[np.ndarray, "N d"]) -> Float[np.ndarray, " N"]:
+        """The height of the surface [m] at plan points; beyond its edge, that of the edge."""
+        most = np.array(self.heights.shape) - 1
+        at = np.clip((np.asarray(xy, float)[:, :2] - self.corner) / self.step, 0, most)
+        first = np.minimum(at.astype(int), most - 1)
+        (i, j), (u, v) = first.T, (at - first).T
+        low, high = self.heights[i, j], self.heights[i + 1, j + 1]
+        side = np.where(u > v, self.heights[i + 1, j], self.heights[i, j + 1])
+        long, short = np.maximum(u, v), np.minimum(u, v)
+        return low + long * (side - low) + short * (high - side)
+
+    @cached_property
+    def steepest(self) -> float:
+        """The slope of the steepest triangle, in metres for a metre."""
+        h = self.heights
+        lower = np.hypot(h[1:, :-1] - h[:-1, :-1], h[1:, 1:] - h[1:, :-1])
+        upper = np.hypot(h[:-1, 1:] - h[:-1, :-1], h[1:, 1:] - h[:-1, 1:])
+        return float(max(lower.max(), upper.max()) / self.step)
+
+    @property
+    def points(self) -> Float[np.ndarray, "XY 3"]:
+        """The points of the lattice [m]."""
+        x, y = (self.corner[k] + self.step * np.arange(self.heights.shape[k]) for k in (0, 1))
+        at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+        return np.column_stack([at, self.heights.ravel()])
+
+    @property
+    def faces(self) -> Int[np.ndarray, "F 3"]:
+        """The triangles, as numbers of :attr:`points`, counter-clockwise from above."""
+        index = np.arange(self.heights.size).reshape(self.heights.shape)
+        a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+        halves = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2)
+        return halves.reshape(-1, 3)
+
+
+def check_terrain(name: str) -> None:
+    """Raise InspeError where there is no terrain of that name."""
+    if name not in TERRAINS:
+        raise InspeError(
+            f"terrain '{name}': {' or '.join(TERRAINS)}{nearest(name, TERRAINS)}; a place takes "
+            "its heights from an elevation model with --elevation FILE"
+        )
+
+
+def lattice(center: Sequence[float] | np.ndarray, reach: float) -> tuple[np.ndarray, int]:
+    """The first point (2,) of a lattice of :data:`STEP` around a centre, and its points a side."""
+    half = int(np.ceil(reach / STEP))
+    return np.asarray(center, float)[:2] - half * STEP, 2 * half + 1
+
+
+def terrain_of(place: Intersection, radius: float) -> Terrain | None:
+    """The ground of a place to :data:`MARGIN` beyond ``radius`` [m]; None where it is level.
+
+    Linear in triangles between the points at which the map has heights (Delaunay), and that of the
+    nearest point where there are none around. Points at one place have their mean height.
+    """
+    given = place.ground_points
+    if not len(given) or np.ptp(given[:, 2]) < 1e-6:
+        return None
+    corner, count = lattice(place.center, radius + MARGIN)
+    x, y = (corner[k] + STEP * np.arange(count) for k in (0, 1))
+    at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
+    known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
+    heights = NearestNDInterpolator(plan, known)(at)
+    try:
+        inside = LinearNDInterpolator(plan, known)(at)
+    except QhullError:  # all on one line
+        inside = np.full(len(at), np.nan)
+    heights = np.where(np.isnan(inside), heights, inside)
+    return Terrain(corner, STEP, heights.reshape(count, count))

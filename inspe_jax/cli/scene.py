@@ -126,6 +126,22 @@ def scene(
             "bus shelters.",
         ),
     ] = None,
+    terrain: Annotated[
+        str | None,
+        typer.Option(
+            metavar="none|ground",
+            help="Whether the ground hides what is behind its brows: none (if not given) or "
+            "ground.",
+        ),
+    ] = None,
+    elevation: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.tif|asc",
+            help="Elevation model (GeoTIFF, ASCII grid) in place of the map's heights; with "
+            "--terrain ground it hides what is behind it.",
+        ),
+    ] = None,
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
     ] = None,
@@ -140,6 +156,7 @@ def scene(
     - `inspe scene MAP.xodr --junction 189 --radius 50 --density medium --out j189.npz`
     - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
     - `inspe scene city.osm --at 48.137,11.575 --statics map --out city.npz`
+    - `inspe scene city.osm --at 48.137,11.575 --elevation dem.tif --terrain ground`
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
@@ -147,6 +164,7 @@ def scene(
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.scene.maps.elevation import with_elevation
     from inspe_jax.scene.maps.own_bodies import with_own_bodies
     from inspe_jax.scene.maps.parts import MARGIN
     from inspe_jax.scene.maps.registry import is_map, junction_at, read_map
@@ -180,12 +198,13 @@ def scene(
             traffic=traffic,
             seed=seed,
             statics=statics,
+            terrain=terrain,
         ).items()
         if value is not None
     }
     path = Path(source)
     if path.suffix == ".npz":
-        places = dict(junction=junction, center=center, at=at, bodies=bodies)
+        places = dict(junction=junction, center=center, at=at, bodies=bodies, elevation=elevation)
         given = [*options, *(name for name, value in places.items() if value is not None)]
         if given:
             raise InspeError(
@@ -215,10 +234,12 @@ def scene(
                     junction = str(junction_at(path, *_degrees(at)).id)
                 place = read_map(path, junction=junction, center=center, radius=size)
                 place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
+                place = place if elevation is None else with_elevation(place, elevation, size)
         else:
-            if [junction, center, at, bodies] != [None] * 4:
+            if [junction, center, at, bodies, elevation] != [None] * 5:
                 raise InspeError(
-                    f"{source}: --junction, --center, --at and --bodies are only for maps"
+                    f"{source}: --junction, --center, --at, --bodies and --elevation are only for "
+                    "maps"
                 )
             place = built_in(known(source))
         with progress("traffic") as report:

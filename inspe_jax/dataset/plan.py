@@ -10,7 +10,8 @@ its own: scenarios, splits and names here, jobs and searches there. The file::
     layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
     settings:                        # one value or a list; every combination is a scenario
       density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed,
-                                     #   statics (none, or street for made-up street furniture)
+                                     #   statics (none, or street for made-up street furniture),
+                                     #   terrain (none or ground)
       light: [midday, night]         # of the sensors: light, weather
       seed: [0, 1, 2]
       seconds: 20                    # length of a scenario
@@ -349,7 +350,7 @@ def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
     """The same plans with names that say what varies, and that are valid names of folders."""
     varied: dict[tuple[str, str], set[Any]] = defaultdict(set)
     for plan in plans:
-        for key in ("radius", "voxel", "mix", "traffic", "statics", "seconds"):
+        for key in ("radius", "voxel", "mix", "traffic", "statics", "terrain", "seconds"):
             varied[plan.source.name, key].add(plan.settings[key])
     names = []
     for plan in plans:

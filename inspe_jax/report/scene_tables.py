@@ -16,6 +16,7 @@ from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.terrain import Terrain
 from inspe_jax.sensing.catalogue import Device
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
@@ -38,6 +39,7 @@ def scene_table(scene: Scene) -> RenderableType:
         "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
         "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
         "static bodies": _bodies(scene),
+        "terrain": _terrain(scene.terrain),
         "settings": ", ".join(f"{key} {value}" for key, value in scene.settings),
         "notes": "\n".join(place.notes),
     }
@@ -59,6 +61,14 @@ def _on_earth(georeference: Georeference | None, point: Float[np.ndarray, "3"]) 
         return "" if georeference is None else georeference.words(point[:2])
     except InspeError:
         return ""
+
+
+def _terrain(terrain: Terrain | None) -> str:
+    """Heights and slopes of the ground that hides something; empty if it hides nothing."""
+    if terrain is None:
+        return ""
+    low, high = terrain.heights.min(), terrain.heights.max()
+    return f"{high - low:.1f} m from lowest to highest, slopes up to {terrain.steepest:.0%}"
 
 
 def _bodies(scene: Scene) -> str:

@@ -84,13 +84,22 @@ def to_wgs84(system: str, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray,
     """
     if system.endswith(("CRS84", ":4326")):
         return np.asarray(points, float)
+    return np.column_stack(_to_wgs84(system).transform(*np.asarray(points, float).T))
+
+
+def from_wgs84(system: str, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+    """Points of a coordinate system at longitudes and latitudes; as :func:`to_wgs84`, back."""
+    there = _to_wgs84(system)
+    return np.column_stack(there.transform(*np.asarray(degrees, float).T, direction="INVERSE"))
+
+
+def _to_wgs84(system: str) -> Any:
     pyproj = _pyproj()
     try:
         known = pyproj.CRS.from_user_input(system).to_2d()
-        there = pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
+        return pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise InspeError(f"'{system}' is no coordinate system that PROJ knows: {error}") from error
-    return np.column_stack(there.transform(*np.asarray(points, float).T))
 
 
 def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georeference | None:

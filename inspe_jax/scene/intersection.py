@@ -1,7 +1,7 @@
 """An intersection: regions of the ground, arms, routes, places to mount poles, and heights."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -110,6 +110,19 @@ class Intersection:
     def on_ground(self, xy: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N 3"]:
         """Points on the ground [m] at plan points; only their x and y are used."""
         return np.column_stack([xy[:, :2], self.ground(xy[:, :2])])
+
+    def standing_on(self, points: Float[np.ndarray, "G 3"]) -> "Intersection":
+        """This place on ground through other points [m]: its centre, poles and routes too."""
+        place = replace(self, ground_points=points)
+        routes = (
+            replace(route, waypoints=place.on_ground(route.waypoints)) for route in self.routes
+        )
+        return replace(
+            place,
+            center=place.on_ground(self.center[None])[0],
+            poles=place.on_ground(self.poles),
+            routes=tuple(routes),
+        )
 
 
 def mouth_crosswalks(arms: tuple[Arm, ...], width: float = CROSSWALK_WIDTH) -> BaseGeometry:

@@ -4,6 +4,7 @@ A map gives the height of the ground at points: along its lanes, or on the grid 
 model. Between them the surface is that of triangles, as fine as what scores and recordings need.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -81,24 +82,34 @@ def check_terrain(name: str) -> None:
         )
 
 
-def lattice(center: Sequence[float] | np.ndarray, reach: float) -> tuple[np.ndarray, int]:
-    """The first point (2,) of a lattice of :data:`STEP` around a centre, and its points a side."""
-    half = int(np.ceil(reach / STEP))
-    return np.asarray(center, float)[:2] - half * STEP, 2 * half + 1
+def lattice(
+    center: Sequence[float] | np.ndarray, radius: float
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "N 2"]]:
+    """A lattice of :data:`STEP` to :data:`MARGIN` beyond a radius: its first point, and all."""
+    half = int(np.ceil((radius + MARGIN) / STEP))
+    corner = np.asarray(center, float)[:2] - half * STEP
+    side = STEP * np.arange(2 * half + 1)
+    return corner, corner + np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
 
 
 def terrain_of(place: Intersection, radius: float) -> Terrain | None:
     """The ground of a place to :data:`MARGIN` beyond ``radius`` [m]; None where it is level.
 
-    Linear in triangles between the points at which the map has heights (Delaunay), and that of the
-    nearest point where there are none around. Points at one place have their mean height.
+    It is :func:`between` the points at which the map has heights.
     """
     given = place.ground_points
     if not len(given) or np.ptp(given[:, 2]) < 1e-6:
         return None
-    corner, count = lattice(place.center, radius + MARGIN)
-    x, y = (corner[k] + STEP * np.arange(count) for k in (0, 1))
-    at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    corner, at = lattice(place.center, radius)
+    side = math.isqrt(len(at))
+    return Terrain(corner, STEP, between(given, at).reshape(side, side))
+
+
+def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np.ndarray:
+    """Heights (N,) of a surface through given points: linear in triangles (Delaunay).
+
+    Beyond them it is that of the nearest point. Points at one place have their mean height.
+    """
     plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
     known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
     heights = NearestNDInterpolator(plan, known)(at)
@@ -106,5 +117,4 @@ def terrain_of(place: Intersection, radius: float) -> Terrain | None:
         inside = LinearNDInterpolator(plan, known)(at)
     except QhullError:  # all on one line
         inside = np.full(len(at), np.nan)
-    heights = np.where(np.isnan(inside), heights, inside)
-    return Terrain(corner, STEP, heights.reshape(count, count))
+    return np.where(np.isnan(inside), heights, inside)

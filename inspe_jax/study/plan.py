@@ -21,7 +21,8 @@ The form of the file. Paths are relative to it; every setting is one value or a 
     settings:
       density: [low, medium, high]   # for scenes: profile, radius, voxel, spacing, density, frames,
                                      #   step, mix, traffic (waypoints or sumo), seed,
-                                     #   statics (none, map or street)
+                                     #   statics (none, map or street),
+                                     #   terrain (none, or ground, which hides what is behind it)
       light: [midday, night]         # for sensors: light, weather
       weather: [clear, "rain:10"]
       weights:                       # for scores: weights, occlusion_reference, visibility
@@ -83,7 +84,7 @@ SCORE_ONLY = "none"
 """The method that scores a layout as it is, without a search."""
 BUILD_SETTINGS = (
     *("profile", "radius", "voxel", "spacing", "density", "frames", "step", "mix", "traffic"),
-    *("seed", "statics"),
+    *("seed", "statics", "terrain"),
 )
 """Settings that a scene is built with."""
 SCORE_SETTINGS = ("weights", "occlusion_reference", "visibility")

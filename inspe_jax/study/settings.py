@@ -12,16 +12,17 @@ from inspe_jax.core.files import STRICT
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, density_count
 from inspe_jax.scene.street import check_statics
+from inspe_jax.scene.terrain import check_terrain
 from inspe_jax.scene.traffic.frames import MIXES
 from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
 from inspe_jax.sensing.conditions import FAIR, Conditions
 
 T = TypeVar("T")
 
-WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed", "statics")
+WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed", "statics", "terrain")
 """Settings of a scene, without the number of frames and the time between them."""
 CONDITIONS = ("light", "weather")
-LATER = {"statics": "none"}
+LATER = {"statics": "none", "terrain": "none"}
 """Settings that earlier versions did not have, and their defaults. At its default, such a setting
 is in no digest and no file, which so are those of before."""
 
@@ -54,6 +55,7 @@ class WorldSettings(Strict):
     traffic: Several[str] = []
     seed: Several[Count] = []
     statics: Several[str] = []
+    terrain: Several[str] = []
 
 
 def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str, list[Any]]:
@@ -100,6 +102,7 @@ CHECKS: dict[str, Callable[[Any], Any]] = {
     "mix": one_of(MIXES),
     "traffic": one_of(TRAFFIC_MODELS),
     "statics": check_statics,
+    "terrain": check_terrain,
     "light": Conditions.of,
     "weather": lambda value: Conditions.of("midday", value),
 }

@@ -27,10 +27,13 @@ def in_view(scene: Scene, layout: Layout, walk: str = "bresenham") -> Bool[np.nd
 
     ``walk`` is ``bresenham`` or ``exact``; with the latter, rays end where they meet a static body
     of which less than half of the light passes through. Raises InspeError where it is another, or
-    where there are bodies and it is ``bresenham``.
+    where there are bodies and it is ``bresenham``, or where the scene has terrain: rays know no
+    ground.
     """
     if walk not in WALKS:
         raise InspeError(f"walk '{walk}': one of {', '.join(WALKS)}")
+    if scene.terrain is not None:
+        raise InspeError(f"{scene.name} has terrain, and walked rays do not end at the ground")
     if scene.statics and walk != "exact":
         raise InspeError(f"{scene.name} has static bodies: only the walk 'exact' ends at them")
     seen = np.zeros((len(layout), scene.voxels.count), bool)

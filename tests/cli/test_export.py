@@ -3,6 +3,7 @@
 import json
 from functools import partial
 
+import numpy as np
 import pytest
 from osm_town import LAT, LON, full_town
 from processes import inspe_here
@@ -69,7 +70,7 @@ BAD = [
     (("scene", "city.osm", "--at", "10,10"), "no junction within 100 m of 10,10; the middle of"),
     (("scene", "city.osm"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "city.osm", "--at", "48,11", "--junction", "1"), "choose a place on the map"),
-    (("scene", "four_way", "--at", "48,11"), "--junction, --center, --at and --bodies are only"),
+    (("scene", "four_way", "--at", "48,11"), "--at, --bodies and --elevation are only"),
     (("scene", "four_way", "--bodies", "poles.geojson"), "are only for maps"),
     (("export", "four_way", "Cam-d1", "--force"), "four_way: has no coordinates on the Earth"),
     (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "must end in .geojson or .kml or .csv"),
@@ -88,3 +89,31 @@ def test_bad_input_is_one_message(inspe, files, arguments, message):
     assert status == 2
     assert message in " ".join(error.split())
     assert sorted(files.iterdir()) == before
+
+
+def test_a_scene_on_an_elevation_model(inspe, files):
+    """In latitudes and longitudes, as national surveys hand them out; the place stands on it."""
+    rasterio = pytest.importorskip("rasterio", reason="needs rasterio: extra [geo]")
+    cell, size = 1e-5, 600
+    heights = np.tile(500.0 + 0.04 * np.arange(size), (size, 1)).astype(np.float32)
+    transform = rasterio.Affine(cell, 0, LON - 300 * cell, 0, -cell, LAT + 300 * cell)
+    kind = dict(driver="GTiff", count=1, dtype="float32", crs="EPSG:4326")
+    with rasterio.open(
+        files / "dem.tif", "w", width=size, height=size, transform=transform, **kind
+    ) as file:
+        file.write(heights, 1)
+    place = ("--at", f"{LAT + 2e-5},{LON - 2e-5}", "--elevation", "dem.tif")
+    status, table, _ = inspe(
+        "scene", "city.osm", *place, "--terrain", "ground", *SMALL, "--out", "hill.npz"
+    )
+    assert status == 0
+    assert "heights of the ground from dem.tif" in table
+    assert "slopes up to" in table
+    scene = load_scene(files / "hill.npz")
+    assert scene.terrain is not None
+    assert scene.intersection.center[2] == pytest.approx(512.0, abs=1.0)
+    # A degree of longitude there is so long that 0.04 m a cell are 5 to 6 %.
+    assert 0.04 < scene.terrain.steepest < 0.07
+    status, _, errors = inspe("scene", "hill.npz", "--elevation", "dem.tif")
+    assert status == 2
+    assert "leave out --elevation" in " ".join(errors.split())

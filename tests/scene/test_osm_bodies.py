@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from osm_town import Town, box, degrees, full_town
+from osm_town import LAT, LON, METRES, Town, box, degrees, full_town
 from shapely.geometry import LineString, Point, Polygon
 from worlds import LIDAR, embree_line_of_sight, place_sensors
 
@@ -17,7 +17,7 @@ import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.bodies import simple_pieces, standing
-from inspe_jax.scene.maps.openstreetmap.bodies import shapes_of
+from inspe_jax.scene.maps.openstreetmap.bodies import extract_about, shapes_of
 from inspe_jax.scene.maps.openstreetmap.extract import Box, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
 from inspe_jax.scene.maps.registry import list_junctions, read_map
@@ -345,7 +345,8 @@ def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
     file = tmp_path / "odd.osm"
     file.write_text(f"<osm>{''.join([*nodes, *ways, *made])}</osm>")
     notes: list[str] = []
-    found = shapes_of(file, np.zeros(2), 60.0, InMetres(), notes)
+    where = np.zeros(2), 60.0, InMetres()
+    found = shapes_of(extract_about(file, *where), *where, notes)
     bodies = standing(found, inspe_jax.built_in("four_way"), 60.0, notes)
     assert len(bodies) > 50
     assert all(b.polygon.is_valid and b.polygon.area > 0 for b in bodies)
@@ -423,3 +424,29 @@ def test_line_of_sight_past_mapped_bodies_agrees_with_embree(scene, path):
     through = shapely.intersects(lines, houses.buffer(-0.01))
     assert (through & low & known).sum() > 50
     assert not (ours[0] & through & low & known).any()
+
+
+def test_points_with_heights_make_the_ground(tmp_path):
+    """Three points or more with ``ele``: the place stands on the surface through them."""
+
+    def hill(*spots):
+        town = full_town()
+        for (x, y), ele in spots:
+            town.node((x, y), ele=ele)
+        return read_map(town.write(tmp_path / "hill.osm"), junction="1", radius=40.0)
+
+    def height(x, y):
+        return 500.0 + 0.06 * x - 0.02 * y
+
+    corners = [(-90.0, -90.0), (90.0, -90.0), (90.0, 90.0), (-90.0, 90.0), (3.0, 4.0)]
+    told = [(at, f"{height(*at):.3f} m") for at in corners]
+    found = hill(*told, ((20.0, 0.0), "about ten"), ((0.0, 20.0), "99999"))
+    assert "5 points of the map with a height" in " ".join(found.notes)
+
+    def told_at(points):  # the projection's north is not true north
+        east, north = ((found.georeference.to_degrees(points[:, :2]) - [LON, LAT]) * METRES).T
+        return height(east, north)
+
+    for points in (found.ground_points, found.center[None], *(r.waypoints for r in found.routes)):
+        assert points[:, 2] == pytest.approx(told_at(points), abs=0.02)
+    assert np.ptp(hill(*told[:2]).ground_points[:, 2]) == 0

@@ -20,6 +20,7 @@ from shapely.ops import unary_union
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
+from inspe_jax.scene.terrain import MARGIN, Terrain
 from inspe_jax.simulation.embedded.materials import (
     BUILDING,
     CROWN,
@@ -34,7 +35,7 @@ from inspe_jax.simulation.embedded.surface import Surface, lay_surface
 
 HORIZON = 400.0
 """The ground reaches this far from the centre [m]."""
-MAPPED = 15.0
+MAPPED = MARGIN
 """The ground follows the map to this distance beyond the radius [m]; further out it is coarse."""
 KERB_SIZE = (0.15, 0.12)
 """Width and height of a kerb [m]."""
@@ -70,11 +71,13 @@ def build_static_world(
     radius: float,
     masts: Float[np.ndarray, "U 4"],
     bodies: Sequence[StaticBody] = (),
+    terrain: Terrain | None = None,
 ) -> StaticWorld:
     """The static world of an intersection, out to :data:`HORIZON`.
 
     ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
-    over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene.
+    over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene, and
+    ``terrain`` is its ground if that hides something: then the same triangles lie here.
     Other buildings and trees stand at random places, which depend only on the intersection's name
     and on where bodies leave room.
     """
@@ -90,7 +93,7 @@ def build_static_world(
     feet = [p for p in feet if not bodies or Point(p[:2]).distance(own) > 0.5]
     posts = np.array([*masts, *feet], float).reshape(-1, 4)
     parts: list[tuple[np.ndarray, int, int]] = [
-        (_terrain(intersection, radius), GROUND, 0),
+        (_ground(intersection, radius, terrain), GROUND, 0),
         *((ring, KERB, 0) for ring in _kerbs(intersection)),
         *((_tube(p[:3], POLE_RADIUS, p[3]), POLE, 0) for p in posts),
     ]
@@ -122,7 +125,9 @@ def build_static_world(
     )
 
 
-def _terrain(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 3 3"]:
+def _ground(
+    intersection: Intersection, radius: float, terrain: Terrain | None
+) -> Float[np.ndarray, "F 3 3"]:
     """The ground as a grid of 1 m on the map and coarser beyond; two triangles if it is flat."""
     center = intersection.center
     heights = intersection.ground_points[:, 2]
@@ -134,6 +139,9 @@ def _terrain(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 
         lines = np.concatenate([-far[::-1], near, far])
     x, y = np.meshgrid(center[0] + lines, center[1] + lines, indexing="ij")
     z = intersection.ground(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+    if terrain is not None:
+        inner = slice(len(far), len(far) + len(near))
+        z[inner, inner] = terrain.heights
     at = np.stack([x, y, z], -1)
     a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
     return np.concatenate(

@@ -24,31 +24,61 @@ from inspe_jax.scene.statics import LEAFY, octagon
 
 BEYOND = 200.0
 """Nodes are read this far beyond the reach [m]: outlines that go farther are cut there."""
+LOWEST, MOUNTAIN = -450.0, 8900.0
+"""Heights above the sea that land can have [m]."""
 NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none", "")
 """Values of ``building`` of what hides nothing."""
 HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "ground")
 """The ``support`` of lamps that stand on no pole."""
 
 
-def shapes_of(
-    path: Path,
-    middle: Float[np.ndarray, "2"],
-    reach: float,
-    georeference: Georeference,
-    notes: list[str],
-) -> list[Shape]:
-    """The bodies of an extract about a point in world metres, as far as its box of degrees goes.
+def extract_about(
+    path: Path, middle: Float[np.ndarray, "2"], reach: float, georeference: Georeference
+) -> Extract:
+    """What an extract has about a point in world metres, to :data:`BEYOND` its reach.
 
-    ``notes`` get what was assumed. Raises InspeError as
-    :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
+    Raises InspeError as :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
     """
     far = reach + BEYOND
     rim = np.linspace(-far, far, 9)
     square = [(x, y) for x in rim for y in (-far, far)] + [(x, y) for y in rim for x in (-far, far)]
     degrees = georeference.to_degrees(np.asarray(middle, float)[:2] + np.array(square))
-    extract = read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
+    return read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
+
+
+def shapes_of(
+    extract: Extract,
+    middle: Float[np.ndarray, "2"],
+    reach: float,
+    georeference: Georeference,
+    notes: list[str],
+) -> list[Shape]:
+    """The bodies of an extract that come within ``reach`` [m] of a point in world metres.
+
+    ``notes`` get what was assumed.
+    """
     disc = Point(*np.asarray(middle)[:2]).buffer(reach)
     return _Reader(extract, georeference, disc, notes).shapes()
+
+
+def spot_heights(extract: Extract, georeference: Georeference) -> Float[np.ndarray, "N 3"]:
+    """The nodes of an extract that have a height (``ele``), in world metres."""
+    found = [
+        (*extract.nodes[name], height)
+        for name, tags in extract.node_tags.items()
+        if (height := _elevation(tags.get("ele", ""))) is not None
+    ]
+    rows = np.array(found, float).reshape(-1, 3)
+    return np.column_stack([georeference.from_degrees(rows[:, :2]), rows[:, 2]])
+
+
+def _elevation(text: str) -> float | None:
+    """The metres of a tag ``ele``; None where they are no height on this Earth."""
+    try:
+        height = float(text.removesuffix("m"))
+    except ValueError:
+        return None
+    return height if LOWEST < height < MOUNTAIN else None
 
 
 class _Reader:

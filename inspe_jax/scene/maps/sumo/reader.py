@@ -18,9 +18,13 @@ from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
-from inspe_jax.scene.maps.bodies import NO_POLES, Shape, with_bodies
+from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
-from inspe_jax.scene.maps.openstreetmap.bodies import shapes_of
+from inspe_jax.scene.maps.openstreetmap.bodies import (
+    extract_about,
+    shapes_of,
+    spot_heights,
+)
 from inspe_jax.scene.maps.parts import (
     CLUSTER,
     MARGIN,
@@ -39,7 +43,10 @@ from inspe_jax.scene.maps.parts import (
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, load_net
 from inspe_jax.scene.regions import Region
+from inspe_jax.scene.terrain import between, lattice
 
+SPOTS = 3
+"""Fewer points with a height make no surface."""
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
 
 
@@ -108,7 +115,8 @@ def read_sumo(
     within 35 m of it count as one, as those of a roundabout. Coordinates are those of the map that
     the network was made from (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to
     ``radius`` + 10 m. Routes begin and end at ``radius``. Roads on another level are left out.
-    Extracts bring their buildings, trees, walls and poles, as far as lanes are read.
+    Extracts bring their buildings, trees, walls and poles, as far as lanes are read, and the ground
+    between points that have a height (``ele``).
 
     Raises InspeError if SUMO or the file is missing, if the file is not a network, or if it has no
     such junction or no road near.
@@ -170,21 +178,25 @@ def read_sumo(
     ]
     foot = found.on_ground(middle[None])[0]
     found = replace(found, center=foot, routes=tuple(routes))
-    shapes = _shapes(streets, Path(path), middle, reach, notes)
-    found = with_bodies(found, shapes, reach, notes)
+    if road.georeference is not None and str(path).lower().endswith(OSM_SUFFIXES):
+        where = middle[:2], reach, road.georeference
+        extract = extract_about(Path(path), *where)
+        found = _on_heights(found, spot_heights(extract, road.georeference), radius, notes)
+        found = with_bodies(found, shapes_of(extract, *where, notes), reach, notes)
     if not len(found.poles):
         notes.append(NO_POLES)
     return replace(found, notes=tuple(notes))
 
 
-def _shapes(
-    streets: Streets, path: Path, middle: np.ndarray, reach: float, notes: list[str]
-) -> list[Shape]:
-    """The bodies of an OpenStreetMap extract; a network has none."""
-    georeference = streets.road.georeference
-    if not path.name.lower().endswith(OSM_SUFFIXES) or georeference is None:
-        return []
-    return shapes_of(path, middle[:2], reach, georeference, notes)
+def _on_heights(
+    place: Intersection, spots: Float[np.ndarray, "N 3"], radius: float, notes: list[str]
+) -> Intersection:
+    """A place on ground through spot heights, if there are enough for a surface."""
+    if len(spots) < SPOTS:
+        return place
+    _, at = lattice(place.center, radius)
+    notes.append(f"heights of the ground between {len(spots)} points of the map with a height")
+    return place.standing_on(np.column_stack([at, between(spots, at)]))
 
 
 def _middle(streets: Streets, name: str) -> np.ndarray:

@@ -1,0 +1,118 @@
+"""The ground's heights from an elevation model: a GeoTIFF, an ASCII grid, or what else GDAL reads.
+
+Only the part of the model around the place is read, so models of whole states serve.
+"""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import map_coordinates
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
+from inspe_jax.scene.georeference import from_wgs84
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.terrain import between, lattice
+
+MOST = 4096
+"""Most cells a side that are read of a model around one place."""
+
+
+def with_elevation(
+    place: Intersection, path: str | os.PathLike[str], radius: float
+) -> Intersection:
+    """A place on the ground of an elevation model, to :data:`~inspe_jax.scene.terrain.MARGIN`
+    beyond ``radius`` [m] of its centre.
+
+    Heights [m] between the model's cells are bilinear. Its projection is that of the file; of a
+    file that names none, that of the place, and world coordinates where the place has none either.
+    Routes, poles and the centre stand on the new ground. A deck that crosses above another road is
+    not known to a model: the place lies on one level.
+
+    Raises InspeError if rasterio or pyproj is missing, if the file can't be read, if only one of
+    the two says where on the Earth it is, and if the model has no heights within ``radius``.
+    """
+    _, at = lattice(place.center, radius)
+    heights = _heights(place, Path(path), at)
+    known = np.isfinite(heights)
+    inside = np.hypot(*(at - place.center[:2]).T) <= radius
+    if not known[inside].all():
+        share = known[inside].mean()
+        raise InspeError(
+            f"{path}: has heights for {share:.0%} of the ground within {radius:g} m of "
+            f"{place.name}; take a model that covers it, or a smaller radius"
+        )
+    points = np.column_stack([at, heights])[known]
+    if not known.all():  # beyond the radius, the nearest height
+        points = np.column_stack([at, between(points, at)])
+    notes = (*place.notes, f"heights of the ground from {Path(path).name}")
+    return replace(place.standing_on(points), notes=notes)
+
+
+def _heights(
+    place: Intersection, path: Path, at: Float[np.ndarray, "N 2"]
+) -> Float[np.ndarray, " N"]:
+    """Heights [m] at points, NaN where the model has none."""
+    check_input(path)
+    rasterio = _rasterio()
+    try:
+        with rasterio.open(path) as model:
+            points = _in_projection(place, path, model, at)
+            row, column = _cells(model, points)
+            window = _window(rasterio, model, row, column, path)
+            values = model.read(1, window=window, masked=True)
+            scale, offset = model.scales[0], model.offsets[0]
+    except rasterio.errors.RasterioError as error:
+        raise InspeError(f"{path}: not an elevation model that GDAL reads: {error}") from error
+    cells = np.ma.filled(values.astype(float), np.nan) * scale + offset
+    here = [row - window.row_off, column - window.col_off]
+    return map_coordinates(cells, here, order=1, cval=np.nan, prefilter=False)
+
+
+def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) -> np.ndarray:
+    """World points as coordinates of a model."""
+    if model.crs is None:
+        return at if place.georeference is None else at - place.georeference.shift
+    if place.georeference is None:
+        raise InspeError(
+            f"{path}: is in {model.crs.to_string()}, and {place.name} does not say where on the "
+            "Earth it is; take a map with a projection, or a model in the map's own coordinates "
+            "without one"
+        )
+    return from_wgs84(model.crs.to_wkt(), place.georeference.to_degrees(at))
+
+
+def _cells(model: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of points, whole numbers in the middle of cells."""
+    a, b, c, d, e, f = tuple(~model.transform)[:6]
+    x, y = points.T
+    return d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
+
+
+def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path: Path) -> Any:
+    """The cells around points. Raises InspeError where there are none, or too many."""
+    ends = []
+    for at, size in ((row, model.height), (column, model.width)):
+        low, high = np.floor(at.min()) - 1, np.ceil(at.max()) + 2
+        if not (np.isfinite([low, high]).all() and high > 0 and low < size):
+            raise InspeError(f"{path}: does not cover this place; is it of another region?")
+        ends.append((max(int(low), 0), min(int(high), size)))
+    if max(high - low for low, high in ends) > MOST:
+        raise InspeError(
+            f"{path}: has more than {MOST} cells a side around this place; resample it, as to 0.5 m"
+        )
+    (top, bottom), (left, right) = ends
+    return rasterio.windows.Window(left, top, right - left, bottom - top)
+
+
+def _rasterio() -> Any:
+    try:
+        import rasterio
+        import rasterio.windows
+    except ImportError as error:
+        raise InspeError("elevation models need: pip install 'inspe_jax[geo]'") from error
+    return rasterio

@@ -1,0 +1,139 @@
+"""Heights of the ground from elevation models, against planes that they were made of."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from processes import inspe_here
+from worlds import crossing
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.intersection import Route
+from inspe_jax.scene.maps.elevation import with_elevation
+from inspe_jax.scene.terrain import terrain_of
+
+rasterio = pytest.importorskip("rasterio", reason="elevation models need rasterio: extra [geo]")
+
+CENTER = (120.0, -80.0, 0.0)
+SHIFT = (-690_000.0, -5_335_000.0)
+"""World coordinates are so much larger than those of UTM zone 32."""
+UTM, RADIUS = "EPSG:32632", 20.0
+
+
+def place():
+    """The test crossing near Munich, with a pole and a route."""
+    line = np.column_stack([np.linspace(-30, 30, 13) + CENTER[0], np.full(13, CENTER[1]), [0] * 13])
+    found = replace(
+        crossing(center=CENTER),
+        poles=np.array([[CENTER[0] + 9.0, CENTER[1] + 9.0, 0.0]]),
+        routes=(Route(line, 3.0),),
+    )
+    return replace(found, georeference=Georeference(UTM, SHIFT))
+
+
+def plane(x, y):
+    """Heights [m] at world coordinates: a slope of 5 % and −2 % on 520 m."""
+    return 520.0 + 0.05 * (x - CENTER[0]) - 0.02 * (y - CENTER[1])
+
+
+def model(path, crs=UTM, cell=2.0, reach=60.0, at=CENTER, holes=None, **profile):
+    """A GeoTIFF or an ASCII grid of the plane in the place's projection."""
+    size = int(2 * reach / cell)
+    left, top = at[0] - SHIFT[0] - reach, at[1] - SHIFT[1] + reach
+    x = left + SHIFT[0] + (np.arange(size) + 0.5) * cell
+    y = top + SHIFT[1] - (np.arange(size) + 0.5) * cell
+    heights = plane(*np.meshgrid(x, y)).astype(np.float32)
+    if holes is not None:
+        heights[holes] = -9999
+    profile = dict(count=1, dtype="float32", nodata=-9999, crs=crs) | profile
+    transform = rasterio.Affine(cell, 0, left, 0, -cell, top)
+    with rasterio.open(path, "w", width=size, height=size, transform=transform, **profile) as file:
+        file.write(heights, 1)
+    return path
+
+
+def test_heights_are_the_models(tmp_path):
+    """To 2 mm, that of single precision at 520 m, on routes, poles, the centre and all columns."""
+    found = with_elevation(place(), model(tmp_path / "dem.tif"), RADIUS)
+    for points in (found.routes[0].waypoints, found.poles, found.center[None]):
+        near = np.hypot(*(points[:, :2] - CENTER[:2]).T) < 30
+        assert points[near, 2] == pytest.approx(plane(*points[near, :2].T), abs=2e-3)
+    scene = inspe_jax.build_scene(found, radius=RADIUS, voxel=1.0, frames=2, terrain="ground")
+    columns = scene.voxels.columns
+    assert scene.voxels.ground == pytest.approx(plane(*columns.T), abs=2e-3)
+    assert scene.terrain.steepest == pytest.approx(np.hypot(0.05, 0.02), rel=0.02)
+    users = scene.traffic.center[scene.traffic.valid]
+    foot = users[:, 2] - scene.traffic.size[scene.traffic.valid][:, 2] / 2
+    assert foot == pytest.approx(plane(*users[:, :2].T), abs=0.05)
+    assert "dem.tif" in found.notes[-1]
+
+
+def test_a_model_in_degrees_agrees(tmp_path):
+    """A model in longitudes and latitudes gives the same heights to 1 cm."""
+    own, cell, size = place(), 1e-5, 240
+    lon, lat = own.georeference.to_degrees(own.center[None, :2])[0]
+    left, top = lon - size / 2 * cell, lat + size / 2 * cell
+    at = (np.arange(size) + 0.5) * cell
+    degrees = np.stack(np.meshgrid(left + at, top - at), -1).reshape(-1, 2)
+    heights = plane(*own.georeference.from_degrees(degrees).T).reshape(size, size)
+    kind = dict(driver="GTiff", count=1, dtype="float64", crs="EPSG:4326")
+    transform = rasterio.Affine(cell, 0, left, 0, -cell, top)
+    with rasterio.open(
+        tmp_path / "wgs84.tif", "w", width=size, height=size, transform=transform, **kind
+    ) as file:
+        file.write(heights, 1)
+    found = with_elevation(own, tmp_path / "wgs84.tif", RADIUS)
+    x, y, z = terrain_of(found, RADIUS).points.T
+    near = np.hypot(x - CENTER[0], y - CENTER[1]) < RADIUS
+    assert z[near] == pytest.approx(plane(x, y)[near], abs=0.01)
+
+
+def test_a_grid_without_projection_is_in_that_of_the_place(tmp_path):
+    path = model(tmp_path / "dem.asc", crs=None, driver="AAIGrid")
+    (tmp_path / "dem.prj").unlink(missing_ok=True)
+    for own in (place(), replace(place(), georeference=None)):
+        shift = np.zeros(2) if own.georeference is not None else np.array(SHIFT)
+        if own.georeference is None:  # world coordinates are then those of the file
+            own = replace(own, center=own.center - [*shift, 0], routes=(), poles=np.zeros((0, 3)))
+        found = with_elevation(own, path, RADIUS)
+        assert found.center[2] == pytest.approx(520.0, abs=2e-3)
+
+
+def test_what_is_wrong_is_said(tmp_path):
+    own = place()
+    with pytest.raises(InspeError, match="of another region"):
+        with_elevation(own, model(tmp_path / "far.tif", at=(9_000.0, 0.0, 0.0)), RADIUS)
+    with pytest.raises(InspeError, match=r"has heights for \d+% of the ground within 20 m"):
+        with_elevation(own, model(tmp_path / "small.tif", reach=12.0), RADIUS)
+    holed = model(tmp_path / "holes.tif", holes=np.s_[28:32, 28:32])
+    with pytest.raises(InspeError, match="has heights for 9"):
+        with_elevation(own, holed, RADIUS)
+    with pytest.raises(InspeError, match="does not say where on the"):
+        with_elevation(replace(own, georeference=None), model(tmp_path / "dem.tif"), RADIUS)
+    (tmp_path / "text.tif").write_text("no picture")
+    with pytest.raises(InspeError, match="not an elevation model"):
+        with_elevation(own, tmp_path / "text.tif", RADIUS)
+    with pytest.raises(InspeError, match=r"missing\.tif"):
+        with_elevation(own, tmp_path / "missing.tif", RADIUS)
+    fine = model(tmp_path / "fine.tif", cell=0.012, reach=36.0)
+    with pytest.raises(InspeError, match="resample it"):
+        with_elevation(own, fine, RADIUS)
+
+
+def test_beyond_the_radius_the_nearest_height_goes_on(tmp_path):
+    found = with_elevation(place(), model(tmp_path / "dem.tif", reach=24.0), RADIUS)
+    terrain = terrain_of(found, RADIUS)
+    assert np.isfinite(terrain.heights).all()
+    edge = terrain.height(np.array([[CENTER[0] + 34.0, CENTER[1]]]))
+    assert edge == pytest.approx(plane(CENTER[0] + 23.0, CENTER[1]), abs=0.11)
+
+
+def test_only_maps_take_a_model(tmp_path, monkeypatch, capsys):
+    model(tmp_path / "dem.tif")
+    run = partial(inspe_here, tmp_path, monkeypatch, capsys)
+    status, _, errors = run("scene", "four_way", "--elevation", "dem.tif")
+    assert status == 2
+    assert "only for maps" in " ".join(errors.split())

@@ -101,6 +101,11 @@ def kept_folder(keep: Path | None) -> Iterator[Path]:
         yield Path(found)
 
 
+def on_maps(scenes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Entries of a study with whole paths of their maps."""
+    return [scene | dict(map=str(MAPS / scene["map"])) for scene in scenes]
+
+
 def machine() -> dict[str, str]:
     """Processor, cores and versions: what a time means nothing without."""
     processor = platform.processor() or platform.machine()

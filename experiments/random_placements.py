@@ -21,11 +21,19 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from common import METRICS, command_line, kept_folder, processes, read_rows, write_results
+from common import (
+    METRICS,
+    command_line,
+    kept_folder,
+    on_maps,
+    processes,
+    read_rows,
+    write_results,
+)
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
-from table1 import on_maps, predictor_of, trained
+from table1 import predictor_of, trained
 from table2 import begin, places
 
 import inspe_jax

@@ -27,11 +27,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 from common import (
-    MAPS,
     METRICS,
     append_rows,
     command_line,
     kept_folder,
+    on_maps,
     processes,
     read_rows,
     write_results,
@@ -118,11 +118,6 @@ def options() -> argparse.Namespace:
 
 
 # ── Data ────────────────────────────────────────────────────────────────────
-
-
-def on_maps(scenes: Rows) -> Rows:
-    """Entries of a study with whole paths of their maps."""
-    return [scene | dict(map=str(MAPS / scene["map"])) for scene in scenes]
 
 
 def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, command_line, kept_folder, processes, write_results
+from common import MAPS, command_line, kept_folder, on_maps, processes, write_results
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -75,7 +75,7 @@ def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
         content |= dict(scenes=scenes, layouts=["Cam-c/L-c", "L-d1"], splits=dict(train=1, test=1))
     else:
         scenes = yaml.safe_load((HERE / "intersections.yaml").read_text(encoding="utf-8"))
-        content |= dict(scenes=[scene | dict(map=str(MAPS / scene["map"])) for scene in scenes])
+        content |= dict(scenes=on_maps(scenes))
     return content | changes
 
 

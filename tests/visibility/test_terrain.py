@@ -240,3 +240,21 @@ def test_scenes_with_terrain_reload(tmp_path):
     assert (line_of_sight(again, layout, 0) == line_of_sight(scene, layout, 0)).all()
     with pytest.raises(InspeError, match="none or ground"):
         inspe_jax.build_scene(scene.intersection, radius=12, terrain="groud")
+
+
+def test_recordings_have_the_same_ground():
+    """The triangles of a scene's terrain are those of the recorded world, and no others are near."""
+    pytest.importorskip("embreex", reason="recordings need Embree: extra [dataset]")
+    from inspe_jax.simulation.embedded.materials import GROUND
+    from inspe_jax.simulation.embedded.static_world import build_static_world
+
+    scene = hills(center=(1873.2, -951.7, 41.0))
+    place, radius = scene.intersection, scene.voxels.radius
+    world = build_static_world(place, radius, np.zeros((0, 4)), (), scene.terrain)
+    recorded = world.triangles[world.material == GROUND] + place.center
+    own = scene.terrain.points[scene.terrain.faces]
+    middle, corner = recorded.mean(1)[:, :2], scene.terrain.corner
+    span = scene.terrain.step * (np.array(scene.terrain.heights.shape) - 1)
+    near = ((middle > corner) & (middle < corner + span)).all(1)
+    ordered = [faces[np.lexsort(faces.mean(1).round(2).T)] for faces in (recorded[near], own)]
+    assert ordered[0] == pytest.approx(ordered[1], abs=1e-3)

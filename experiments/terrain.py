@@ -1,0 +1,103 @@
+"""Claim: the ground hides little at the ten intersections, and more where a road goes over a crest.
+
+P_sm of the nine placements, with the ground in the way and without, at the ten intersections, where
+the maps are beside the checkout; and at the built-in four-way laid over a crest, a parabola along x
+with a radius of 500 or 250 m, so that the ground falls by 10 or 20 % at 50 m. Voxels and sensors
+stand at the same places in both. Beside it, the ratio of the times of an exact score.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from common import METRICS, arguments, on_maps, write_results
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from table2 import places
+
+import inspe_jax
+from inspe_jax import Layout, Scene
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.registry import read_map
+
+CRESTS = (500.0, 250.0)
+"""Radius of the crest [m]: residential streets have such."""
+RADIUS, ROUNDS = 50.0, 5
+
+console = Console()
+
+
+def over_crest(place: Intersection, radius: float) -> Intersection:
+    """A place whose road along x goes over a crest of a radius [m]."""
+    side = np.arange(-80.0, 81.0, 2.0)
+    x, y = (part.ravel() for part in np.meshgrid(side, side, indexing="ij"))
+    laid = place.standing_on(np.column_stack([x, y, -(x**2) / (2 * radius)]))
+    return replace(laid, name=f"{place.name}, crest of {radius:g} m")
+
+
+def intersections(given: Any) -> Iterator[Intersection]:
+    """The crests, then the ten intersections."""
+    for radius in CRESTS:
+        yield over_crest(inspe_jax.built_in("four_way"), radius)
+    for entry in () if given.quick else on_maps(places(given)):
+        at = {key: entry[key] for key in ("junction", "center") if key in entry}
+        yield replace(read_map(entry["map"], **at, radius=RADIUS), name=entry["name"])
+
+
+def seconds(scene: Scene, layout: Layout) -> float:
+    """Of an exact score."""
+    begin = time.perf_counter()
+    inspe_jax.evaluate(scene, layout)
+    return time.perf_counter() - begin
+
+
+def compared(place: Intersection, names: list[str], **size: Any) -> list[dict[str, Any]]:
+    """A row for each placement; none where the ground is level."""
+    hilly = inspe_jax.build_scene(place, terrain="ground", **size)
+    if hilly.terrain is None:
+        return []
+    pair = replace(hilly, terrain=None), hilly
+    rows = []
+    for name in track(names, place.name, console=console, transient=True):
+        layout = inspe_jax.strategy(hilly, name)
+        row: dict[str, Any] = dict(scene=place.name, placement=name)
+        row |= dict(steepest=hilly.terrain.steepest, range=np.ptp(hilly.terrain.heights))
+        for of, scene in zip(("none", "ground"), pair, strict=True):
+            found = inspe_jax.evaluate(scene, layout)
+            row |= {f"{key}_{of}": found.value(key) for key in METRICS}
+        taken = np.array([[seconds(scene, layout) for scene in pair] for _ in range(ROUNDS)])
+        rows.append(row | dict(time_ratio=float(np.median(taken[:, 1] / taken[:, 0]))))
+    return rows
+
+
+def main() -> None:
+    """Score, time, print and write."""
+    given = arguments(__doc__)
+    size: dict[str, Any] = dict(radius=RADIUS, seed=given.seed)
+    if given.quick:
+        size |= dict(radius=20, voxel=0.5, frames=5)
+    names = ["Cam-d2", "L-d2"] if given.quick else list(inspe_jax.STRATEGIES)
+    rows: list[dict[str, Any]] = []
+    for place in intersections(given):
+        rows += compared(place, names, **size)
+    table = Table("scene", "largest loss of C", "O", "P_sm", "placement", "time")
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        own = [row for row in rows if row["scene"] == scene]
+        lost = {
+            key: max(own, key=lambda row: row[f"{key}_none"] - row[f"{key}_ground"])
+            for key in ("coverage", "occlusion", "surrogate")
+        }
+        told = [f"{row[f'{key}_none'] - row[f'{key}_ground']:.4f}" for key, row in lost.items()]
+        ratio = np.median([row["time_ratio"] for row in own])
+        table.add_row(scene, *told, lost["surrogate"]["placement"], f"{ratio:.2f} ×")
+    console.print(table)
+    stem = given.out / ("terrain_quick" if given.quick else "terrain")
+    write_results(stem.with_suffix(".csv"), rows, dict(seed=given.seed, crests=CRESTS))
+    console.print(f"wrote {stem}.csv", highlight=False)
+
+
+if __name__ == "__main__":
+    main()

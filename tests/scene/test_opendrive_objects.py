@@ -120,7 +120,7 @@ def test_repeats_with_gaps_and_without():
 
 def test_what_is_no_body_or_makes_no_sense():
     none, notes = read(
-        '<object type="parkingSpace" s="0" t="5" length="5" width="2"/><object type="-1"/>'
+        '<object type="-1"/>'
         '<object type="barrier" subtype="guardRail" s="0" t="5" length="5" width="2" height="1"/>'
         '<object type="crosswalk" s="0" t="0"><outline/></object><object/>'
     )

@@ -243,7 +243,7 @@ def test_scenes_with_terrain_reload(tmp_path):
 
 
 def test_recordings_have_the_same_ground():
-    """The triangles of a scene's terrain are those of the recorded world, and no others are near."""
+    """The triangles of a scene's terrain are those of the recorded world there."""
     pytest.importorskip("embreex", reason="recordings need Embree: extra [dataset]")
     from inspe_jax.simulation.embedded.materials import GROUND
     from inspe_jax.simulation.embedded.static_world import build_static_world

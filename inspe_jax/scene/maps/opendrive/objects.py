@@ -1,7 +1,7 @@
 """The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them.
 
-Not read: guard rails, railings and fences, which one sees through; parking spaces, crosswalks,
-islands, marks and signs.
+Not read: guard rails, railings and fences, which one sees through; crosswalks, islands, marks and
+signs. On parking spaces vehicles stand (:mod:`inspe_jax.scene.maps.parking`).
 """
 
 import xml.etree.ElementTree as ET
@@ -27,6 +27,8 @@ from inspe_jax.scene.maps.usual_sizes import (
 )
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
+PARKING = "parking space"
+"""The kind of a shape that is no body."""
 KINDS = {
     "building": ("building", BUILDING),
     "tree": ("tree", TREE["height"]),
@@ -37,6 +39,7 @@ KINDS = {
     "barrier": ("wall", BARRIERS["wall"][0]),
     "soundBarrier": ("wall", BARRIERS["wall"][0]),
     "obstacle": ("furniture", FURNITURE),
+    "parkingSpace": (PARKING, 0.0),
 }
 """For each type of object, the kind of body and its height where the map has none [m]."""
 SEEN_THROUGH = ("guardRail", "railing", "fence")
@@ -146,6 +149,9 @@ def _shape(
         counts["size"] += 1
         return
     kind, usual = known
+    if kind == PARKING:
+        yield Shape(kind, area, 0.0)
+        return
     if kind == "tree" and next(element.iter("outline"), None) is not None:
         kind = "hedge"  # a patch of plants
     base = low if low >= LIFTED else 0.0

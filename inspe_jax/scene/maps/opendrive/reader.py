@@ -19,6 +19,7 @@ from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Approach, arms_of
 from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
+from inspe_jax.scene.maps.opendrive.objects import PARKING
 from inspe_jax.scene.maps.opendrive.regions import approaches_of, areas_of, interior_of
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
@@ -28,6 +29,7 @@ from inspe_jax.scene.maps.opendrive.road_network import (
     load_map,
     position,
 )
+from inspe_jax.scene.maps.parking import with_parked
 from inspe_jax.scene.maps.parts import (
     MARGIN,
     STEP,
@@ -163,7 +165,11 @@ def read_opendrive(
     foot = found.on_ground(middle[None])[0]
     found = replace(found, center=foot, poles=poles, routes=tuple(routes))
     notes += town.notes
-    found = with_bodies(found, town.shapes, reach, notes)
+    bodies = [shape for shape in town.shapes if shape.kind != PARKING]
+    spaces = [shape.area for shape in town.shapes if shape.kind == PARKING]
+    found = with_bodies(found, bodies, reach, notes)
+    parking = [strip for strip in lane_strips if strip.kind == "parking"]
+    found = with_parked(found, parking, spaces, reach, notes)
     if not len(found.poles):
         notes.append(NO_POLES)
     return replace(found, notes=tuple(notes))

@@ -1,31 +1,37 @@
 """Claim: static bodies matter to placements.
 
-1. P_sm of the nine placements on the built-in four-way and on a junction of a CARLA town map, where
-   the maps are beside the checkout: in the open, and with street furniture, which is parked
-   vehicles, trees, walls, posts and shelters. Poles stand clear of it, and so may move a little.
-2. The time of an exact score on the default four-way with 60 houses, 2 m behind the regions, and
-   100 trees along the backs of sidewalks, against the same scene without, by turns in one process.
+1. P_sm of the nine placements in the open and between bodies. On a crossroads of Berlin-Neukölln
+   from OpenStreetMap these are its houses, trees and poles. On the built-in four-way and on a
+   junction of a CARLA town map, where the maps are beside the checkout, it is street furniture:
+   parked vehicles, trees, walls, posts and shelters. Poles stand clear of bodies, and so may move.
+2. The time and the memory of an exact score on the default four-way with 60 houses, 2 m behind the
+   regions, and 100 trees along the backs of sidewalks, against the same scene without: times by
+   turns in one process, peak memory in a process each.
 """
 
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import MAPS, METRICS, arguments, write_results
+from common import MAPS, METRICS, arguments, peak_memory, write_results
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from shapely.geometry import Point
 
 import inspe_jax
-from inspe_jax import Scene
-from inspe_jax.scene.maps.registry import read_map
+from inspe_jax import Layout, Scene
+from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.statics import StaticBody, body, tree, upright_box
 from inspe_jax.scene.street import room_along
 
 console = Console()
 
 TOWN, JUNCTION, RADIUS = "Town10HD.xodr", 189, 50.0
+BLOCK = Path(__file__).resolve().parents[1] / "tests" / "maps" / "neukoelln.osm.gz"
 HOUSES, TREES = 60, 100
 ROUNDS = 15
 """Timed scores of each scene."""
@@ -37,7 +43,7 @@ def placements(scenes: dict[str, tuple[Scene, Scene]], names: list[str]) -> list
     for place, pair in scenes.items():
         for name in track(names, place, console=console, transient=True):
             row: dict[str, Any] = dict(scene=place, placement=name)
-            for statics, scene in zip(("none", "street"), pair, strict=True):
+            for statics, scene in zip(("none", "bodies"), pair, strict=True):
                 found = inspe_jax.evaluate(scene, inspe_jax.strategy(scene, name))
                 row |= {f"{key}_{statics}": found.value(key) for key in METRICS}
             rows.append(row)
@@ -67,26 +73,47 @@ def town_bodies(scene: Scene) -> list[StaticBody]:
 
 def cost(name: str, rounds: int) -> dict[str, Any]:
     """Seconds of an exact score without and with bodies, and the median of their ratios."""
+    scene, full, layout = pair_of(name)
+    pair, taken = (scene, full), np.zeros((2, rounds + 1))
+    for k in range(rounds + 1):
+        for which, of in enumerate(pair):
+            begin = time.perf_counter()
+            inspe_jax.evaluate(of, layout)
+            taken[which, k] = time.perf_counter() - begin
+    bare, full_times = taken[:, 1:]  # the first compiles
+    peaks = [peak_of(name, bodies) for bodies in (False, True)]
+    return dict(
+        placement=name,
+        bodies=len(full.statics),
+        seconds_none=float(np.median(bare)),
+        seconds_bodies=float(np.median(full_times)),
+        ratio=float(np.median(full_times / bare)),
+        peak_mb_none=round(peaks[0]),
+        peak_mb_bodies=round(peaks[1]),
+    )
+
+
+def pair_of(name: str) -> tuple[Scene, Scene, Layout]:
+    """The default four-way without bodies and with, and a placement on it."""
     scene = inspe_jax.build_scene(inspe_jax.built_in("four_way"))
     layout = inspe_jax.strategy(scene, name)
     feet = [Point(pose[:2]) for pose in np.asarray(layout.poses)]
     bodies = [
         one for one in town_bodies(scene) if not any(one.polygon.contains(foot) for foot in feet)
     ]
-    pair, taken = (scene, scene.with_statics(bodies)), np.zeros((2, rounds + 1))
-    for k in range(rounds + 1):
-        for which, of in enumerate(pair):
-            begin = time.perf_counter()
-            inspe_jax.evaluate(of, layout)
-            taken[which, k] = time.perf_counter() - begin
-    bare, full = taken[:, 1:]  # the first compiles
-    return dict(
-        placement=name,
-        bodies=len(bodies),
-        seconds_none=float(np.median(bare)),
-        seconds_bodies=float(np.median(full)),
-        ratio=float(np.median(full / bare)),
-    )
+    return scene, scene.with_statics(bodies), layout
+
+
+def score_once(name: str, bodies: bool) -> float:
+    """Score in this process, and give its peak memory [MB]."""
+    inspe_jax.evaluate(pair_of(name)[int(bodies)], pair_of(name)[2])
+    return peak_memory()
+
+
+def peak_of(name: str, bodies: bool) -> float:
+    """The peak memory of a fresh process that scores [MB]."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(score_once, name, bodies).result()
 
 
 def main() -> None:
@@ -97,24 +124,28 @@ def main() -> None:
     places = {"four_way": inspe_jax.built_in("four_way")}
     if not quick and (MAPS / TOWN).is_file():
         places[f"{TOWN} {JUNCTION}"] = read_map(MAPS / TOWN, junction=JUNCTION, radius=RADIUS)
-    scenes = {
-        name: (
-            inspe_jax.build_scene(place, seed=options.seed, **size),
-            inspe_jax.build_scene(place, seed=options.seed, statics="street", **size),
+    if not quick:
+        (signalled,) = [one.id for one in list_junctions(BLOCK) if one.signals]
+        places["Berlin-Neukölln"] = read_map(BLOCK, junction=signalled, radius=RADIUS)
+    scenes = {}
+    for name, place in places.items():
+        bodies = inspe_jax.build_scene(
+            place, seed=options.seed, statics="map" if place.bodies else "street", **size
         )
-        for name, place in places.items()
-    }
+        scenes[name] = bodies.with_statics([]), bodies
     names = ["Cam-d1", "L-d2"] if quick else list(inspe_jax.STRATEGIES)
     rows = placements(scenes, names)
-    table = Table("scene", "placement", "C", "", "O", "", "P_sm", "", title="None and street")
+    table = Table(
+        "scene", "placement", "C", "", "O", "", "P_sm", "", title="In the open and between bodies"
+    )
     for row in rows:
         numbers = [row[f"{key}_{of}"] for key in ("coverage", "occlusion", "surrogate")
-                   for of in ("none", "street")]  # fmt: skip
+                   for of in ("none", "bodies")]  # fmt: skip
         table.add_row(row["scene"], row["placement"], *(f"{number:.3f}" for number in numbers))
     console.print(table)
     stem = options.out / ("statics_quick" if quick else "statics")
-    bodies = {name: len(street.statics) for name, (_, street) in scenes.items()}
-    write_results(stem.with_suffix(".csv"), rows, dict(seed=options.seed, bodies=bodies))
+    counts = {name: len(full.statics) for name, (_, full) in scenes.items()}
+    write_results(stem.with_suffix(".csv"), rows, dict(seed=options.seed, bodies=counts))
     if not quick:
         times = [cost(name, ROUNDS) for name in ("Cam-d1/L-d1", "L-d2")]
         for row in times:

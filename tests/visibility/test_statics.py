@@ -1,5 +1,7 @@
 """Static bodies in the way: against Embree, NumPy's counts, differences, and the exact limit."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -258,3 +260,31 @@ def test_masks_leave_out_tiles_of_which_nothing_is_in_view():
     found = np.asarray(past_statics_of_sensor(pose[:3], at.statics, tiles.tile, views))
     assert found[0].any()
     assert not found[1:].any()
+
+
+@pytest.mark.parametrize("hilly", [False, True])
+def test_a_real_block_agrees_with_embree(hilly):
+    """A crossroads of Berlin-Neukölln from OpenStreetMap, level and on made-up slopes of 12 %."""
+    pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
+    pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
+    from inspe_jax.scene.maps.registry import list_junctions, read_map
+
+    path = Path(__file__).parents[1] / "maps" / "neukoelln.osm.gz"
+    (junction,) = [one.id for one in list_junctions(path) if one.signals]
+    place = read_map(path, junction=junction, radius=40.0)
+    if hilly:
+        at = place.center[:2] + np.stack(np.meshgrid(*[np.arange(-70, 71, 2.0)] * 2), -1)
+        x, y = (at - place.center[:2]).reshape(-1, 2).T
+        place = place.standing_on(
+            np.column_stack([at.reshape(-1, 2), 0.05 * x + 1.5 * np.sin(x / 15) * np.cos(y / 20)])
+        )
+    size = dict(radius=40, voxel=1.0, frames=2, density=20)
+    scene = inspe_jax.build_scene(place, statics="map", terrain="ground", **size)
+    assert (scene.terrain is not None) == hilly
+    assert {one.kind for one in scene.statics} >= {"building", "tree", "pole"}
+    layout = inspe_jax.strategy(scene, "Cam-d2/L-d2")
+    ours, embree = line_of_sight(scene, layout, 0), embree_line_of_sight(scene, layout, 0)
+    known = slice(None) if scene.inside_statics is None else ~scene.inside_statics.ravel()
+    assert (ours != embree)[:, known].mean() <= 1e-4
+    open_ = line_of_sight(scene.with_statics([]), layout, 0)
+    assert (open_ & ~ours).mean() > 0.05

@@ -88,8 +88,8 @@ def cost(name: str, rounds: int) -> dict[str, Any]:
         seconds_none=float(np.median(bare)),
         seconds_bodies=float(np.median(full_times)),
         ratio=float(np.median(full_times / bare)),
-        peak_mb_none=round(peaks[0]),
-        peak_mb_bodies=round(peaks[1]),
+        peak_gib_none=round(peaks[0], 3),
+        peak_gib_bodies=round(peaks[1], 3),
     )
 
 
@@ -105,13 +105,14 @@ def pair_of(name: str) -> tuple[Scene, Scene, Layout]:
 
 
 def score_once(name: str, bodies: bool) -> float:
-    """Score in this process, and give its peak memory [MB]."""
-    inspe_jax.evaluate(pair_of(name)[int(bodies)], pair_of(name)[2])
+    """Score in this process, and give its peak memory [GiB]."""
+    bare, full, layout = pair_of(name)
+    inspe_jax.evaluate(full if bodies else bare, layout)
     return peak_memory()
 
 
 def peak_of(name: str, bodies: bool) -> float:
-    """The peak memory of a fresh process that scores [MB]."""
+    """The peak memory of a fresh process that scores [GiB]."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(score_once, name, bodies).result()
 

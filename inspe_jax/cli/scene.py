@@ -134,6 +134,15 @@ def scene(
             "ground.",
         ),
     ] = None,
+    mesh: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.glb|ply|obj",
+            help="Mesh of the place in the map's coordinates [m], a digital twin: its ground, "
+            "and what stands on it; with --statics map and --terrain ground they hide what is "
+            "behind them.",
+        ),
+    ] = None,
     elevation: Annotated[
         Path | None,
         typer.Option(
@@ -164,6 +173,7 @@ def scene(
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.scene.maps.digital_twin import with_mesh
     from inspe_jax.scene.maps.elevation import with_elevation
     from inspe_jax.scene.maps.own_bodies import with_own_bodies
     from inspe_jax.scene.maps.parts import MARGIN
@@ -204,7 +214,8 @@ def scene(
     }
     path = Path(source)
     if path.suffix == ".npz":
-        places = dict(junction=junction, center=center, at=at, bodies=bodies, elevation=elevation)
+        places = dict(junction=junction, center=center, at=at, bodies=bodies)
+        places |= dict(elevation=elevation, mesh=mesh)
         given = [*options, *(name for name, value in places.items() if value is not None)]
         if given:
             raise InspeError(
@@ -235,11 +246,12 @@ def scene(
                 place = read_map(path, junction=junction, center=center, radius=size)
                 place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
                 place = place if elevation is None else with_elevation(place, elevation, size)
+                place = place if mesh is None else with_mesh(place, mesh, size)
         else:
-            if [junction, center, at, bodies, elevation] != [None] * 5:
+            if [junction, center, at, bodies, elevation, mesh] != [None] * 6:
                 raise InspeError(
-                    f"{source}: --junction, --center, --at, --bodies and --elevation are only for "
-                    "maps"
+                    f"{source}: --junction, --center, --at, --bodies, --elevation and --mesh are "
+                    "only for maps"
                 )
             place = built_in(known(source))
         with progress("traffic") as report:

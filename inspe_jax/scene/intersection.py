@@ -14,6 +14,7 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.digest import ADDED, ORIGIN, added
 from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 
@@ -74,6 +75,7 @@ class Intersection:
     it was read from, which SUMO's traffic needs; a saved scene does not keep it.
     ``bodies`` are those that its map brings: buildings, trees, walls. A scene has them
     with ``statics="map"``. ``georeference`` is the projection of its coordinates, None if unknown.
+    ``mesh`` are the triangles that its bodies of kind ``solid`` stand for, None if there are none.
     """
 
     name: str
@@ -89,6 +91,7 @@ class Intersection:
     map: Path | None = field(default=None, metadata={ORIGIN: None})
     bodies: tuple[StaticBody, ...] = added(())
     georeference: Georeference | None = field(default=None, metadata={ORIGIN: None, ADDED: None})
+    mesh: Mesh | None = field(default=None, metadata={ADDED: None})
 
     @cached_property
     def _ground_index(self) -> cKDTree:

@@ -21,6 +21,7 @@ from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
+from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
@@ -279,6 +280,7 @@ def density_count(density: str | int) -> int:
 
 
 _GRID = ("columns", "ground", "region", "center")
+_MESH = tuple(f.name for f in fields(Mesh))
 _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 
@@ -315,6 +317,8 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     }
     arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
     arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
+    if (mesh := place.mesh) is not None:
+        arrays |= {f"mesh_{k}": getattr(mesh, k) for k in _MESH}
     if (terrain := scene.terrain) is not None:
         arrays |= dict(terrain_corner=terrain.corner, terrain_step=np.array(terrain.step))
         arrays |= dict(terrain_heights=terrain.heights)
@@ -349,6 +353,7 @@ def _unpack(data: dict[str, np.ndarray]) -> Scene:
         notes=tuple(record["notes"]),
         bodies=unpack_bodies(data, OF_MAP),
         georeference=given and Georeference(given[0], (given[1], given[2])),
+        mesh=Mesh(*(data[f"mesh_{k}"] for k in _MESH)) if "mesh_triangles" in data else None,
     )
     size, radius, level_count, *spacing = record["grid"]  # none in older files
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)

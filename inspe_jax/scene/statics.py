@@ -20,9 +20,9 @@ from shapely.geometry import LineString, Polygon
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.polygons import merge
 
-KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle")
+KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle", "solid")
 """What a body can be. Furniture is what stands about in streets: bus shelters, kiosks, switch
-boxes."""
+boxes. A solid is part of a mesh, which does not say what it is."""
 CORNERS = 8
 """Most corners of a convex part; parts with more are cut in two. Round bodies have eight sides."""
 STRAIGHT = 1e-4

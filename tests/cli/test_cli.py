@@ -456,7 +456,7 @@ BAD = [
     (("scene", "s.npz", "--statics", "street"), "leave out --statics"),
     (
         ("scene", "four_way", "--junction", 3),
-        "--junction, --center, --at, --bodies and --elevation are only for maps",
+        "--junction, --center, --at, --bodies, --elevation and --mesh are only for maps",
     ),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),

@@ -70,7 +70,7 @@ BAD = [
     (("scene", "city.osm", "--at", "10,10"), "no junction within 100 m of 10,10; the middle of"),
     (("scene", "city.osm"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "city.osm", "--at", "48,11", "--junction", "1"), "choose a place on the map"),
-    (("scene", "four_way", "--at", "48,11"), "--at, --bodies and --elevation are only"),
+    (("scene", "four_way", "--at", "48,11"), "--at, --bodies, --elevation and --mesh are only"),
     (("scene", "four_way", "--bodies", "poles.geojson"), "are only for maps"),
     (("export", "four_way", "Cam-d1", "--force"), "four_way: has no coordinates on the Earth"),
     (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "must end in .geojson or .kml or .csv"),

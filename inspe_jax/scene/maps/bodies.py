@@ -25,7 +25,7 @@ BESIDE_PATH = 0.8
 """Bodies are cut off this near to the middle of a footpath [m]: people walk up to 0.8 m beside
 it."""
 SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0,
-         "parked vehicle": 0.5}  # fmt: skip
+         "parked vehicle": 0.5, "solid": 0.05}  # fmt: skip
 """Parts of less than this are left out [m²]."""
 SAME_POLE = 0.5
 """A signal this near to a pole of the map hangs on it [m]."""

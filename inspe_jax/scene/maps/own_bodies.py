@@ -31,6 +31,7 @@ HEIGHTS = {
     "pole": POLE[0],
     "furniture": FURNITURE,
     "parked vehicle": PARKED,
+    "solid": BUILDING,
 }
 """Height of each kind of body of which the file says none [m]."""
 LARGE = 10.0

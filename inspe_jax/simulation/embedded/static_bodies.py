@@ -166,5 +166,6 @@ _LOOKS: dict[str, Callable[..., Iterator[Part]]] = {
     "pole": _solid(POLE, POLE),
     "furniture": _solid(FURNITURE, FURNITURE),
     "parked vehicle": _parked,
+    "solid": _solid(BUILDING, ROOF),
 }
 """How each of :data:`~inspe_jax.scene.statics.KINDS` looks."""

@@ -5,15 +5,16 @@ import numpy as np
 from inspe_jax.scene.regions import Region
 from inspe_jax.simulation.embedded.materials import (
     BUILDING,
+    COLOURED,
     CROWN,
     FURNITURE,
     GROUND,
     KERB,
-    PARKED,
     PARKED_CAR,
     PARKED_TRUCK,
     POLE,
     ROOF,
+    SURVEYED,
     TRUNK,
     WALL,
 )
@@ -31,6 +32,7 @@ _OF_MATERIAL = {
     FURNITURE: 20,
     PARKED_CAR: 14,
     PARKED_TRUCK: 15,
+    SURVEYED: 20,
 }
 OF_LABEL = {
     Region.DRIVEWAY: 1,
@@ -67,8 +69,8 @@ def static_look(
     albedo[rough] = np.array([0.34, 0.31, 0.27]) * stone[:, None]
     box = material == FURNITURE
     albedo[box] = _FURNITURE[body[box] % len(_FURNITURE)]
-    parked = np.isin(material, PARKED)
-    albedo[parked] = static_world.colour[face[parked]]
+    own = np.isin(material, COLOURED)
+    albedo[own] = static_world.colour[face[own]]
     crown = material == CROWN
     leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
     tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)

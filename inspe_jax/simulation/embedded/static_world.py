@@ -3,7 +3,8 @@
 The static bodies of a scene stand where scores have them. Besides, there is what makes pictures
 look like a place: buildings and trees outside the radius of the region of interest, where they
 block no line of sight inside it, as scores know nothing of them; and inside the radius low kerbs
-and thin poles. All this keeps clear of the bodies.
+and thin poles. All this keeps clear of the bodies. Where bodies are part of a mesh of the place,
+its faces stand in their place, and nothing else is made up.
 """
 
 import zlib
@@ -18,6 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.terrain import MARGIN, Terrain
@@ -28,11 +30,14 @@ from inspe_jax.simulation.embedded.materials import (
     KERB,
     POLE,
     ROOF,
+    SURVEYED,
     TRUNK,
 )
 from inspe_jax.simulation.embedded.static_bodies import body_parts
 from inspe_jax.simulation.embedded.surface import Surface, lay_surface
 
+SRGB = 2.2
+"""Exponent of sRGB's curve, nearly."""
 HORIZON = 400.0
 """The ground reaches this far from the centre [m]."""
 MAPPED = MARGIN
@@ -54,7 +59,7 @@ class StaticWorld:
     """Triangles relative to ``center`` [m], and for each its material, an index into
     :data:`~inspe_jax.simulation.embedded.materials.MATERIALS`. ``body`` numbers the buildings and
     the trees. ``poles`` are the tops of the poles in the world [m]. ``colour`` is the linear albedo
-    of the faces of parked vehicles, 0 for others.
+    of the faces of parked vehicles and of meshes, 0 for others.
     """
 
     center: Float[np.ndarray, "3"]
@@ -92,24 +97,32 @@ def build_static_world(
     own = unary_union([one.polygon for one in bodies])
     feet = [p for p in feet if not bodies or Point(p[:2]).distance(own) > 0.5]
     posts = np.array([*masts, *feet], float).reshape(-1, 4)
+    mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
     parts: list[tuple[np.ndarray, int, int]] = [
         (_ground(intersection, radius, terrain), GROUND, 0),
-        *((ring, KERB, 0) for ring in _kerbs(intersection)),
+        *((ring, KERB, 0) for ring in (_kerbs(intersection) if mesh is None else ())),
         *((_tube(p[:3], POLE_RADIUS, p[3]), POLE, 0) for p in posts),
     ]
     taken = open_.buffer(CLEAR)
     if bodies:
         taken = unary_union([taken, own.buffer(CLEAR)])
-    for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
+    made_up = mesh is None
+    for k, corners in enumerate(_plots(intersection, taken, radius, rng) if made_up else ()):
         walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
         parts += [(walls, BUILDING, k), (roof, ROOF, k)]
         taken = unary_union([taken, Polygon(corners).buffer(1.0)])
-    for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
+    for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng) if made_up else ()):
         parts.append((_tube(foot, 0.18, 0.45 * height), TRUNK, k))
         parts.append((_crown(foot, height, rng), CROWN, k))
     tops = posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:]
     colours = [np.zeros((sum(len(part) for part, _, _ in parts), 3))]
+    if mesh is not None:
+        faces, colour = _surveyed(mesh, intersection)
+        parts.append((faces, SURVEYED, 0))
+        colours.append(colour)
     for k, one in enumerate(bodies):
+        if mesh is not None and one.kind == "solid":
+            continue
         for part in body_parts(one, intersection):
             parts.append((part.triangles, part.material, k))
             colours.append(np.zeros((len(part.triangles), 3)) + part.colour)
@@ -123,6 +136,17 @@ def build_static_world(
         poles=tops,
         colour=np.concatenate(colours).astype(np.float32),
     )
+
+
+def _surveyed(
+    mesh: Mesh, place: Intersection
+) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"]]:
+    """The faces of a mesh that are not of the ground, and their linear albedos."""
+    triangles = mesh.world
+    corners = triangles.reshape(-1, 3)
+    over = (corners[:, 2] - place.ground(corners[:, :2])).reshape(-1, 3).max(1)
+    high = over > LOW
+    return triangles[high], (mesh.colour[high] / 255.0) ** SRGB
 
 
 def _ground(

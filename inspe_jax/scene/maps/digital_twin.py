@@ -1,0 +1,258 @@
+"""A mesh of a place, as from a survey or a digital twin: its ground, and what stands on it.
+
+Scores need solids: the mesh is looked at from above, on a grid of :data:`CELL`. In the regions its
+lowest surface is the ground. What is higher is solid from its highest surface down to the ground;
+or to its lowest, where it has as many surfaces from below as from above, as a crown, a bridge or a
+sign has. Cells of like heights are one prism. Recordings show the mesh itself.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.bodies import Shape, with_bodies
+from inspe_jax.scene.mesh import LOW, Mesh
+from inspe_jax.scene.terrain import MARGIN, between, lattice
+
+SUFFIXES = (".glb", ".gltf", ".ply", ".obj")
+Y_UP = (".glb", ".gltf")
+"""Formats whose second axis points up; that of the others is the third."""
+CELL = 0.5
+"""Edge of the cells that the mesh is looked at in [m]."""
+LEVELS = np.array([*np.arange(0.0, 4.0, 0.5), *np.arange(4.0, 8.0), *np.arange(8.0, 1e3, 4.0)])
+"""Cells are alike whose highest and lowest surfaces lie between the same of these heights [m]:
+finer in the region of interest, coarser where few sensors are."""
+MOST_FACES = 4_000_000
+"""More triangles near a place are refused."""
+COVERED = 0.2
+"""A mesh must have the ground of so much of the regions."""
+AROUND = 9.0
+"""The level of the ground around a point is that in a square of this edge [m]."""
+AT_ONCE = 4_000_000
+"""So many pairs of a triangle and a cell are looked at together."""
+SMALL = 3
+"""What covers fewer cells that touch is left out."""
+GREY = (128, 128, 128)
+
+
+def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) -> Intersection:
+    """A place on the ground of a mesh, with what stands on it as bodies of kind ``solid``.
+
+    The mesh is in world metres, the coordinates of the map; x east and z up, or y up and z south in
+    glTF, as that format has it. What stands on lanes, crossings or footpaths is cut off there, as
+    of a map's bodies: a survey has road users in it that have long gone.
+
+    Raises InspeError if trimesh is missing, if the file can't be read or has no triangles, and if
+    the mesh has no ground in the regions of the place, which most often is of another origin.
+    """
+    mesh = _near(read_mesh(path), place, radius + MARGIN, path)
+    grid = _Grid.of(place, radius + MARGIN)
+    cell, z = grid.surfaces(mesh.world)
+    ground = _ground(place, grid, cell, z, path)
+    _, at = lattice(place.center, radius)
+    notes = list(place.notes)
+    stood = place.standing_on(np.column_stack([at, between(ground, at)]))
+    shapes = list(_shapes(stood, grid, cell, z))
+    notes.append(f"ground and {len(shapes)} solids from {Path(path).name}")
+    found = with_bodies(stood, shapes, radius + MARGIN, notes)
+    return replace(found, mesh=mesh, notes=tuple(notes))
+
+
+def read_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """A mesh from a file of :data:`SUFFIXES`, z up. Raises InspeError as :func:`with_mesh`."""
+    file = Path(path)
+    if file.suffix.lower() not in SUFFIXES:
+        raise InspeError(f"{path}: a mesh is {', '.join(SUFFIXES)}")
+    check_input(file)
+    trimesh = _trimesh()
+    try:
+        found = trimesh.load_mesh(file, process=False)
+    except Exception as error:  # its readers raise whatever they run into
+        raise InspeError(f"{path}: not a mesh that trimesh reads: {error}") from error
+    corners = np.asarray(getattr(found, "triangles", np.zeros((0, 3, 3))), float)
+    if not len(corners) or not np.isfinite(corners).all():
+        raise InspeError(f"{path}: has no triangles, or coordinates that are not finite")
+    if file.suffix.lower() in Y_UP:
+        corners = np.stack([corners[..., 0], -corners[..., 2], corners[..., 1]], -1)
+    origin = corners.reshape(-1, 3).mean(0).round()
+    return Mesh(origin, (corners - origin).astype(np.float32), _colours(found, len(corners)))
+
+
+def _colours(found: Any, count: int) -> np.ndarray:
+    """The colour of each face; grey where the mesh has none."""
+    visual: Any = getattr(found, "visual", None)
+    if getattr(visual, "kind", None) == "texture":
+        visual = visual.to_color()
+    colours = np.asarray(getattr(visual, "face_colors", np.zeros(0)))
+    if colours.shape[:1] != (count,):
+        return np.tile(np.array(GREY, np.uint8), (count, 1))
+    return colours[:, :3].astype(np.uint8)
+
+
+def _near(mesh: Mesh, place: Intersection, reach: float, path: Any) -> Mesh:
+    """The faces of a mesh that come into the square about a place."""
+    plan = mesh.triangles[..., :2] + (mesh.origin - place.center)[:2]
+    near = (plan.min(1) < reach).all(1) & (plan.max(1) > -reach).all(1)
+    if not near.any():
+        low, high = (f(mesh.world.reshape(-1, 3)[:, :2]) for f in (_least, _most))
+        raise InspeError(
+            f"{path}: nothing within {reach:g} m of {place.name} at "
+            f"({place.center[0]:.0f}, {place.center[1]:.0f}): the mesh lies in x {low[0]:.0f} … "
+            f"{high[0]:.0f}, y {low[1]:.0f} … {high[1]:.0f}; it must be in the map's coordinates"
+        )
+    if near.sum() > MOST_FACES:
+        raise InspeError(
+            f"{path}: {near.sum():,} triangles near {place.name}; reduce it to {MOST_FACES:,}"
+        )
+    shift = np.asarray(place.center, float) - mesh.origin
+    moved = mesh.triangles[near] - shift.astype(np.float32)
+    return Mesh(np.asarray(place.center, float), moved, mesh.colour[near])
+
+
+def _least(points: np.ndarray) -> np.ndarray:
+    return points.min(0)
+
+
+def _most(points: np.ndarray) -> np.ndarray:
+    return points.max(0)
+
+
+class _Grid:
+    """Square cells about a place."""
+
+    def __init__(self, corner: Float[np.ndarray, "2"], side: int) -> None:
+        self.corner, self.side = corner, side
+
+    @classmethod
+    def of(cls, place: Intersection, reach: float) -> "_Grid":
+        half = int(np.ceil(reach / CELL))
+        return cls(np.asarray(place.center, float)[:2] - half * CELL, 2 * half)
+
+    def middle(self, cell: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
+        """The middles of cells by number."""
+        return self.corner + (np.column_stack(np.divmod(cell, self.side)) + 0.5) * CELL
+
+    def inside(self, area: BaseGeometry) -> BaseGeometry:
+        """The part of an area that lies in the grid."""
+        return area.intersection(shapely.box(*self.corner, *(self.corner + self.side * CELL)))
+
+    def surfaces(
+        self, triangles: Float[np.ndarray, "F 3 3"]
+    ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """Where upright lines through the middles of cells meet triangles: cells and heights [m],
+        by cell and from below."""
+        at = (triangles[..., :2] - self.corner) / CELL - 0.5
+        first = np.clip(np.ceil(at.min(1)), 0, self.side).astype(int)
+        count = np.clip(np.floor(at.max(1)), -1, self.side - 1).astype(int) + 1 - first
+        number = np.where((count > 0).all(1), count.prod(1), 0)
+        parts = np.searchsorted(number.cumsum(), np.arange(0, number.sum() + AT_ONCE, AT_ONCE))
+        found = [
+            self._within(at[a:b], triangles[a:b, :, 2], first[a:b], count[a:b], number[a:b])
+            for a, b in zip(parts, [*parts[1:], len(number)], strict=True)
+            if b > a
+        ]
+        cell, z = (np.concatenate(part) for part in zip(*found, strict=True))
+        order = np.lexsort([z, cell])
+        return cell[order], z[order]
+
+    def _within(
+        self,
+        at: np.ndarray,
+        z: np.ndarray,
+        first: np.ndarray,
+        count: np.ndarray,
+        number: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The cells whose middle a triangle covers, and its height there."""
+        which = np.repeat(np.arange(len(number)), number)
+        nth = np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
+        i = first[which, 0] + nth // np.maximum(count[which, 1], 1)
+        j = first[which, 1] + nth % np.maximum(count[which, 1], 1)
+        (ax, ay), (bx, by), (cx, cy) = (at[which, k].T for k in range(3))
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        flat = np.abs(area) < 1e-12  # upright triangles
+        area = np.where(flat, 1.0, area)
+        v = ((i - ax) * (cy - ay) - (cx - ax) * (j - ay)) / area
+        w = ((bx - ax) * (j - ay) - (i - ax) * (by - ay)) / area
+        inside = ~flat & (v >= 0) & (w >= 0) & (v + w <= 1)
+        za, zb, zc = (z[which, k] for k in range(3))
+        height = za + v * (zb - za) + w * (zc - za)
+        return (i * self.side + j)[inside], height[inside]
+
+
+def _ground(
+    place: Intersection,
+    grid: _Grid,
+    cell: Int[np.ndarray, " N"],
+    z: Float[np.ndarray, " N"],
+    path: Any,
+) -> Float[np.ndarray, "G 3"]:
+    """Points of the ground: in each cell of the regions, the surface nearest to the level around.
+
+    That level is the median of the lowest surfaces within some metres. Where there is none near it,
+    as where a road user hides the road in a survey, the cell has no point.
+    """
+    regions = unary_union(list(place.regions.values()))
+    shapely.prepare(regions)
+    on = shapely.contains_xy(regions, *grid.middle(cell).T)
+    cell, z = cell[on], z[on]
+    cells, lowest = np.unique(cell, return_index=True)
+    area = len(cells) * CELL**2
+    if len(cells) == 0 or area < COVERED * grid.inside(regions).area:
+        raise InspeError(
+            f"{path}: has ground for {area:.0f} m² of the regions of {place.name}; the mesh must "
+            "have the roads, in the map's coordinates and z up (y up in glTF)"
+        )
+    image = np.full(grid.side**2, np.median(z[lowest]))
+    image[cells] = z[lowest]
+    level = ndimage.median_filter(image.reshape(grid.side, grid.side), int(AROUND / CELL)).ravel()
+    off = np.abs(z - level[cell])
+    nearest = np.lexsort([off, cell])[lowest]
+    nearest = nearest[off[nearest] < LOW]
+    return np.column_stack([grid.middle(cell[nearest]), z[nearest]])
+
+
+def _shapes(
+    place: Intersection, grid: _Grid, cell: Int[np.ndarray, " N"], z: Float[np.ndarray, " N"]
+) -> Iterator[Shape]:
+    """Solids of cells of like heights over the ground."""
+    over = z - place.ground(grid.middle(cell))
+    high = over > LOW
+    cell, over = cell[high], over[high]
+    cells, first, count = np.unique(cell, return_index=True, return_counts=True)
+    top = over[first + count - 1]
+    base = np.where(count % 2 == 0, over[first], 0.0)
+    image = np.zeros(grid.side**2, bool)
+    image[cells] = True
+    touching, _ = ndimage.label(image.reshape(grid.side, grid.side), np.ones((3, 3)))
+    large = np.bincount(touching.ravel())[touching.ravel()[cells]] >= SMALL
+    cells, top, base = cells[large], top[large], base[large]
+    alike = np.column_stack([np.searchsorted(LEVELS, end, "right") for end in (base, top)])
+    kinds, label = np.unique(alike, axis=0, return_inverse=True)
+    corner = grid.corner + np.column_stack(np.divmod(cells, grid.side)) * CELL
+    squares = shapely.box(*corner.T, *(corner + CELL).T)
+    for k in range(len(kinds)):
+        own = label.ravel() == k
+        height, low = float(top[own].mean()), float(base[own].mean())
+        for part in shapely.get_parts(unary_union(squares[own])):
+            yield Shape("solid", part, height, low)
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise InspeError("meshes need: pip install 'inspe_jax[geo]'") from error
+    return trimesh

@@ -1,0 +1,205 @@
+"""A place from a mesh: its ground and solids against the mesh itself, by Embree and on paper."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import shapely
+from processes import inspe_here
+from shapely.geometry import box
+from worlds import LIDAR, box_triangles, crossing, place_sensors
+
+import inspe_jax
+from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.maps.digital_twin import Y_UP, with_mesh
+from inspe_jax.visibility.queries import line_of_sight
+
+trimesh = pytest.importorskip("trimesh", reason="meshes need trimesh: extra [geo]")
+
+CENTER, RADIUS = (310.0, -120.0, 0.0), 24.0
+HOUSES = [((14.0, 17.0), (8.0, 10.0), 7.0), ((-16.0, 15.0), (6.0, 6.0), 4.0)]
+"""Middles, lengths and widths, and heights [m], about the centre."""
+CROWN = ((-15.0, -14.0), 2.5, 5.0)
+"""Middle, radius, and height of the middle over the ground [m]."""
+GANTRY = ((0.0, 18.0), (16.0, 1.0), (5.0, 6.0))
+"""Middle, length and width, and between which heights over the road [m]."""
+
+
+def place():
+    return crossing(center=CENTER)
+
+
+def height(x, y):
+    """The ground [m] about the centre: a slope of 6 % with a brow."""
+    return 30.0 + 0.06 * np.minimum(x, 5.0) - 0.03 * np.maximum(x - 5.0, 0.0) + 0.0 * y
+
+
+def ground_faces(step=2.0, reach=60.0):
+    side = np.arange(-reach, reach + 0.1, step)
+    x, y = np.meshgrid(side, side, indexing="ij")
+    at = np.stack([x + CENTER[0], y + CENTER[1], height(x, y)], -1)
+    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+    return np.concatenate([np.stack(f, 2).reshape(-1, 3, 3) for f in ((a, b, c), (a, c, d))])
+
+
+def faces():
+    """The ground, two houses, a crown without a trunk, a gantry over the road, and a parked van."""
+    found = [ground_faces()]
+    for (x, y), size, up in HOUSES:
+        foot = (x + CENTER[0], y + CENTER[1], height(x, y) - 2.0)
+        found.append(box_triangles(foot, (*size, up + 2.0), 0.0))
+    (x, y), radius, up = CROWN
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    found.append(np.array(ball.triangles) + [x + CENTER[0], y + CENTER[1], height(x, y) + up])
+    (x, y), size, (low, high) = GANTRY
+    foot = (x + CENTER[0], y + CENTER[1], height(x, y) + low)
+    found.append(box_triangles(foot, (*size, high - low), 0.0))
+    van = (CENTER[0] - 3.0, CENTER[1] - 14.0, height(-3.0, -14.0))
+    found.append(box_triangles(van, (2.0, 5.0, 2.2), 0.0))
+    return np.concatenate(found)
+
+
+def written(path, triangles, colour=None):
+    """A mesh file in the axes of its format."""
+    if path.suffix in Y_UP:
+        triangles = np.stack([triangles[..., 0], triangles[..., 2], -triangles[..., 1]], -1)
+    index = np.arange(3 * len(triangles)).reshape(-1, 3)
+    mesh = trimesh.Trimesh(triangles.reshape(-1, 3), index, process=False)
+    if colour is not None:
+        mesh.visual.face_colors = colour
+    mesh.export(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("twin") / "twin.ply", faces(), (180, 90, 60, 255))
+
+
+def test_ground_and_solids_on_paper(twin):
+    found = with_mesh(place(), twin, RADIUS)
+    x, y, z = found.ground_points.T
+    near = np.hypot(x - CENTER[0], y - CENTER[1]) < RADIUS
+    assert z[near] == pytest.approx(height(x - CENTER[0], y - CENTER[1])[near], abs=0.15)
+    assert found.center[2] == pytest.approx(30.0, abs=0.05)
+    assert {one.kind for one in found.bodies} == {"solid"}
+    standing = [one for one in found.bodies if one.base == 0]
+    hung = [one for one in found.bodies if one.base > 0]
+    for (cx, cy), size, up in HOUSES:
+        half = np.array(size) / 2
+        at = np.array([cx, cy]) + CENTER[:2]
+        own = [
+            one for one in standing if box(*(at - half - 1), *(at + half + 1)).covers(one.polygon)
+        ]
+        area = shapely.unary_union([one.polygon for one in own])
+        assert area.symmetric_difference(box(*(at - half), *(at + half))).area < 6.0
+        tops = [one.height + found.ground(one.middle[None])[0] for one in own]
+        assert np.array(tops) == pytest.approx(height(cx, cy) + up, abs=0.3)
+    crown = shapely.Point(*(np.array(CROWN[0]) + CENTER[:2])).buffer(CROWN[1])
+    own = [one for one in hung if crown.buffer(0.8).covers(one.polygon)]
+    area = shapely.unary_union([one.polygon for one in own]).area
+    assert area == pytest.approx(crown.area, rel=0.15)
+    assert min(one.base for one in own) == pytest.approx(CROWN[2] - CROWN[1], abs=0.4)
+    assert max(one.height for one in own) == pytest.approx(CROWN[2] + CROWN[1], abs=0.4)
+    road = place().regions
+    over = [one for one in hung if one.polygon.intersects(road[next(iter(road))])]
+    assert over  # the gantry stays over the road, and the van does not
+    assert min(one.base for one in over) > 4.5
+    assert "twin.ply" in " ".join(found.notes)
+
+
+def test_lines_of_sight_are_those_of_the_mesh(twin):
+    """Of reduced prisms on 97 % of (sensor, voxel) as of all triangles by Embree: the cells are
+    0.5 m wide, and so are the edges of shadows uncertain."""
+    core = pytest.importorskip("embreex.rtcore_scene")
+    mesh = pytest.importorskip("embreex.mesh_construction")
+    found = with_mesh(place(), twin, RADIUS)
+    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
+    scene = inspe_jax.build_scene(found, statics="map", terrain="ground", **size)
+    at = [(19.5, 17.0), (-20.5, 15.5), (-18.5, -17.5), (3.0, 21.0)]
+    xy = np.array(at) + CENTER[:2]
+    z = found.ground(xy) + [4.0, 3.0, 6.0, 7.0]
+    layout = place_sensors(*[(LIDAR, [*p, h, 0, 0, 0]) for p, h in zip(xy, z, strict=True)])
+    ours = line_of_sight(scene, layout, 0)
+    van = shapely.box(-5, -17, -1, -11)
+    kept = faces()
+    middle = kept.mean(1)[:, :2] - CENTER[:2]
+    kept = kept[~shapely.contains_xy(van, *middle.T) | (np.ptp(kept[..., 2], 1) < 0.2)]
+    engine = core.EmbreeScene()
+    shift = np.array([*CENTER[:2], 30.0])
+    mesh.TriangleMesh(engine, (kept - shift).astype(np.float32))
+    agree, hidden = [], []
+    for s, pose in enumerate(np.asarray(layout.poses)):
+        to = scene.voxels.centers - pose[:3]
+        distance = np.linalg.norm(to, axis=1)
+        start = np.repeat((pose[:3] - shift)[None], len(to), 0).astype(np.float32)
+        hit = engine.run(
+            start, (to / distance[:, None]).astype(np.float32), dists=distance.astype(np.float32)
+        )
+        agree.append((ours[s] == (hit < 0)).mean())
+        hidden.append((hit >= 0).mean())
+    assert np.mean(hidden) > 0.05
+    assert np.mean(agree) > 0.97
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj"])
+def test_formats_agree(tmp_path, twin, suffix):
+    """glTF has y up and numbers of single precision."""
+    other = with_mesh(place(), written(tmp_path / f"twin{suffix}", faces()), RADIUS)
+    found = with_mesh(place(), twin, RADIUS)
+    assert other.ground_points == pytest.approx(found.ground_points, abs=2e-3)
+    assert len(other.bodies) == pytest.approx(len(found.bodies), abs=2)
+
+
+def test_recordings_show_the_mesh_itself(twin, tmp_path):
+    """Its faces above the ground in their colour, in place of the solids; also when reloaded."""
+    pytest.importorskip("embreex", reason="recordings need Embree: extra [dataset]")
+    from inspe_jax.simulation.embedded.materials import BUILDING, SURVEYED
+    from inspe_jax.simulation.embedded.static_world import build_static_world
+
+    found = with_mesh(place(), twin, RADIUS)
+    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
+    scene = inspe_jax.build_scene(found, statics="map", terrain="ground", **size)
+    inspe_jax.save_scene(scene, tmp_path / "twin.npz")
+    again = inspe_jax.load_scene(tmp_path / "twin.npz")
+    for one in (scene, again):
+        world = build_static_world(
+            one.intersection, RADIUS, np.zeros((0, 4)), one.statics, one.terrain
+        )
+        shown = world.triangles[world.material == SURVEYED] + one.intersection.center
+        crown = faces()[len(ground_faces()) + 24 :][:1280]
+        assert {tuple(c) for c in crown.mean(1).round(2)} <= {
+            tuple(c) for c in shown.mean(1).round(2)
+        }
+        assert not (world.material == BUILDING).any()
+        colour = world.colour[world.material == SURVEYED]
+        assert colour == pytest.approx(
+            np.tile((np.array([180, 90, 60]) / 255) ** 2.2, (len(colour), 1)), abs=0.02
+        )
+    bare = build_static_world(found, RADIUS, np.zeros((0, 4)), (), None)
+    assert not (bare.material == SURVEYED).any()
+
+
+def test_what_is_wrong_is_said(tmp_path, monkeypatch, capsys):
+    own = place()
+    with pytest.raises(InspeError, match="must be in the map's coordinates"):
+        with_mesh(own, written(tmp_path / "far.ply", faces() + [900.0, 0, 0]), RADIUS)
+    house = box_triangles((CENTER[0] + 15, CENTER[1] + 15, 0.0), (5, 5, 5), 0.0)
+    written(tmp_path / "house.ply", house)
+    with pytest.raises(InspeError, match="the mesh must have the roads"):
+        with_mesh(own, tmp_path / "house.ply", RADIUS)
+    (tmp_path / "text.ply").write_text("no mesh")
+    with pytest.raises(InspeError, match="not a mesh that trimesh reads"):
+        with_mesh(own, tmp_path / "text.ply", RADIUS)
+    with pytest.raises(InspeError, match=r"a mesh is \.glb"):
+        with_mesh(own, tmp_path / "twin.stl", RADIUS)
+    with pytest.raises(InspeError, match=r"missing\.ply"):
+        with_mesh(own, tmp_path / "missing.ply", RADIUS)
+    flat = replace(own, regions={})
+    with pytest.raises(InspeError, match="the mesh must have the roads"):
+        with_mesh(flat, written(tmp_path / "twin.ply", faces()), RADIUS)
+    run = partial(inspe_here, tmp_path, monkeypatch, capsys)
+    status, _, errors = run("scene", "four_way", "--mesh", "twin.ply")
+    assert status == 2
+    assert "only for maps" in " ".join(errors.split())

@@ -71,10 +71,12 @@ def score(
     - `inspe score four_way L-d1 --metrics detectability,localisation`
     - `inspe score four_way L-d1 --metrics detectability --detection mine.toml`
     """
+    from rich.console import Group
+
     from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
-    from inspe_jax.report.tables import scores_record, scores_table
+    from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
     from inspe_jax.scoring.evaluate import evaluate
     from inspe_jax.sensing.conditions import Conditions
 
@@ -95,7 +97,8 @@ def score(
             metrics=further,
             detection=curves,
         )
-    show(scores_table(scores, placed), scores_record(scores, world, placed), record)
+    tables = Group(scores_table(scores, placed), "", blind_spots_table(world, scores))
+    show(tables, scores_record(scores, world, placed), record)
     if plot:
         save_figure(plan_view(world, placed, scores), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)

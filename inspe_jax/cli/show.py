@@ -26,7 +26,7 @@ from inspe_jax.cli.common import (
     out,
     progress,
 )
-from inspe_jax.cli.options import WeightOptions, takes
+from inspe_jax.cli.options import PriceOption, WeightOptions, prices, takes
 
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
@@ -67,15 +67,18 @@ def report(
         ),
     ] = None,
     frame: Annotated[int, typer.Option(help="Number of the frame of traffic that is drawn.")] = 0,
+    price: PriceOption = None,
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
     *,
     options: WeightOptions,
 ) -> None:
-    """Write a page to hand on: scores side by side, maps, and the scene in three dimensions.
+    """Write a page to hand on: what is mounted where and what it costs, scores side by side, blind
+    spots, maps, and the scene in three dimensions.
 
-    The page is one HTML file that needs no network. Its numbers are those of `inspe score`.
+    The page is one HTML file that needs no network, and prints on A4. Its numbers are those of
+    `inspe score`.
 
     Examples:
 
@@ -98,6 +101,7 @@ def report(
     check_output(pdf, (".pdf",))
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
+    priced = prices(price)
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         check_frame(world, frame)
@@ -116,7 +120,9 @@ def report(
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
-        page = report_page(world, entries, front=mixes, frame=frame, progress=callback)
+        page = report_page(
+            world, entries, front=mixes, frame=frame, prices=priced, progress=callback
+        )
     write_text(path, page)
     for entry in entries:
         out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)

@@ -1,9 +1,7 @@
 """Files that a plan is handed on in: GeoJSON, KML and a bill of materials."""
 
 import json
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -14,9 +12,9 @@ from shapely.geometry.polygon import orient
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import csv_text
 from inspe_jax.report.outlines import view_outline
+from inspe_jax.report.schedule import materials
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout, made_with
 from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features, point_feature
 
@@ -135,23 +133,20 @@ def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
 
     ``prices`` replace the catalogue's. A device without a price has none here.
     """
-    known, rows = devices(), []
-    count = Counter(sensor.spec.name for sensor in layout.sensors)
-    for name, number in count.items():
-        at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
-        price = prices.get(name, known[name].price_usd if name in known else None)
-        rows.append(
+    return csv_text(
+        [
             dict(
-                device=name,
-                title=known[name].title if name in known else "",
-                maker=known[name].maker if name in known else "",
-                count=number,
-                price_usd="" if price is None else f"{price:.2f}",
-                total_usd="" if price is None else f"{price * number:.2f}",
-                units="; ".join(unit for unit, _ in groupby(at)),
+                device=row.device,
+                title=row.title,
+                maker=row.maker,
+                count=row.count,
+                price_usd="" if row.price is None else f"{row.price:.2f}",
+                total_usd="" if row.total is None else f"{row.total:.2f}",
+                units="; ".join(row.units),
             )
-        )
-    return csv_text(rows)
+            for row in materials(layout, prices)
+        ]
+    )
 
 
 PLAN_FORMATS: dict[str, Callable[[Layout, Intersection, Mapping[str, float]], str]] = {

@@ -18,6 +18,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.studies.pareto import ParetoPoint
@@ -28,11 +29,18 @@ from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
 from inspe_jax.report.progress import before_after, history_view
 from inspe_jax.report.scene3d import USER_COLOR, scene3d_page
+from inspe_jax.report.schedule import (
+    installation_schedule,
+    materials,
+    sensors_in_words,
+    total_price,
+)
 from inspe_jax.report.sheet import house_style
 from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import Weights, listed_in
@@ -51,6 +59,8 @@ CAPTIONS: dict[str, str] = {
     "entropy": "Entropy of the occupancy: where it is uncertain whether somebody is there.",
     "unresolved": "What of that uncertainty the sensors leave.",
 }
+SPOTS = 10
+"""Most blind spots in a list."""
 ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
 """Caption of the maps of a page whose scores have metrics of what a detector gets."""
 
@@ -107,12 +117,14 @@ def report_page(
     *,
     front: Sequence[ParetoPoint] = (),
     frame: int = 0,
+    prices: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
     """The page of one or several layouts on a scene, as HTML.
 
     ``front``: mixes of devices, whose score is drawn against their cost.
     ``frame``: number of the frame of traffic that is drawn.
+    ``prices``: of devices [US dollars], in place of the catalogue's.
     ``progress``: called with (steps done, steps).
 
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
@@ -138,6 +150,10 @@ def report_page(
             dict(
                 name=entry.layout.name,
                 record=scores_record(entry.scores, scene, entry.layout),
+                summary=_summary(scene, entry, prices or {}),
+                units=installation_schedule(entry.layout, scene.intersection, prices or {}),
+                materials=(rows := materials(entry.layout, prices or {})),
+                total=total_price(rows),
                 blind=_shares(of_columns["blind"]),
                 figures=[(words, drawn(figure)) for words, figure in maps],
                 scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
@@ -152,6 +168,8 @@ def report_page(
     records: list[dict[str, Any]] = [part["record"] for part in parts]  # type: ignore[misc]
     return template("report", "page.html.j2").render(
         scene=scene,
+        north="true north" if scene.intersection.georeference else "the y axis of the map",
+        spots=SPOTS,
         around=entries[0].scores.conditions.words,
         keys={
             f"hidden by traffic in frame {frame}": SIGHT_COLORS[Visibility.HIDDEN],
@@ -243,6 +261,29 @@ def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
     return before_after(
         scene, result.start, entry.layout, entry.before, entry.scores, path=result.path, frame=frame
     )
+
+
+def _summary(scene: Scene, entry: ReportEntry, prices: Mapping[str, float]) -> list[str]:
+    """A layout in three sentences: what there is, what it sees, and what it does not."""
+    layout, scores = entry.layout, entry.scores
+    cost, unknown = total_price(materials(layout, prices))
+    price = f", for {cost:,.0f} US dollars" if cost is not None else ""
+    if unknown and price:
+        price += f" without {' and '.join(unknown)}, of unknown price"
+    units, sensors = counted(len(layout.units), "unit"), sensors_in_words(layout)
+    where = f"{scene.voxels.radius:g} m around the middle of {scene.name}{scores.conditions.words}"
+    found = [
+        f"{units} with {sensors} watch {where}{price}.",
+        f"They have {scores.coverage:.0%} of the region of interest in view, by weight, and see "
+        f"{scores.occlusion:.0%} of it on average with traffic in the way.",
+    ]
+    spots = [
+        f"the {spot.name} ({spot.unseen:.0%} of time and height unseen)"
+        for spot in blind_spots(scene, scores.seen_share)[:2]
+    ]
+    if spots:
+        found.append(f"Most is missed on {' and '.join(spots)}.")
+    return found
 
 
 def _search(

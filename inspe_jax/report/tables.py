@@ -1,6 +1,7 @@
 """Tables of scores, scenes, layouts and catalogues for people; records of scores for JSON."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import jax
@@ -20,11 +21,14 @@ from inspe_jax.placement.studies.pareto import DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
+SPOTS = 5
+"""Most blind spots in a table."""
 _SAME = 1e-5  # objectives and scores are summed in different orders, in single precision
 _CHANGE = ("before", "after", "change")
 _MOVES = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
@@ -242,9 +246,23 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
             }
             for part, unit, device in _members(scores, layout)
         ],
+        "blind_spots": [json_value(asdict(spot)) for spot in blind_spots(scene, scores.seen_share)],
         "settings": json_value(scores.settings),
         **_origin(scene, layout),
     }
+
+
+def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:
+    """Where most is unseen: the first of :func:`~inspe_jax.scoring.blind_spots.blind_spots`."""
+    title = "Blind spots"
+    table = table_of(title, "region", "unseen", "area\n[m²]", "of all unseen", "x, y [m]")
+    for spot in blind_spots(scene, scores.seen_share)[:SPOTS]:
+        x, y = spot.at
+        table.add_row(
+            spot.name, f"{spot.unseen:.0%}", f"{spot.area:.0f}", f"{spot.loss:.0%}",
+            f"{x:.0f}, {y:.0f}",
+        )  # fmt: skip
+    return table
 
 
 def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:

@@ -1,0 +1,158 @@
+"""The installation schedule of a layout: what is to be mounted where, and what it costs."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from inspe_jax.core.words import counted
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.layout import Layout
+
+SAME_POLE = 1.0
+"""A unit this near to an existing pole stands on it [m]."""
+
+
+@dataclass(frozen=True)
+class SensorRow:
+    """One sensor. ``height`` is above the ground at its unit's base [m]. ``offset`` is how far it
+    hangs from the base in plan [m], towards ``offset_azimuth``. ``azimuth`` is the direction that
+    it faces; both are in degrees clockwise from north. ``tilt`` is how far it looks down, and
+    ``roll`` how far its left side is up [degrees]. ``price`` [US dollars] is None if unknown."""
+
+    name: str
+    device: str
+    title: str
+    height: float
+    azimuth: float
+    tilt: float
+    roll: float
+    offset: float
+    offset_azimuth: float
+    price: float | None
+
+
+@dataclass(frozen=True)
+class UnitRow:
+    """One unit: its base in the world and on the Earth, and its sensors.
+
+    ``position`` is x, y and the height of the ground [m]; ``degrees`` latitude and longitude, None
+    where the place has no coordinates. ``pole`` says what it stands on.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    degrees: tuple[float, float] | None
+    pole: str
+    sensors: tuple[SensorRow, ...]
+
+
+@dataclass(frozen=True)
+class MaterialRow:
+    """A device: how many, on which units, and what one and all of them cost [US dollars]."""
+
+    device: str
+    title: str
+    maker: str
+    count: int
+    price: float | None
+    units: tuple[str, ...]
+
+    @property
+    def total(self) -> float | None:
+        """What all of them cost; None if the price is unknown."""
+        return None if self.price is None else self.price * self.count
+
+
+def installation_schedule(
+    layout: Layout, place: Intersection, prices: Mapping[str, float]
+) -> tuple[UnitRow, ...]:
+    """The units of a layout, each with its sensors.
+
+    Azimuths are from true north where the place has coordinates, and else from the y axis of the
+    map. ``prices`` replace the catalogue's.
+    """
+    poses = np.asarray(layout.poses, float)
+    feet = np.array([unit.base[:2] for unit in layout.units], float)
+    ground, azimuths = place.ground(feet), _azimuths(place, poses[:, :2], poses[:, 5])
+    bases = feet[[sensor.unit for sensor in layout.sensors]]
+    away = poses[:, :2] - bases
+    arms = _azimuths(place, bases, np.arctan2(away[:, 1], away[:, 0]))
+    degrees = None if place.georeference is None else place.georeference.to_degrees(feet)
+    known = devices()
+    rows = []
+    for u, members in enumerate(layout.members()):
+        sensors = tuple(
+            SensorRow(
+                name=layout.sensors[s].name,
+                device=(name := layout.sensors[s].spec.name),
+                title=known[name].title if name in known else name,
+                height=float(poses[s, 2] - ground[u]),
+                azimuth=float(azimuths[s]) % 360,
+                tilt=float(-np.degrees(poses[s, 4])) + 0.0,
+                roll=float(np.degrees(poses[s, 3])) + 0.0,
+                offset=float(np.hypot(*away[s])),
+                offset_azimuth=float(arms[s]) % 360,
+                price=_price(name, prices),
+            )
+            for s in members
+        )
+        at = (*feet[u].tolist(), float(ground[u]))
+        lon_lat = None if degrees is None else degrees[u].tolist()
+        rows.append(
+            UnitRow(
+                layout.units[u].name,
+                at,
+                None if lon_lat is None else (lon_lat[1], lon_lat[0]),
+                _pole(place, feet[u]),
+                sensors,
+            )
+        )
+    return tuple(rows)
+
+
+def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow, ...]:
+    """The devices of a layout, in its order. ``prices`` replace the catalogue's."""
+    known, rows = devices(), []
+    for name, count in Counter(sensor.spec.name for sensor in layout.sensors).items():
+        at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
+        title, maker = (known[name].title, known[name].maker) if name in known else ("", "")
+        units = tuple(unit for unit, _ in groupby(at))
+        rows.append(MaterialRow(name, title, maker, count, _price(name, prices), units))
+    return tuple(rows)
+
+
+def total_price(rows: tuple[MaterialRow, ...]) -> tuple[float | None, tuple[str, ...]]:
+    """What all devices of known price cost [US dollars], None if there are none; and the others."""
+    unknown = tuple(row.device for row in rows if row.total is None)
+    known = [row.total for row in rows if row.total is not None]
+    return sum(known) if known else None, unknown
+
+
+def sensors_in_words(layout: Layout) -> str:
+    """How many sensors of each kind there are: ``8 cameras and 4 LiDARs``."""
+    count = Counter(sensor.spec.kind for sensor in layout.sensors)
+    words = {"camera": "camera", "lidar": "LiDAR"}
+    return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
+
+
+def _price(name: str, prices: Mapping[str, float]) -> float | None:
+    known = devices()
+    return prices.get(name, known[name].price_usd if name in known else None)
+
+
+def _azimuths(place: Intersection, points: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    if place.georeference is None:
+        return 90.0 - np.degrees(yaw)
+    return np.asarray(place.georeference.azimuth(points, yaw))
+
+
+def _pole(place: Intersection, foot: np.ndarray) -> str:
+    """What a unit stands on, in words."""
+    if not len(place.poles):
+        return "new pole"
+    away = float(np.hypot(*(place.poles[:, :2] - foot).T).min())
+    return "existing pole" if away < SAME_POLE else f"new pole, {away:.0f} m from the nearest"

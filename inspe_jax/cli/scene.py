@@ -233,6 +233,8 @@ def scene(
                 )
         elif traffic is not None:
             traffic_model(traffic)
+        if elevation is not None and mesh is not None:
+            raise InspeError("--elevation and --mesh: each brings the ground; give one of them")
         if is_map(path):
             if [junction, center, at].count(None) != 2:
                 raise InspeError(
@@ -244,9 +246,9 @@ def scene(
                 if at is not None:
                     junction = str(junction_at(path, *_degrees(at)).id)
                 place = read_map(path, junction=junction, center=center, radius=size)
-                place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
                 place = place if elevation is None else with_elevation(place, elevation, size)
                 place = place if mesh is None else with_mesh(place, mesh, size)
+                place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
         else:
             if [junction, center, at, bodies, elevation, mesh] != [None] * 6:
                 raise InspeError(

@@ -136,6 +136,11 @@ class Problem:
                     f"{case.scene.name} is of the profile {case.scene.profile.name} and "
                     f"{first.name} of {first.profile.name}: scenes searched together are of one"
                 )
+            if digest(case.scene.terrain) != digest(first.terrain):
+                raise InspeError(
+                    f"{case.scene.name} and {first.name} have other terrain: scenes searched "
+                    "together are of one place; give both or neither Scene.with_terrain"
+                )
             if digest(case.scene.statics) != digest(first.statics):
                 raise InspeError(
                     f"{case.scene.name} and {first.name} have other static bodies: scenes searched "

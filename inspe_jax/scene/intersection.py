@@ -76,6 +76,8 @@ class Intersection:
     ``bodies`` are those that its map brings: buildings, trees, walls. A scene has them
     with ``statics="map"``. ``georeference`` is the projection of its coordinates, None if unknown.
     ``mesh`` are the triangles that its bodies of kind ``solid`` stand for, None if there are none.
+    ``level_points`` are the ground points of the map, where the place stands on other ground
+    (:meth:`standing_on`); a saved scene does not keep them.
     """
 
     name: str
@@ -92,6 +94,9 @@ class Intersection:
     bodies: tuple[StaticBody, ...] = added(())
     georeference: Georeference | None = field(default=None, metadata={ORIGIN: None, ADDED: None})
     mesh: Mesh | None = field(default=None, metadata={ADDED: None})
+    level_points: Float[np.ndarray, "N 3"] | None = field(
+        default=None, metadata={ORIGIN: None, ADDED: None}
+    )
 
     @cached_property
     def _ground_index(self) -> cKDTree:
@@ -110,13 +115,21 @@ class Intersection:
         height = self.ground_points[index, 2]
         return (weight * height).sum(1) / weight.sum(1)
 
+    def level(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
+        """Height [m] of the roads in the map's own coordinates: the ground's, unless the place
+        stands on other ground. By it one tells who is on another level."""
+        if self.level_points is None:
+            return self.ground(xy)
+        return replace(self, ground_points=self.level_points, level_points=None).ground(xy)
+
     def on_ground(self, xy: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N 3"]:
         """Points on the ground [m] at plan points; only their x and y are used."""
         return np.column_stack([xy[:, :2], self.ground(xy[:, :2])])
 
     def standing_on(self, points: Float[np.ndarray, "G 3"]) -> "Intersection":
         """This place on ground through other points [m]: its centre, poles and routes too."""
-        place = replace(self, ground_points=points)
+        own = self.ground_points if self.level_points is None else self.level_points
+        place = replace(self, ground_points=points, level_points=own)
         routes = (
             replace(route, waypoints=place.on_ground(route.waypoints)) for route in self.routes
         )

@@ -83,13 +83,21 @@ class Scene:
     def with_terrain(self) -> "Scene":
         """This scene with the ground of its map in the way: it hides what is behind its brows.
 
-        Voxels stand on its surface. Level ground hides nothing, and leaves the scene as it is.
+        Voxels, road users, poles and bodies stand on its surface. Level ground hides nothing, and
+        leaves the scene as it is.
         """
         terrain = terrain_of(self.intersection, self.voxels.radius)
         if terrain is None:
             return self
-        ground = terrain.height(self.voxels.columns)
-        return replace(self, voxels=replace(self.voxels, ground=ground), terrain=terrain)
+        place = self.intersection.standing_on(terrain.points)
+        grid = replace(self.voxels, ground=terrain.height(self.voxels.columns))
+        # Road users stand on the same ground.
+        center = np.array(self.traffic.center)
+        flat = center[..., :2].reshape(-1, 2)
+        rise = terrain.height(flat) - self.intersection.ground(flat)
+        center[..., 2] += np.where(self.traffic.valid, rise.reshape(self.traffic.valid.shape), 0.0)
+        traffic = replace(self.traffic, center=center)
+        return replace(self, voxels=grid, traffic=traffic, intersection=place, terrain=terrain)
 
     def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
         """This scene with these bodies in place of its own; with none, an open scene.

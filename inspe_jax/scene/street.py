@@ -65,9 +65,9 @@ def statics_of(
 ) -> tuple[StaticBody, ...]:
     """The static bodies of a name of :data:`STATICS`, without those that traffic touches.
 
-    Buildings of a map stay, whoever touches them. They do not depend on the seed of the traffic: a
-    place stays what it is. Raises InspeError where the name is another, or the place's map brings
-    no bodies.
+    Buildings of a map and solids of a mesh stay, whoever touches them. They do not depend on the
+    seed of the traffic: a place stays what it is. Raises InspeError where the name is another, or
+    the place's map brings no bodies.
     """
     check_statics(name)
     if name == "none":
@@ -76,7 +76,7 @@ def statics_of(
         return untouched(street_bodies(place, radius), traffic)
     found = map_bodies(place, radius)
     kept = {id(one) for one in untouched(found, traffic)}
-    return tuple(one for one in found if one.kind == "building" or id(one) in kept)
+    return tuple(one for one in found if one.kind in ("building", "solid") or id(one) in kept)
 
 
 def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import QhullError
@@ -19,6 +20,8 @@ from inspe_jax.scene.intersection import Intersection
 
 TERRAINS = ("none", "ground")
 """What of the ground a scene has: nothing, so that it hides nothing; or the ground of its map."""
+LOWEST, HIGHEST = -450.0, 8900.0
+"""Heights above the sea that land can have [m]."""
 STEP = 1.0
 """Edge of the cells that are cut into two triangles each [m]."""
 MARGIN = 15.0
@@ -108,13 +111,26 @@ def terrain_of(place: Intersection, radius: float) -> Terrain | None:
 def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np.ndarray:
     """Heights (N,) of a surface through given points: linear in triangles (Delaunay).
 
-    Beyond them it is that of the nearest point. Points at one place have their mean height.
+    Beyond their hull it is that of the nearest place on its rim, so that there is no step. Points
+    at one place have their mean height.
     """
     plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
     known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
-    heights = NearestNDInterpolator(plan, known)(at)
     try:
-        inside = LinearNDInterpolator(plan, known)(at)
-    except QhullError:  # all on one line
-        inside = np.full(len(at), np.nan)
-    return np.where(np.isnan(inside), heights, inside)
+        surface = LinearNDInterpolator(plan, known)
+    except (QhullError, ValueError):  # fewer than three, or all on one line
+        return np.asarray(NearestNDInterpolator(plan, known)(at))
+    heights = surface(at)
+    out = np.flatnonzero(np.isnan(heights))
+    if len(out):
+        hull = shapely.MultiPoint(plan).convex_hull
+        rim = hull.exterior.simplify(0.0)
+        ends = shapely.line_interpolate_point(
+            rim, shapely.line_locate_point(rim, shapely.points(at[out]))
+        )
+        ends = shapely.get_coordinates(ends)
+        middle = plan.mean(0)
+        heights[out] = surface(ends + 1e-6 * (middle - ends))  # a little inward, where it is known
+    missing = np.isnan(heights)
+    heights[missing] = NearestNDInterpolator(plan, known)(at[missing])
+    return np.asarray(heights)

@@ -12,7 +12,10 @@ from worlds import LIDAR, box_triangles, crossing, place_sensors
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.maps.digital_twin import Y_UP, with_mesh
+from inspe_jax.scene.maps.digital_twin import Y_UP, read_mesh, with_mesh
+from inspe_jax.scene.statics import tree
+from inspe_jax.scene.street import statics_of
+from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.visibility.queries import line_of_sight
 
 trimesh = pytest.importorskip("trimesh", reason="meshes need trimesh: extra [geo]")
@@ -107,6 +110,100 @@ def test_ground_and_solids_on_paper(twin):
     assert over  # the gantry stays over the road, and the van does not
     assert min(one.base for one in over) > 4.5
     assert "twin.ply" in " ".join(found.notes)
+
+
+def _both_sides(triangles):
+    return np.concatenate([triangles, triangles[:, ::-1]])
+
+
+def _box(size, low, high):
+    return box_triangles((CENTER[0] + 16.25, CENTER[1] + 16.25, low), (*size, high - low), 0.0)
+
+
+@pytest.mark.parametrize(
+    "house",
+    [
+        _box((8, 8), 28.0, 37.0),
+        _both_sides(_box((8, 8), 28.0, 37.0)),
+        np.concatenate([_box((8, 8), 28.0, 37.0), _box((7.4, 7.4), 28.3, 36.7)]),
+        _box((8, 8), 28.0, 37.0)[:, ::-1],
+    ],
+    ids=["plain", "double-sided", "two shells", "inside out"],
+)
+def test_a_house_is_solid_however_its_faces_are_made(tmp_path, house):
+    """8 × 8 m, the roof's diagonal on the middles of cells: all of it stands on the ground."""
+    path = written(tmp_path / "house.ply", np.concatenate([ground_faces(), house]))
+    found = with_mesh(place(), path, RADIUS)
+    around = box(*(CENTER[0] + 11.0, CENTER[1] + 11.0), *(CENTER[0] + 21.5, CENTER[1] + 21.5))
+    own = [one for one in found.bodies if around.covers(one.polygon)]
+    assert own
+    assert all(one.base == 0 for one in own)
+    area = shapely.unary_union([one.polygon for one in own]).area
+    assert 64.0 <= area <= 8.5**2  # to the middles of cells, half a cell further
+    level = found.ground(np.array([[CENTER[0] + 16.25, CENTER[1] + 16.25]]))[0]
+    assert max(one.height for one in own) == pytest.approx(37.0 - level, abs=0.4)
+
+
+def test_thin_things_stand_and_hang(tmp_path):
+    """A single sheet on the ground stands; a trunk carries a crown, which hangs around it."""
+    x, y = CENTER[0] - 16.0, CENTER[1] + 15.25
+    fence = np.array([[[x, y, 28.0], [x + 8, y, 28.0], [x + 8, y, 32.0]],
+                      [[x, y, 28.0], [x + 8, y, 32.0], [x, y, 32.0]]])  # fmt: skip
+    trunk = box_triangles((CENTER[0] + 15.25, CENTER[1] - 15.25, 28.0), (0.4, 0.4, 6.0), 0.0)
+    ball = np.array(trimesh.creation.icosphere(subdivisions=3, radius=2.5).triangles)
+    crown = ball + [CENTER[0] + 15.25, CENTER[1] - 15.25, 36.0]
+    parts = [ground_faces(), fence, trunk, crown]
+    found = with_mesh(place(), written(tmp_path / "thin.ply", np.concatenate(parts)), RADIUS)
+    north = [one for one in found.bodies if one.middle[1] > CENTER[1]]
+    south = [one for one in found.bodies if one.middle[1] < CENTER[1]]
+    assert north
+    assert all(one.base == 0 for one in north)
+    hung = shapely.unary_union([one.polygon for one in south if one.base > 0]).area
+    stood = shapely.unary_union([one.polygon for one in south if one.base == 0]).area
+    assert 0 < stood <= 2.0
+    assert hung == pytest.approx(np.pi * 2.5**2 - stood, rel=0.15)
+
+
+def test_colours_of_materials_and_textures(tmp_path):
+    """A colour of a material, and the places of vertices in a picture."""
+    from PIL import Image
+
+    index = np.arange(3 * len(faces())).reshape(-1, 3)
+    corners = faces()
+    up = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], -1).reshape(-1, 3)
+    red = trimesh.visual.material.PBRMaterial(baseColorFactor=[200, 40, 30, 255])
+    picture = Image.fromarray(np.full((4, 4, 3), (20, 180, 60), np.uint8))
+    green = trimesh.visual.material.PBRMaterial(baseColorTexture=picture)
+    for name, material, colour in (("red", red, (200, 40, 30)), ("green", green, (20, 180, 60))):
+        uv = np.full((len(up), 2), 0.5)
+        look = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        mesh = trimesh.Trimesh(up, index, visual=look, process=False)
+        mesh.export(tmp_path / f"{name}.glb")
+        found = read_mesh(tmp_path / f"{name}.glb")
+        assert len(found.triangles) == len(corners)
+        assert np.abs(found.colour.astype(int) - colour).max() <= 3
+
+
+def test_bodies_of_ones_own_stay_beside_a_mesh(twin):
+    """Those of the map are left out, as the mesh has them, and a note says how many."""
+    tree_of_the_map = tree((CENTER[0] + 16, CENTER[1] - 16), radius=1.5, height=6.0, base=2.5)
+    found = with_mesh(replace(place(), bodies=(tree_of_the_map,)), twin, RADIUS)
+    assert {one.kind for one in found.bodies} == {"solid"}
+    assert "1 bodies of the map left out" in " ".join(found.notes)
+
+
+def test_a_solid_that_somebody_brushes_stays(twin):
+    found = with_mesh(place(), twin, RADIUS)
+    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
+    scene = inspe_jax.build_scene(found, statics="map", **size)
+    wall = max(scene.statics, key=lambda one: one.polygon.area)
+    x, y = wall.outline[0]
+    person = TrafficFrames(
+        center=np.array([[[x, y, 31.0]]]), yaw=np.zeros((1, 1)), size=np.full((1, 1, 3), 0.5),
+        kind=np.full((1, 1), 3, np.int8), valid=np.ones((1, 1), bool),
+        track=np.zeros((1, 1), np.int32), velocity=np.zeros((1, 1, 3)), time=np.zeros(1),
+    )  # fmt: skip
+    assert wall in statics_of("map", found, RADIUS, person)
 
 
 def test_lines_of_sight_are_those_of_the_mesh(twin):

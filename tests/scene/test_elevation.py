@@ -6,14 +6,14 @@ from functools import partial
 import numpy as np
 import pytest
 from processes import inspe_here
-from worlds import crossing
+from worlds import crossing, rilsa
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Route
 from inspe_jax.scene.maps.elevation import with_elevation
-from inspe_jax.scene.terrain import terrain_of
+from inspe_jax.scene.terrain import between, terrain_of
 
 rasterio = pytest.importorskip("rasterio", reason="elevation models need rasterio: extra [geo]")
 
@@ -123,6 +123,47 @@ def test_what_is_wrong_is_said(tmp_path):
         with_elevation(own, fine, RADIUS)
 
 
+def test_what_is_no_elevation_model_is_refused(tmp_path):
+    own = place()
+    picture = dict(dtype="uint8", count=3, nodata=None)
+    with rasterio.open(
+        tmp_path / "photo.tif", "w", driver="GTiff", width=9, height=9, crs=UTM,
+        transform=rasterio.Affine(1, 0, 0, 0, -1, 9), **picture,
+    ) as file:  # fmt: skip
+        file.write(np.zeros((3, 9, 9), np.uint8))
+    with pytest.raises(InspeError, match="has 3 bands, as a picture"):
+        with_elevation(own, tmp_path / "photo.tif", RADIUS)
+    model(tmp_path / "void.tif", holes=np.s_[28:32, 28:32], nodata=None)
+    with pytest.raises(InspeError, match="if some stand for no data"):
+        with_elevation(own, tmp_path / "void.tif", RADIUS)
+    model(tmp_path / "feet.tif")
+    with rasterio.open(tmp_path / "feet.tif", "r+") as file:
+        file.units = ["ft"]
+    with pytest.raises(InspeError, match="heights in ft, not in metres"):
+        with_elevation(own, tmp_path / "feet.tif", RADIUS)
+    with rasterio.open(
+        tmp_path / "plain.tif", "w", driver="GTiff", width=300, height=300, count=1,
+        dtype="float32",
+    ) as file:  # fmt: skip
+        file.write(np.zeros((300, 300), np.float32), 1)
+    with pytest.raises(InspeError, match="it has no geotransform"):
+        with_elevation(replace(own, georeference=None), tmp_path / "plain.tif", RADIUS)
+
+
+def test_no_other_file_and_no_address_is_read(tmp_path):
+    """GDAL's virtual rasters name other files and addresses; under any name they are refused."""
+    model(tmp_path / "dem.tif")
+    virtual = (
+        '<VRTDataset rasterXSize="60" rasterYSize="60"><VRTRasterBand dataType="Float32" band="1">'
+        f"<SimpleSource><SourceFilename>{tmp_path / 'dem.tif'}</SourceFilename>"
+        "<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    for name, why in (("other.vrt", "an elevation model is"), ("other.tif", "not an elevation")):
+        (tmp_path / name).write_text(virtual)
+        with pytest.raises(InspeError, match=why):
+            with_elevation(place(), tmp_path / name, RADIUS)
+
+
 def test_beyond_the_radius_the_nearest_height_goes_on(tmp_path):
     found = with_elevation(place(), model(tmp_path / "dem.tif", reach=24.0), RADIUS)
     terrain = terrain_of(found, RADIUS)
@@ -137,3 +178,41 @@ def test_only_maps_take_a_model(tmp_path, monkeypatch, capsys):
     status, _, errors = run("scene", "four_way", "--elevation", "dem.tif")
     assert status == 2
     assert "only for maps" in " ".join(errors.split())
+
+
+def test_there_is_no_step_at_the_rim_of_what_is_known():
+    """Points on one side of a place: beyond them the surface goes on as their rim is."""
+    corners = np.array([[-40.0, -40.0], [60.0, -30.0], [-30.0, 50.0], [5.0, -2.0]])
+    known = np.column_stack([corners, 0.07 * corners[:, 0]])
+    side = np.arange(-60.0, 61.0)
+    at = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+    heights = between(known, at).reshape(len(side), len(side))
+    steps = [np.abs(np.diff(heights, axis=axis)).max() for axis in (0, 1)]
+    assert max(steps) < 0.15
+    assert between(known[:2], at).min() == pytest.approx(known[:2, 2].min())
+
+
+def test_traffic_of_a_map_stays_on_other_ground():
+    """Who is on which level is a matter of the map's own heights."""
+    line = np.array([[CENTER[0], CENTER[1]]])
+    raised = place().standing_on(place().ground_points + [0.0, 0.0, 520.0])
+    assert raised.ground(line) == pytest.approx([520.0])
+    assert raised.level(line) == pytest.approx([0.0])
+    again = raised.standing_on(raised.ground_points + [0.0, 0.0, 5.0])
+    assert again.level(line) == pytest.approx([0.0])
+
+
+def test_sumo_drives_on_the_ground_of_a_model():
+    """As many road users as on the map's own level, on the new ground."""
+    pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
+    from inspe_jax.scene.maps.registry import list_junctions, read_map
+
+    net = rilsa()
+    junction = max(list_junctions(net), key=lambda one: one.arms).id
+    flat = read_map(net, junction=junction, radius=30.0)
+    raised = flat.standing_on(flat.ground_points + [0.0, 0.0, 520.0])
+    size = dict(radius=30, voxel=1.0, frames=2, density=12, traffic="sumo")
+    one, other = (inspe_jax.build_scene(found, **size) for found in (flat, raised))
+    assert other.traffic.mean_count == one.traffic.mean_count > 3
+    users = other.traffic.center[other.traffic.valid]
+    assert (users[:, 2] > 519).all()

@@ -10,7 +10,7 @@ from worlds import MAPS, crossing
 
 import inspe_jax
 from inspe_jax.scene.maps.lane_strips import LaneStrip
-from inspe_jax.scene.maps.parking import OCCUPIED, PARALLEL, parked_vehicles, with_parked
+from inspe_jax.scene.maps.parking import OCCUPIED, parked_vehicles, with_parked
 from inspe_jax.scene.regions import Region
 
 
@@ -80,7 +80,6 @@ def test_not_on_crosswalks_nor_in_other_bodies():
     assert with_parked(found, [lane(9.0, 2.2)], [], 50.0, notes).bodies == found.bodies
     near = parked_vehicles(place, [lane(9.0, 2.2)], [], 14.0)
     assert 0 < len(near) < len(found.bodies)
-    assert PARALLEL > 5.3  # the longest vehicle fits
 
 
 def test_a_town_with_parking_lanes():

@@ -20,6 +20,7 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.height_field import ground_ceiling, ground_margin
 from inspe_jax.core.numerics import Softness
+from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.scene.terrain import Terrain
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
@@ -258,3 +259,27 @@ def test_recordings_have_the_same_ground():
     near = ((middle > corner) & (middle < corner + span)).all(1)
     ordered = [faces[np.lexsort(faces.mean(1).round(2).T)] for faces in (recorded[near], own)]
     assert ordered[0] == pytest.approx(ordered[1], abs=1e-3)
+
+
+def test_cases_of_a_search_have_the_same_terrain():
+    scene, layout = hills(), sensors_in(hills(), 2)
+    Problem(Case(scene), layout)
+    with pytest.raises(InspeError, match="have other terrain"):
+        Problem([Case(scene), Case(replace(scene, terrain=None))], layout)
+
+
+def test_everything_stands_on_the_same_surface():
+    """Road users, the check of sensors and the voxels: within 10 cm at slopes of 55 %, as the mean
+    of four corners of a cell is not the height of its triangles."""
+    scene = hills()
+    t = scene.traffic
+    users = t.center[t.valid]
+    feet = users[:, 2] - t.size[t.valid][:, 2] / 2
+    assert feet == pytest.approx(scene.terrain.height(users), abs=0.05)
+    columns = scene.voxels.columns
+    assert scene.intersection.ground(columns) == pytest.approx(scene.voxels.ground, abs=0.1)
+    low = place_sensors((LIDAR, [3.3, 3.3, 0.0, 0, 0, 0]))
+    pose = np.array(low.poses)
+    pose[0, 2] = scene.terrain.height(pose[:, :2])[0] - 0.2
+    with pytest.raises(InspeError, match="is in the ground"):
+        line_of_sight(scene, replace(low, poses=pose), 0)

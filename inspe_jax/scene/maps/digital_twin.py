@@ -1,9 +1,11 @@
 """A mesh of a place, as from a survey or a digital twin: its ground, and what stands on it.
 
-Scores need solids: the mesh is looked at from above, on a grid of :data:`CELL`. In the regions its
-lowest surface is the ground. What is higher is solid from its highest surface down to the ground;
-or to its lowest, where it has as many surfaces from below as from above, as a crown, a bridge or a
-sign has. Cells of like heights are one prism. Recordings show the mesh itself.
+Scores need solids: the mesh is looked at from above, on a grid of :data:`CELL`. In the regions the
+surface at the level around is the ground. Where upright faces come down to it, the mesh stands
+there, and so does all that they enclose: it is solid from its highest surface to the ground. What
+else is higher hangs, as a crown, a bridge or a sign: it is solid from its highest surface to its
+lowest. Which way faces point does not matter, as few meshes are careful of it. Cells of like
+heights are one prism. Recordings show the mesh itself.
 """
 
 import os
@@ -42,6 +44,12 @@ AROUND = 9.0
 """The level of the ground around a point is that in a square of this edge [m]."""
 AT_ONCE = 4_000_000
 """So many pairs of a triangle and a cell are looked at together."""
+STEEP = 0.5
+"""Triangles are steep whose normals point less upward than this; walls are 0, roofs of 60° 0.5."""
+STANDS = 1.0
+"""What comes down to this height over the ground stands on it [m]."""
+MOST_SOLIDS = 5000
+"""More solids near a place are refused."""
 SMALL = 3
 """What covers fewer cells that touch is left out."""
 GREY = (128, 128, 128)
@@ -52,20 +60,30 @@ def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) 
 
     The mesh is in world metres, the coordinates of the map; x east and z up, or y up and z south in
     glTF, as that format has it. What stands on lanes, crossings or footpaths is cut off there, as
-    of a map's bodies: a survey has road users in it that have long gone.
+    of a map's bodies: a survey has road users in it that have long gone. The mesh takes the place
+    of the bodies that the map brings.
 
-    Raises InspeError if trimesh is missing, if the file can't be read or has no triangles, and if
-    the mesh has no ground in the regions of the place, which most often is of another origin.
+    Raises InspeError if trimesh is missing, if the file can't be read or has no triangles, if the
+    mesh has no ground in the regions of the place, which most often is of another origin, and if it
+    has too many triangles or solids.
     """
     mesh = _near(read_mesh(path), place, radius + MARGIN, path)
     grid = _Grid.of(place, radius + MARGIN)
-    cell, z = grid.surfaces(mesh.world)
+    world = mesh.world
+    cell, z = grid.surfaces(world)
     ground = _ground(place, grid, cell, z, path)
     _, at = lattice(place.center, radius)
     notes = list(place.notes)
     stood = place.standing_on(np.column_stack([at, between(ground, at)]))
-    shapes = list(_shapes(stood, grid, cell, z))
+    shapes = list(_shapes(stood, grid, world, cell, z))
+    if len(shapes) > MOST_SOLIDS:
+        raise InspeError(
+            f"{path}: is {len(shapes):,} solids near {place.name}, of {MOST_SOLIDS:,} at most: "
+            "every score takes them all; leave small things such as leaves and cables out of it"
+        )
     notes.append(f"ground and {len(shapes)} solids from {Path(path).name}")
+    if place.bodies:
+        notes.append(f"{len(place.bodies)} bodies of the map left out for those of the mesh")
     found = with_bodies(stood, shapes, radius + MARGIN, notes)
     return replace(found, mesh=mesh, notes=tuple(notes))
 
@@ -78,27 +96,43 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     check_input(file)
     trimesh = _trimesh()
     try:
-        found = trimesh.load_mesh(file, process=False)
+        parts = list(_parts(trimesh.load_scene(file, process=False)))
     except Exception as error:  # its readers raise whatever they run into
         raise InspeError(f"{path}: not a mesh that trimesh reads: {error}") from error
-    corners = np.asarray(getattr(found, "triangles", np.zeros((0, 3, 3))), float)
+    corners = np.concatenate([np.zeros((0, 3, 3)), *(corners for corners, _ in parts)])
+    colours = np.concatenate([np.zeros((0, 3), np.uint8), *(colours for _, colours in parts)])
     if not len(corners) or not np.isfinite(corners).all():
         raise InspeError(f"{path}: has no triangles, or coordinates that are not finite")
     if file.suffix.lower() in Y_UP:
         corners = np.stack([corners[..., 0], -corners[..., 2], corners[..., 1]], -1)
     origin = corners.reshape(-1, 3).mean(0).round()
-    return Mesh(origin, (corners - origin).astype(np.float32), _colours(found, len(corners)))
+    return Mesh(origin, (corners - origin).astype(np.float32), colours)
 
 
-def _colours(found: Any, count: int) -> np.ndarray:
-    """The colour of each face; grey where the mesh has none."""
-    visual: Any = getattr(found, "visual", None)
+def _parts(scene: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Triangles and colours of each geometry of a scene, where the scene puts it."""
+    for node in scene.graph.nodes_geometry:
+        turn, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if not hasattr(geometry, "triangles"):  # points and lines
+            continue
+        corners = np.asarray(geometry.triangles, float)
+        yield corners @ np.asarray(turn)[:3, :3].T + np.asarray(turn)[:3, 3], _colours(geometry)
+
+
+def _colours(geometry: Any) -> np.ndarray:
+    """The colour of each face: of its vertices' places in a texture, its material, or its own."""
+    visual, faces = geometry.visual, np.asarray(geometry.faces)
     if getattr(visual, "kind", None) == "texture":
-        visual = visual.to_color()
-    colours = np.asarray(getattr(visual, "face_colors", np.zeros(0)))
-    if colours.shape[:1] != (count,):
-        return np.tile(np.array(GREY, np.uint8), (count, 1))
-    return colours[:, :3].astype(np.uint8)
+        colours = np.asarray(visual.to_color().vertex_colors)
+        if colours.shape[:1] != (len(geometry.vertices),):  # a material without a texture
+            colours = np.tile(np.asarray(visual.material.main_color), (len(geometry.vertices), 1))
+        found = colours[faces][..., :3].mean(1)
+    elif getattr(visual, "kind", None) in ("face", "vertex"):
+        found = np.asarray(visual.face_colors)[:, :3]
+    else:
+        found = np.tile(np.array(GREY), (len(faces), 1))
+    return np.asarray(found).round().astype(np.uint8)
 
 
 def _near(mesh: Mesh, place: Intersection, reach: float, path: Any) -> Mesh:
@@ -106,7 +140,8 @@ def _near(mesh: Mesh, place: Intersection, reach: float, path: Any) -> Mesh:
     plan = mesh.triangles[..., :2] + (mesh.origin - place.center)[:2]
     near = (plan.min(1) < reach).all(1) & (plan.max(1) > -reach).all(1)
     if not near.any():
-        low, high = (f(mesh.world.reshape(-1, 3)[:, :2]) for f in (_least, _most))
+        points = mesh.world.reshape(-1, 3)
+        low, high = points.min(0), points.max(0)
         raise InspeError(
             f"{path}: nothing within {reach:g} m of {place.name} at "
             f"({place.center[0]:.0f}, {place.center[1]:.0f}): the mesh lies in x {low[0]:.0f} … "
@@ -119,14 +154,6 @@ def _near(mesh: Mesh, place: Intersection, reach: float, path: Any) -> Mesh:
     shift = np.asarray(place.center, float) - mesh.origin
     moved = mesh.triangles[near] - shift.astype(np.float32)
     return Mesh(np.asarray(place.center, float), moved, mesh.colour[near])
-
-
-def _least(points: np.ndarray) -> np.ndarray:
-    return points.min(0)
-
-
-def _most(points: np.ndarray) -> np.ndarray:
-    return points.max(0)
 
 
 class _Grid:
@@ -167,6 +194,29 @@ class _Grid:
         order = np.lexsort([z, cell])
         return cell[order], z[order]
 
+    def upright(
+        self, triangles: Float[np.ndarray, "F 3 3"]
+    ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """Points on the edges of steep triangles, at most half a cell apart: cells and heights [m].
+
+        Lines through the middles of cells miss walls, which lie between them.
+        """
+        across = np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1))
+        steep = np.abs(across[:, 2]) < STEEP * np.linalg.norm(across, axis=1)
+        ends = triangles[steep][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
+        parts = np.maximum(np.ceil(2 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / CELL), 1)
+        number = np.minimum(parts, 2 * self.side).astype(int) + 1
+        which = np.repeat(np.arange(len(number)), number)
+        nth = np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
+        share = (nth / (number[which] - 1))[:, None]
+        points = ends[which, 0] * (1 - share) + ends[which, 1] * share
+        # A wall on the line between two cells belongs to both.
+        beside = 0.02 * np.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+        points = (points[:, None] + beside).reshape(-1, 3)
+        at = np.floor((points[:, :2] - self.corner) / CELL).astype(int)
+        inside = ((at >= 0) & (at < self.side)).all(1)
+        return (at[:, 0] * self.side + at[:, 1])[inside], points[inside, 2]
+
     def _within(
         self,
         at: np.ndarray,
@@ -186,7 +236,7 @@ class _Grid:
         area = np.where(flat, 1.0, area)
         v = ((i - ax) * (cy - ay) - (cx - ax) * (j - ay)) / area
         w = ((bx - ax) * (j - ay) - (i - ax) * (by - ay)) / area
-        inside = ~flat & (v >= 0) & (w >= 0) & (v + w <= 1)
+        inside = ~flat & (v >= 0) & (w >= 0) & (v + w <= 1)  # on an edge, in both triangles
         za, zb, zc = (z[which, k] for k in range(3))
         height = za + v * (zb - za) + w * (zc - za)
         return (i * self.side + j)[inside], height[inside]
@@ -225,29 +275,48 @@ def _ground(
 
 
 def _shapes(
-    place: Intersection, grid: _Grid, cell: Int[np.ndarray, " N"], z: Float[np.ndarray, " N"]
+    place: Intersection,
+    grid: _Grid,
+    world: Float[np.ndarray, "F 3 3"],
+    cell: Int[np.ndarray, " N"],
+    z: Float[np.ndarray, " N"],
 ) -> Iterator[Shape]:
     """Solids of cells of like heights over the ground."""
+    upright, edges = grid.upright(world)
+    edges = edges - place.ground(grid.middle(upright))
     over = z - place.ground(grid.middle(cell))
-    high = over > LOW
-    cell, over = cell[high], over[high]
-    cells, first, count = np.unique(cell, return_index=True, return_counts=True)
-    top = over[first + count - 1]
-    base = np.where(count % 2 == 0, over[first], 0.0)
-    image = np.zeros(grid.side**2, bool)
-    image[cells] = True
-    touching, _ = ndimage.label(image.reshape(grid.side, grid.side), np.ones((3, 3)))
-    large = np.bincount(touching.ravel())[touching.ravel()[cells]] >= SMALL
-    cells, top, base = cells[large], top[large], base[large]
+    count, high = grid.side**2, over > LOW
+    wall = edges > LOW
+    top = np.full(count, -np.inf)
+    np.maximum.at(top, np.r_[cell[high], upright[wall]], np.r_[over[high], edges[wall]])
+    base = np.full(count, np.inf)
+    np.minimum.at(base, np.r_[cell[high], upright[wall]], np.r_[over[high], edges[wall]])
+    # Beside cells with a surface, cells with upright faces alone are on the far side of a wall.
+    square = (grid.side, grid.side)
+    covered = np.zeros(count, bool)
+    covered[cell[high]] = True
+    near = ndimage.binary_dilation(covered.reshape(square), np.ones((3, 3))).ravel()
+    there = (top > LOW) & (covered | ~near)
+    foot = np.full(count, np.inf)
+    np.minimum.at(foot, upright, edges)
+    stands = there & (np.minimum(foot, base) < STANDS)
+    stands = ndimage.binary_fill_holes(stands.reshape(square)).ravel() & there
+    base = np.where(stands, 0.0, base)
+    touching, _ = ndimage.label(there.reshape(square), np.ones((3, 3)))
+    large = np.bincount(touching.ravel())[touching.ravel()] >= SMALL
+    cells = np.flatnonzero(there & large)
+    base, top = base[cells], top[cells]
     alike = np.column_stack([np.searchsorted(LEVELS, end, "right") for end in (base, top)])
     kinds, label = np.unique(alike, axis=0, return_inverse=True)
     corner = grid.corner + np.column_stack(np.divmod(cells, grid.side)) * CELL
     squares = shapely.box(*corner.T, *(corner + CELL).T)
     for k in range(len(kinds)):
         own = label.ravel() == k
-        height, low = float(top[own].mean()), float(base[own].mean())
+        # A single sheet, as of a sign from the side, is as thick as a cell.
+        height = max(float(top[own].mean()), LOW)
+        low = min(float(base[own].mean()), height - LOW)
         for part in shapely.get_parts(unary_union(squares[own])):
-            yield Shape("solid", part, height, low)
+            yield Shape("solid", part, height, max(low, 0.0))
 
 
 def _trimesh() -> Any:

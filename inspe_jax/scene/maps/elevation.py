@@ -1,6 +1,7 @@
-"""The ground's heights from an elevation model: a GeoTIFF, an ASCII grid, or what else GDAL reads.
+"""Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED.
 
-Only the part of the model around the place is read, so models of whole states serve.
+Only the part of the model around the place is read, so models of whole states serve. Formats that
+refer to other files or addresses are not read.
 """
 
 import os
@@ -16,10 +17,19 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.georeference import from_wgs84
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.terrain import between, lattice
+from inspe_jax.scene.terrain import HIGHEST, LOWEST, between, lattice
 
 MOST = 4096
-"""Most cells a side that are read of a model around one place."""
+"""Most cells a side that are read of a model around one place, or that one block of it has."""
+DRIVERS = {
+    **dict.fromkeys((".tif", ".tiff"), "GTiff"),
+    ".asc": "AAIGrid",
+    ".hgt": "SRTMHGT",
+    **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
+}
+"""GDAL's driver for each suffix of the files that are read."""
+METRES = ("", "m", "metre", "metres", "meter", "meters")
+"""Units of heights that are metres; most files name none."""
 
 
 def with_elevation(
@@ -34,7 +44,8 @@ def with_elevation(
     not known to a model: the place lies on one level.
 
     Raises InspeError if rasterio or pyproj is missing, if the file can't be read, if only one of
-    the two says where on the Earth it is, and if the model has no heights within ``radius``.
+    the two says where on the Earth it is, if the file is no elevation model in metres, and if it
+    has no heights within ``radius``.
     """
     _, at = lattice(place.center, radius)
     heights = _heights(place, Path(path), at)
@@ -58,9 +69,12 @@ def _heights(
 ) -> Float[np.ndarray, " N"]:
     """Heights [m] at points, NaN where the model has none."""
     check_input(path)
+    if path.suffix.lower() not in DRIVERS:
+        raise InspeError(f"{path}: an elevation model is {', '.join(DRIVERS)}")
     rasterio = _rasterio()
     try:
-        with rasterio.open(path) as model:
+        with rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
+            _check(model, path)
             points = _in_projection(place, path, model, at)
             row, column = _cells(model, points)
             window = _window(rasterio, model, row, column, path)
@@ -70,7 +84,32 @@ def _heights(
         raise InspeError(f"{path}: not an elevation model that GDAL reads: {error}") from error
     cells = np.ma.filled(values.astype(float), np.nan) * scale + offset
     here = [row - window.row_off, column - window.col_off]
-    return map_coordinates(cells, here, order=1, cval=np.nan, prefilter=False)
+    heights = map_coordinates(cells, here, order=1, cval=np.nan, prefilter=False)
+    known = heights[np.isfinite(heights)]
+    if len(known) and not (known.min() > LOWEST and known.max() < HIGHEST):
+        raise InspeError(
+            f"{path}: has heights of {known.min():,.0f} to {known.max():,.0f} m here; if some "
+            "stand for no data, name them so in the file: gdal_translate -a_nodata VALUE"
+        )
+    return np.asarray(heights)
+
+
+def _check(model: Any, path: Path) -> None:
+    """Raise InspeError where a raster is no elevation model that can be read in parts."""
+    if model.count != 1:
+        raise InspeError(
+            f"{path}: has {model.count} bands, as a picture; an elevation model has one"
+        )
+    if model.crs is None and model.transform == model.transform.identity():
+        raise InspeError(f"{path}: does not say where it lies: it has no geotransform")
+    unit = str(model.units[0] or "").strip().lower()
+    if unit not in METRES:
+        raise InspeError(f"{path}: has heights in {unit}, not in metres; convert it first")
+    if max(rows * columns for rows, columns in model.block_shapes) > MOST**2:
+        raise InspeError(
+            f"{path}: is stored in blocks of more than {MOST} × {MOST} cells, which are read "
+            "whole; store it in tiles: gdal_translate -co TILED=YES"
+        )
 
 
 def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) -> np.ndarray:
@@ -99,7 +138,10 @@ def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path
     for at, size in ((row, model.height), (column, model.width)):
         low, high = np.floor(at.min()) - 1, np.ceil(at.max()) + 2
         if not (np.isfinite([low, high]).all() and high > 0 and low < size):
-            raise InspeError(f"{path}: does not cover this place; is it of another region?")
+            raise InspeError(
+                f"{path}: does not cover this place; is it of another region, or in another "
+                "projection than it names?"
+            )
         ends.append((max(int(low), 0), min(int(high), size)))
     if max(high - low for low, high in ends) > MOST:
         raise InspeError(

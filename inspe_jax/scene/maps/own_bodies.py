@@ -19,7 +19,7 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import NO_POLES, SAME_POLE, Shape, with_bodies
 from inspe_jax.scene.maps.sumo.polygons import SUFFIX, polygons_of
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, BUILDING, FURNITURE, POLE, TREE, TREE_BASE
-from inspe_jax.scene.statics import HIGHEST, KINDS, LEAFY, octagon
+from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
 PARKED = 1.5
 """Height of a parked vehicle of which the file says none [m]."""
@@ -31,7 +31,6 @@ HEIGHTS = {
     "pole": POLE[0],
     "furniture": FURNITURE,
     "parked vehicle": PARKED,
-    "solid": BUILDING,
 }
 """Height of each kind of body of which the file says none [m]."""
 LARGE = 10.0
@@ -58,7 +57,7 @@ def with_own_bodies(
     """A place with the bodies of a file besides its own, within ``reach`` [m] of its centre.
 
     Polygons, lines and points; properties are ``kind``, one of
-    :data:`~inspe_jax.scene.statics.KINDS`, ``height_m``, ``base_m``, ``width_m`` of a line,
+    :data:`HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a line,
     ``diameter_m`` of a point, and ``transmittance``. What is missing is usual
     (:data:`USUAL`, :data:`HEIGHTS`). Of SUMO's polygons (.poly.xml) it is what
     :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of` finds. Poles can carry sensors. What is
@@ -118,7 +117,7 @@ def _shapes(one: Feature) -> Iterator[Shape]:
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")
         kind = own.kind or USUAL[part.geom_type]
-        check_known(kind, KINDS, f"{where}: kind")
+        check_known(kind, HEIGHTS, f"{where}: kind")
         height, base = own.height_m or HEIGHTS[kind], own.base_m
         if base >= height:
             raise InspeError(f"{where}: base_m {base:g} m must be below height_m {height:g} m")

@@ -244,6 +244,7 @@ def _snapshot(
     center = np.column_stack([middle, ground + size[:, 2] / 2])
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
     track = np.array(who, np.int32)
-    here = np.abs(foot - ground) <= CLEARANCE
+    level = intersection.level(middle) if len(middle) else np.zeros(0)
+    here = np.abs(foot - level) <= CLEARANCE
     everybody = Snapshot(*(part[here] for part in (center, yaw, size, kind, track, speed)))
     return everybody.within(intersection.center, radius)

@@ -19,6 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.bodies import OVER_LANES, OVER_PATHS, Ways
 from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
@@ -141,12 +142,25 @@ def build_static_world(
 def _surveyed(
     mesh: Mesh, place: Intersection
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"]]:
-    """The faces of a mesh that are not of the ground, and their linear albedos."""
+    """The faces of a mesh that are not of the ground, and their linear albedos.
+
+    Without those beyond the ground that is known, and without what stands where traffic goes, which
+    scores have not either.
+    """
     triangles = mesh.world
     corners = triangles.reshape(-1, 3)
-    over = (corners[:, 2] - place.ground(corners[:, :2])).reshape(-1, 3).max(1)
-    high = over > LOW
-    return triangles[high], (mesh.colour[high] / 255.0) ** SRGB
+    over = (corners[:, 2] - place.ground(corners[:, :2])).reshape(-1, 3)
+    low, high = place.ground_points[:, :2].min(0), place.ground_points[:, :2].max(0)
+    known = ((triangles[..., :2] >= low) & (triangles[..., :2] <= high)).all((1, 2))
+    ways, middle = Ways.of(place), triangles[..., :2].mean(1)
+    in_way = np.zeros(len(triangles), bool)
+    for base in (0.0, OVER_PATHS):
+        area = ways.under(base)
+        shapely.prepare(area)
+        below = over.max(1) < (OVER_PATHS if base == 0 else OVER_LANES)
+        in_way |= below & shapely.contains_xy(area, *middle.T)
+    shown = (over.max(1) > LOW) & known & ~in_way
+    return triangles[shown], (mesh.colour[shown] / 255.0) ** SRGB
 
 
 def _ground(

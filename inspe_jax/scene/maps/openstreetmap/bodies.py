@@ -21,11 +21,11 @@ from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, 
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, TREE_BASE
 from inspe_jax.scene.statics import LEAFY, octagon
+from inspe_jax.scene.terrain import HIGHEST as HIGHEST_LAND
+from inspe_jax.scene.terrain import LOWEST
 
 BEYOND = 200.0
 """Nodes are read this far beyond the reach [m]: outlines that go farther are cut there."""
-LOWEST, MOUNTAIN = -450.0, 8900.0
-"""Heights above the sea that land can have [m]."""
 NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none", "")
 """Values of ``building`` of what hides nothing."""
 HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "ground")
@@ -78,7 +78,7 @@ def _elevation(text: str) -> float | None:
         height = float(text.removesuffix("m"))
     except ValueError:
         return None
-    return height if LOWEST < height < MOUNTAIN else None
+    return height if LOWEST < height < HIGHEST_LAND else None
 
 
 class _Reader:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from shapely.geometry import MultiPolygon, Point, Polygon
+from shapely.geometry import MultiPoint, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
@@ -45,6 +45,8 @@ from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, load_net
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import between, lattice
 
+NEAR_SPOTS = 20.0
+"""Spot heights count as around a place if no road is so far out of their hull [m]."""
 SPOTS = 3
 """Fewer points with a height make no surface."""
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
@@ -191,8 +193,14 @@ def read_sumo(
 def _on_heights(
     place: Intersection, spots: Float[np.ndarray, "N 3"], radius: float, notes: list[str]
 ) -> Intersection:
-    """A place on ground through spot heights, if there are enough for a surface."""
+    """A place on ground through spot heights, if they lie around its roads."""
     if len(spots) < SPOTS:
+        return place
+    roads = unary_union(list(place.regions.values())).intersection(
+        Point(place.center[:2]).buffer(radius)
+    )
+    if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
+        notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
         return place
     _, at = lattice(place.center, radius)
     notes.append(f"heights of the ground between {len(spots)} points of the map with a height")

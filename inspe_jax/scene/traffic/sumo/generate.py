@@ -258,7 +258,8 @@ class _SumoRuns:
         speed = np.array([float(one["speed"]) for one in moment])
         middle = at[:, :2] - heading * size[:, :1] / 2
         ground = self.intersection.ground(middle) if len(middle) else np.zeros(0)
-        here = ~(np.abs(at[:, 2] - ground) > CLEARANCE)
+        level = self.intersection.level(middle) if len(middle) else np.zeros(0)
+        here = ~(np.abs(at[:, 2] - level) > CLEARANCE)
         center = np.column_stack([middle, ground + size[:, 2] / 2])
         velocity = np.column_stack([heading * speed[:, None], np.zeros(len(speed))])
         parts = (center, yaw, size, kind, track, velocity)

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import rasters
 from osm_town import LAT, LON, full_town
 from processes import inspe_here
 
@@ -93,7 +94,7 @@ def test_bad_input_is_one_message(inspe, files, arguments, message):
 
 def test_a_scene_on_an_elevation_model(inspe, files):
     """In latitudes and longitudes, as national surveys hand them out; the place stands on it."""
-    rasterio = pytest.importorskip("rasterio", reason="needs rasterio: extra [geo]")
+    rasterio = rasters.rasterio()
     cell, size = 1e-5, 600
     heights = np.tile(500.0 + 0.04 * np.arange(size), (size, 1)).astype(np.float32)
     transform = rasterio.Affine(cell, 0, LON - 300 * cell, 0, -cell, LAT + 300 * cell)

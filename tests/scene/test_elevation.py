@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import rasters
 from processes import inspe_here
 from worlds import crossing, rilsa
 
@@ -15,7 +16,13 @@ from inspe_jax.scene.intersection import Route
 from inspe_jax.scene.maps.elevation import with_elevation
 from inspe_jax.scene.terrain import between, terrain_of
 
-rasterio = pytest.importorskip("rasterio", reason="elevation models need rasterio: extra [geo]")
+rasterio = rasters.rasterio()
+
+
+@pytest.fixture(autouse=True)
+def own_projections():
+    rasters.rasterio()
+
 
 CENTER = (120.0, -80.0, 0.0)
 SHIFT = (-690_000.0, -5_335_000.0)
@@ -123,6 +130,7 @@ def test_what_is_wrong_is_said(tmp_path):
         with_elevation(own, fine, RADIUS)
 
 
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_what_is_no_elevation_model_is_refused(tmp_path):
     own = place()
     picture = dict(dtype="uint8", count=3, nodata=None)

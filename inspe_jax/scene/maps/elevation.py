@@ -5,6 +5,8 @@ refer to other files or addresses are not read.
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,7 +75,7 @@ def _heights(
         raise InspeError(f"{path}: an elevation model is {', '.join(DRIVERS)}")
     rasterio = _rasterio()
     try:
-        with rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
+        with _own_proj(), rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
             _check(model, path)
             points = _in_projection(place, path, model, at)
             row, column = _cells(model, points)
@@ -151,10 +153,22 @@ def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path
     return rasterio.windows.Window(left, top, right - left, bottom - top)
 
 
+@contextmanager
+def _own_proj() -> Iterator[None]:
+    """GDAL with the projections that came with it: importing SUMO names those of SUMO instead."""
+    names = [name for name in ("PROJ_DATA", "PROJ_LIB") if "sumo" in os.environ.get(name, "")]
+    kept = {name: os.environ.pop(name) for name in names}
+    try:
+        yield
+    finally:
+        os.environ.update(kept)
+
+
 def _rasterio() -> Any:
     try:
-        import rasterio
-        import rasterio.windows
+        with _own_proj():
+            import rasterio
+            import rasterio.windows
     except ImportError as error:
         raise InspeError("elevation models need: pip install 'inspe_jax[geo]'") from error
     return rasterio

@@ -101,7 +101,7 @@ def test_the_record_says_of_what_and_how(scene, layout):
     record = scores_record(SCORES, scene, layout)
     assert set(record) == {
         *METRICS, "information_gain_literal", "region_coverage", "level_coverage",
-        "contributions", "settings", "scene", "layout", "versions",
+        "contributions", "blind_spots", "settings", "scene", "layout", "versions",
     }  # fmt: skip
     assert record["settings"] == {
         "weights": named(0.3, 0.5, 0.2),

@@ -9,7 +9,8 @@ height h at a crossing,
 - the sensor sees the voxel at height z only from above z + (h − z)/(1 − t)
   (:func:`ground_margin`, soft scores: how far the sensor is below the highest such height).
 
-Both are the same comparison of h with the line's height at t, and ``tests/core`` holds them to it.
+Both are the same comparison of h with the line's height at t, and
+``tests/visibility/test_terrain.py`` holds them to it.
 """
 
 from collections.abc import Callable

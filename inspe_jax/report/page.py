@@ -40,7 +40,6 @@ from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import Weights, listed_in
@@ -149,11 +148,11 @@ def report_page(
         parts.append(
             dict(
                 name=entry.layout.name,
-                record=scores_record(entry.scores, scene, entry.layout),
-                summary=_summary(scene, entry, prices or {}),
+                record=(record := scores_record(entry.scores, scene, entry.layout)),
                 units=installation_schedule(entry.layout, scene.intersection, prices or {}),
                 materials=(rows := materials(entry.layout, prices or {})),
-                total=total_price(rows),
+                total=(total := total_price(rows)),
+                summary=_summary(scene, entry, record["blind_spots"], *total),
                 blind=_shares(of_columns["blind"]),
                 figures=[(words, drawn(figure)) for words, figure in maps],
                 scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
@@ -263,10 +262,19 @@ def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
     )
 
 
-def _summary(scene: Scene, entry: ReportEntry, prices: Mapping[str, float]) -> list[str]:
-    """A layout in three sentences: what there is, what it sees, and what it does not."""
+def _summary(
+    scene: Scene,
+    entry: ReportEntry,
+    spots: Sequence[Mapping[str, Any]],
+    cost: float | None,
+    unknown: Sequence[str],
+) -> list[str]:
+    """A layout in three sentences: what there is, what it sees, and what it does not.
+
+    ``spots`` are its blind spots as records; ``cost`` and ``unknown`` its
+    :func:`~inspe_jax.report.schedule.total_price`.
+    """
     layout, scores = entry.layout, entry.scores
-    cost, unknown = total_price(materials(layout, prices))
     price = f", for {cost:,.0f} US dollars" if cost is not None else ""
     if unknown and price:
         price += f" without {' and '.join(unknown)}, of unknown price"
@@ -277,12 +285,11 @@ def _summary(scene: Scene, entry: ReportEntry, prices: Mapping[str, float]) -> l
         f"They have {scores.coverage:.0%} of the region of interest in view, by weight, and see "
         f"{scores.occlusion:.0%} of it on average with traffic in the way.",
     ]
-    spots = [
-        f"the {spot.name} ({spot.unseen:.0%} of time and height unseen)"
-        for spot in blind_spots(scene, scores.seen_share)[:2]
+    worst = [
+        f"the {spot['name']} ({spot['unseen']:.0%} of time and height unseen)" for spot in spots[:2]
     ]
-    if spots:
-        found.append(f"Most is missed on {' and '.join(spots)}.")
+    if worst:
+        found.append(f"Most is missed on {' and '.join(worst)}.")
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.catalogue import Device, devices
 from inspe_jax.sensing.layout import Layout
 
 SAME_POLE = 1.0
@@ -96,7 +96,7 @@ def installation_schedule(
                 roll=float(np.degrees(poses[s, 3])) + 0.0,
                 offset=float(np.hypot(*away[s])),
                 offset_azimuth=float(arms[s]) % 360,
-                price=_price(name, prices),
+                price=_price(known, name, prices),
             )
             for s in members
         )
@@ -121,7 +121,7 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
         at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
         title, maker = (known[name].title, known[name].maker) if name in known else ("", "")
         units = tuple(unit for unit, _ in groupby(at))
-        rows.append(MaterialRow(name, title, maker, count, _price(name, prices), units))
+        rows.append(MaterialRow(name, title, maker, count, _price(known, name, prices), units))
     return tuple(rows)
 
 
@@ -139,8 +139,7 @@ def sensors_in_words(layout: Layout) -> str:
     return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
 
 
-def _price(name: str, prices: Mapping[str, float]) -> float | None:
-    known = devices()
+def _price(known: Mapping[str, Device], name: str, prices: Mapping[str, float]) -> float | None:
     return prices.get(name, known[name].price_usd if name in known else None)
 
 

@@ -118,9 +118,14 @@ class Intersection:
     def level(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
         """Height [m] of the roads in the map's own coordinates: the ground's, unless the place
         stands on other ground. By it one tells who is on another level."""
+        return self._on_own_ground.ground(xy)
+
+    @cached_property
+    def _on_own_ground(self) -> "Intersection":
+        """The place on the ground points of its map."""
         if self.level_points is None:
-            return self.ground(xy)
-        return replace(self, ground_points=self.level_points, level_points=None).ground(xy)
+            return self
+        return replace(self, ground_points=self.level_points, level_points=None)
 
     def on_ground(self, xy: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N 3"]:
         """Points on the ground [m] at plan points; only their x and y are used."""

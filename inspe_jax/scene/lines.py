@@ -10,10 +10,15 @@ def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N
     return line @ np.array([[c, s], [-s, c]])
 
 
+def arc_of(line: np.ndarray) -> Float[np.ndarray, " N"]:
+    """How far along the line each point is [m]."""
+    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
 def resampled(line: np.ndarray, spacing: float = 1.0) -> np.ndarray:
     """The same line with evenly spaced points, about ``spacing`` metres apart in plan."""
-    steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    arc = arc_of(line)
     even = np.linspace(0, arc[-1], max(2, round(arc[-1] / spacing) + 1))
     return np.column_stack([np.interp(even, arc, column) for column in line.T])
 

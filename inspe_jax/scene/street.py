@@ -285,13 +285,18 @@ def _shelters(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
             return
 
 
+def parked_size(rng: np.random.Generator) -> tuple[float, float, float]:
+    """The size of a parked vehicle [m], by the shares of :data:`PARKED`."""
+    shares = np.array([share for share, _ in PARKED])
+    return PARKED[int(rng.choice(len(PARKED), p=shares / shares.sum()))][1]
+
+
 def _parked(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
     """Vehicles along the kerb, in rows with gaps: some 60 % of the places are taken."""
-    shares = np.array([share for share, _ in PARKED])
     for spot in room.along(room.kerb, lambda: float(rng.uniform(5.4, 6.4))):
         if rng.uniform() > 0.6:
             continue
-        first = PARKED[int(rng.choice(len(PARKED), p=shares / shares.sum()))][1]
+        first = parked_size(rng)
         sizes = [first, *(size for _, size in reversed(PARKED) if size[1] < first[1])]
         turn = spot.yaw + np.pi * bool(rng.uniform() < 0.2)
         across = LineString([spot.moved(0.3), spot.moved(MEDIAN)])

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import QhullError
 
 from inspe_jax.core.errors import InspeError, nearest
@@ -69,11 +68,18 @@ class Terrain:
 
     @property
     def faces(self) -> Int[np.ndarray, "F 3"]:
-        """The triangles, as numbers of :attr:`points`, counter-clockwise from above."""
-        index = np.arange(self.heights.size).reshape(self.heights.shape)
-        a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-        halves = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2)
-        return halves.reshape(-1, 3)
+        """The triangles, as numbers of :attr:`points`."""
+        return lattice_faces(*self.heights.shape)
+
+
+def lattice_faces(wide: int, deep: int) -> Int[np.ndarray, "F 3"]:
+    """The triangles of a lattice of ``wide`` × ``deep`` points, by their numbers, counter-clockwise
+    from above: each cell is cut from its first point to the opposite one."""
+    index = np.arange(wide * deep).reshape(wide, deep)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    return np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
 
 
 def check_terrain(name: str) -> None:
@@ -108,12 +114,21 @@ def terrain_of(place: Intersection, radius: float) -> Terrain | None:
     return Terrain(corner, STEP, between(given, at).reshape(side, side))
 
 
+def laid_on(place: Intersection, points: Float[np.ndarray, "G 3"], radius: float) -> Intersection:
+    """A place on the surface :func:`between` points, to :data:`MARGIN` beyond ``radius`` [m]."""
+    _, at = lattice(place.center, radius)
+    return place.standing_on(np.column_stack([at, between(points, at)]))
+
+
 def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np.ndarray:
     """Heights (N,) of a surface through given points: linear in triangles (Delaunay).
 
     Beyond their hull it is that of the nearest place on its rim, so that there is no step. Points
     at one place have their mean height.
     """
+    # Only here: its import takes a tenth of a second, of which no other command has a use.
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
     plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
     known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
     try:

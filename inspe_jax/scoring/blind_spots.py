@@ -46,10 +46,7 @@ def blind_spots(scene: Scene, seen_share: Float[np.ndarray, " L"]) -> tuple[Blin
     grid = scene.voxels
     if len(seen_share) != len(grid.columns):
         return ()
-    levels = np.ones((len(grid.columns), grid.level_count), bool)
-    if scene.inside_statics is not None:
-        levels = ~np.asarray(scene.inside_statics)
-    there = levels.sum(1) * grid.column_weight
+    there = scene.voxel_weight.reshape(-1, grid.level_count).sum(1)
     unseen = np.clip(1.0 - np.asarray(seen_share, float), 0.0, 1.0)
     lost = there * unseen
     total = max(float(lost.sum()), 1e-12)

@@ -261,9 +261,7 @@ def test_recordings_show_the_mesh_itself(twin, tmp_path):
     inspe_jax.save_scene(scene, tmp_path / "twin.npz")
     again = inspe_jax.load_scene(tmp_path / "twin.npz")
     for one in (scene, again):
-        world = build_static_world(
-            one.intersection, RADIUS, np.zeros((0, 4)), one.statics, one.terrain
-        )
+        world = build_static_world(one.intersection, RADIUS, np.zeros((0, 4)), one.statics)
         shown = world.triangles[world.material == SURVEYED] + one.intersection.center
         crown = faces()[len(ground_faces()) + 24 :][:1280]
         assert {tuple(c) for c in crown.mean(1).round(2)} <= {
@@ -274,7 +272,7 @@ def test_recordings_show_the_mesh_itself(twin, tmp_path):
         assert colour == pytest.approx(
             np.tile((np.array([180, 90, 60]) / 255) ** 2.2, (len(colour), 1)), abs=0.02
         )
-    bare = build_static_world(found, RADIUS, np.zeros((0, 4)), (), None)
+    bare = build_static_world(found, RADIUS, np.zeros((0, 4)))
     assert not (bare.material == SURVEYED).any()
 
 

@@ -251,7 +251,7 @@ def test_recordings_have_the_same_ground():
 
     scene = hills(center=(1873.2, -951.7, 41.0))
     place, radius = scene.intersection, scene.voxels.radius
-    world = build_static_world(place, radius, np.zeros((0, 4)), (), scene.terrain)
+    world = build_static_world(place, radius, np.zeros((0, 4)))
     recorded = world.triangles[world.material == GROUND] + place.center
     own = scene.terrain.points[scene.terrain.faces]
     middle, corner = recorded.mean(1)[:, :2], scene.terrain.corner

@@ -26,7 +26,7 @@ from inspe_jax.core.files import check_input
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import Shape, with_bodies
 from inspe_jax.scene.mesh import LOW, Mesh
-from inspe_jax.scene.terrain import MARGIN, between, lattice
+from inspe_jax.scene.terrain import MARGIN, laid_on
 
 SUFFIXES = (".glb", ".gltf", ".ply", ".obj")
 Y_UP = (".glb", ".gltf")
@@ -72,9 +72,8 @@ def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) 
     world = mesh.world
     cell, z = grid.surfaces(world)
     ground = _ground(place, grid, cell, z, path)
-    _, at = lattice(place.center, radius)
     notes = list(place.notes)
-    stood = place.standing_on(np.column_stack([at, between(ground, at)]))
+    stood = laid_on(place, ground, radius)
     shapes = list(_shapes(stood, grid, world, cell, z))
     if len(shapes) > MOST_SOLIDS:
         raise InspeError(
@@ -206,8 +205,7 @@ class _Grid:
         ends = triangles[steep][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
         parts = np.maximum(np.ceil(2 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / CELL), 1)
         number = np.minimum(parts, 2 * self.side).astype(int) + 1
-        which = np.repeat(np.arange(len(number)), number)
-        nth = np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
+        which, nth = _repeated(number)
         share = (nth / (number[which] - 1))[:, None]
         points = ends[which, 0] * (1 - share) + ends[which, 1] * share
         # A wall on the line between two cells belongs to both.
@@ -226,8 +224,7 @@ class _Grid:
         number: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """The cells whose middle a triangle covers, and its height there."""
-        which = np.repeat(np.arange(len(number)), number)
-        nth = np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
+        which, nth = _repeated(number)
         i = first[which, 0] + nth // np.maximum(count[which, 1], 1)
         j = first[which, 1] + nth % np.maximum(count[which, 1], 1)
         (ax, ay), (bx, by), (cx, cy) = (at[which, k].T for k in range(3))
@@ -240,6 +237,14 @@ class _Grid:
         za, zb, zc = (z[which, k] for k in range(3))
         height = za + v * (zb - za) + w * (zc - za)
         return (i * self.side + j)[inside], height[inside]
+
+
+def _repeated(
+    number: Int[np.ndarray, " F"],
+) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+    """Each row as often as its ``number`` says: which row it is, and the how manieth of its own."""
+    which = np.repeat(np.arange(len(number)), number)
+    return which, np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
 
 
 def _ground(

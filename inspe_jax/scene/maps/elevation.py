@@ -19,7 +19,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.georeference import from_wgs84
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.terrain import HIGHEST, LOWEST, between, lattice
+from inspe_jax.scene.terrain import HIGHEST, LOWEST, laid_on, lattice
 
 MOST = 4096
 """Most cells a side that are read of a model around one place, or that one block of it has."""
@@ -59,11 +59,9 @@ def with_elevation(
             f"{path}: has heights for {share:.0%} of the ground within {radius:g} m of "
             f"{place.name}; take a model that covers it, or a smaller radius"
         )
-    points = np.column_stack([at, heights])[known]
-    if not known.all():  # beyond the radius, the nearest height
-        points = np.column_stack([at, between(points, at)])
     notes = (*place.notes, f"heights of the ground from {Path(path).name}")
-    return replace(place.standing_on(points), notes=notes)
+    # Beyond the radius some may be missing.
+    return replace(laid_on(place, np.column_stack([at, heights])[known], radius), notes=notes)
 
 
 def _heights(

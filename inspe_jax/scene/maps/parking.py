@@ -16,10 +16,11 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.lines import arc_of
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, upright_box
-from inspe_jax.scene.street import PARKED
+from inspe_jax.scene.street import PARKED, parked_size
 
 OCCUPIED = 0.85
 """Share of places that are taken: what cities manage parking for, since at more than this drivers
@@ -46,7 +47,7 @@ def parked_vehicles(
     disc = shapely.Point(place.center[:2]).buffer(reach)
     found: list[StaticBody] = []
     for at, yaw, size, allowed in (*_along(lanes), *_on(spaces)):
-        taken, turned, first = rng.uniform(), rng.uniform() < 0.5, _size(rng)
+        taken, turned, first = rng.uniform(), rng.uniform() < 0.5, parked_size(rng)
         if taken > OCCUPIED:
             continue
         fits = [s for s in (first, *(s for _, s in PARKED)) if (np.array(s[:2]) <= size).all()]
@@ -87,7 +88,7 @@ def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
     """The places of parking lanes."""
     for lane in lanes:
         line = lane.center[:, :2]
-        arc = np.concatenate([[0.0], np.hypot(*np.diff(line, axis=0).T).cumsum()])
+        arc = arc_of(line)
         wide = np.hypot(*(lane.left - lane.right).T)
         across = float(np.median(wide)) > DEEP
         pitch = ABREAST if across else PARALLEL
@@ -114,8 +115,3 @@ def _on(spaces: Iterable[BaseGeometry]) -> Iterator[Spot]:
         along = sides[int(np.argmax(length))]
         size = np.sort(length)[::-1] - 2 * MARGIN
         yield np.array(around.centroid.coords[0]), float(np.arctan2(*along[::-1])), size, space
-
-
-def _size(rng: np.random.Generator) -> tuple[float, float, float]:
-    shares = np.array([share for share, _ in PARKED])
-    return PARKED[int(rng.choice(len(PARKED), p=shares / shares.sum()))][1]

@@ -239,12 +239,11 @@ def _snapshot(
         [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
     )
     size = 2 * box[:, 3:]
-    ground = intersection.ground(middle) if len(middle) else np.zeros(0)
+    ground = intersection.ground(middle)
     foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
     center = np.column_stack([middle, ground + size[:, 2] / 2])
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
     track = np.array(who, np.int32)
-    level = intersection.level(middle) if len(middle) else np.zeros(0)
-    here = np.abs(foot - level) <= CLEARANCE
+    here = np.abs(foot - intersection.level(middle)) <= CLEARANCE
     everybody = Snapshot(*(part[here] for part in (center, yaw, size, kind, track, speed)))
     return everybody.within(intersection.center, radius)

@@ -52,7 +52,7 @@ class EmbeddedRecorder:
         parked, statics = parked_vehicles(scene)
         self.parked = tuple(replace(b, parked=True) for b in boxes_of(parked, appearance_seed))
         self.static_world = build_static_world(
-            scene.intersection, scene.voxels.radius, _masts(layout, poses), statics, scene.terrain
+            scene.intersection, scene.voxels.radius, _masts(layout, poses), statics
         )
         self.static_caster = Caster(self.static_world.triangles)
         shading = Shading(conditions, self.static_world.poles - self.static_world.center)

@@ -23,7 +23,7 @@ from inspe_jax.scene.maps.bodies import OVER_LANES, OVER_PATHS, Ways
 from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
-from inspe_jax.scene.terrain import MARGIN, Terrain
+from inspe_jax.scene.terrain import MARGIN, lattice_faces
 from inspe_jax.simulation.embedded.materials import (
     BUILDING,
     CROWN,
@@ -77,14 +77,13 @@ def build_static_world(
     radius: float,
     masts: Float[np.ndarray, "U 4"],
     bodies: Sequence[StaticBody] = (),
-    terrain: Terrain | None = None,
 ) -> StaticWorld:
     """The static world of an intersection, out to :data:`HORIZON`.
 
     ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
-    over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene, and
-    ``terrain`` is its ground if that hides something: then the same triangles lie here.
-    Other buildings and trees stand at random places, which depend only on the intersection's name
+    over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene.
+    Where its ground hides something, the place's ground points are those of its surface, and so the
+    same triangles lie here. Other buildings and trees stand at random places, which depend only on the intersection's name
     and on where bodies leave room.
     """
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
@@ -100,7 +99,7 @@ def build_static_world(
     posts = np.array([*masts, *feet], float).reshape(-1, 4)
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
     parts: list[tuple[np.ndarray, int, int]] = [
-        (_ground(intersection, radius, terrain), GROUND, 0),
+        (_ground(intersection, radius), GROUND, 0),
         *((ring, KERB, 0) for ring in (_kerbs(intersection) if mesh is None else ())),
         *((_tube(p[:3], POLE_RADIUS, p[3]), POLE, 0) for p in posts),
     ]
@@ -163,9 +162,7 @@ def _surveyed(
     return triangles[shown], (mesh.colour[shown] / 255.0) ** SRGB
 
 
-def _ground(
-    intersection: Intersection, radius: float, terrain: Terrain | None
-) -> Float[np.ndarray, "F 3 3"]:
+def _ground(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 3 3"]:
     """The ground as a grid of 1 m on the map and coarser beyond; two triangles if it is flat."""
     center = intersection.center
     heights = intersection.ground_points[:, 2]
@@ -177,14 +174,7 @@ def _ground(
         lines = np.concatenate([-far[::-1], near, far])
     x, y = np.meshgrid(center[0] + lines, center[1] + lines, indexing="ij")
     z = intersection.ground(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
-    if terrain is not None:
-        inner = slice(len(far), len(far) + len(near))
-        z[inner, inner] = terrain.heights
-    at = np.stack([x, y, z], -1)
-    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
-    return np.concatenate(
-        [np.stack([a, b, c], 2).reshape(-1, 3, 3), np.stack([a, c, d], 2).reshape(-1, 3, 3)]
-    )
+    return np.stack([x, y, z], -1).reshape(-1, 3)[lattice_faces(*x.shape)]
 
 
 def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:

@@ -21,8 +21,7 @@ from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, 
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, TREE_BASE
 from inspe_jax.scene.statics import LEAFY, octagon
-from inspe_jax.scene.terrain import HIGHEST as HIGHEST_LAND
-from inspe_jax.scene.terrain import LOWEST
+from inspe_jax.scene.terrain import HIGHEST, LOWEST
 
 BEYOND = 200.0
 """Nodes are read this far beyond the reach [m]: outlines that go farther are cut there."""
@@ -78,7 +77,7 @@ def _elevation(text: str) -> float | None:
         height = float(text.removesuffix("m"))
     except ValueError:
         return None
-    return height if LOWEST < height < HIGHEST_LAND else None
+    return height if LOWEST < height < HIGHEST else None
 
 
 class _Reader:

@@ -43,7 +43,7 @@ from inspe_jax.scene.maps.parts import (
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, load_net
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.terrain import between, lattice
+from inspe_jax.scene.terrain import laid_on
 
 NEAR_SPOTS = 20.0
 """Spot heights count as around a place if no road is so far out of their hull [m]."""
@@ -202,9 +202,8 @@ def _on_heights(
     if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
         notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
         return place
-    _, at = lattice(place.center, radius)
     notes.append(f"heights of the ground between {len(spots)} points of the map with a height")
-    return place.standing_on(np.column_stack([at, between(spots, at)]))
+    return laid_on(place, spots, radius)
 
 
 def _middle(streets: Streets, name: str) -> np.ndarray:

@@ -257,9 +257,8 @@ class _SumoRuns:
         heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
         speed = np.array([float(one["speed"]) for one in moment])
         middle = at[:, :2] - heading * size[:, :1] / 2
-        ground = self.intersection.ground(middle) if len(middle) else np.zeros(0)
-        level = self.intersection.level(middle) if len(middle) else np.zeros(0)
-        here = ~(np.abs(at[:, 2] - level) > CLEARANCE)
+        ground = self.intersection.ground(middle)
+        here = ~(np.abs(at[:, 2] - self.intersection.level(middle)) > CLEARANCE)
         center = np.column_stack([middle, ground + size[:, 2] / 2])
         velocity = np.column_stack([heading * speed[:, None], np.zeros(len(speed))])
         parts = (center, yaw, size, kind, track, velocity)

@@ -38,7 +38,7 @@ FORMAT = "inspe_jax scene 2"
 WITH_STATICS = "inspe_jax scene 3"
 """The format of scenes with static bodies, which earlier versions would leave out in silence."""
 WITH_TERRAIN = "inspe_jax scene 4"
-"""And of scenes whose ground hides what is behind it."""
+"""And of scenes whose ground hides what is behind it, or that have a mesh."""
 OF_MAP = "map_bodies"
 """How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
@@ -294,7 +294,7 @@ _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 def _format(scene: Scene) -> str:
     """The oldest format that holds all of a scene."""
-    if scene.terrain is not None:
+    if scene.terrain is not None or scene.intersection.mesh is not None:
         return WITH_TERRAIN
     return WITH_STATICS if scene.statics else FORMAT
 

@@ -83,8 +83,8 @@ def build_static_world(
     ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
     over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene.
     Where its ground hides something, the place's ground points are those of its surface, and so the
-    same triangles lie here. Other buildings and trees stand at random places, which depend only on the intersection's name
-    and on where bodies leave room.
+    same triangles lie here. Other buildings and trees stand at random places, which depend only on
+    the intersection's name and on where bodies leave room.
     """
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     center = np.asarray(intersection.center, float)

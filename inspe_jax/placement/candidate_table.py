@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.placement.candidates import (
-    COLUMNS,
     FRAMES,
     coordinates,
     lattice,
@@ -19,7 +18,7 @@ from inspe_jax.placement.sample_score import Rows, SampleScore, times
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
-"""Heights and yaws of candidates at each foot."""
+"""Heights and yaws of candidates at each foot; twice the heights where all yaws are one."""
 CHUNK = 128
 """Number of candidates in one step."""
 Picks = dict[int, int]
@@ -58,10 +57,15 @@ class Table:
     kinds: list[CandidateKind]
 
     @classmethod
-    def of(cls, problem: Problem, rng: np.random.Generator, first: bool = True) -> "Table":
-        """Feet × heights × yaws × pitches; shifted at random by up to a step if not ``first``."""
+    def of(
+        cls, problem: Problem, rng: np.random.Generator, columns: int, first: bool = True
+    ) -> "Table":
+        """Feet × heights × yaws × pitches, on a sample of so many columns.
+
+        The candidates are shifted at random by up to a step if not ``first``.
+        """
         space, layout = problem.space, problem.layout
-        tally = SampleScore(problem, problem.sample(rng, COLUMNS, FRAMES))
+        tally = SampleScore(problem, problem.sample(rng, columns, FRAMES))
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)

@@ -17,7 +17,7 @@ from mounts import assert_mountable, lanes_of
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.numerics import Softness
 from inspe_jax.placement.candidates import poses
-from inspe_jax.placement.methods import greedy_adam
+from inspe_jax.placement.methods import greedy, greedy_adam
 from inspe_jax.placement.methods.adam import annealed, charted_score
 from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.methods.projected_gradient import scaled_score
@@ -312,7 +312,7 @@ def test_one_burst_a_pass_where_they_gain_nothing(small):
 def test_where_no_sensor_is_aimed_it_is_greedy(small):
     """Score by score; and no gradient is compiled."""
     problem = Problem(small, strategy(small, "L-c"))
-    assert not greedy_adam.aimed(problem)
+    assert not greedy.aimed(problem)
     assert greedy_adam.GRADIENT not in METHODS["greedy-adam"].ahead(
         Run(problem, problem.space.start(problem.layout)[0], seconds=1e6)
     )

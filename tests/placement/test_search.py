@@ -172,8 +172,9 @@ def start(problem):
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
     """Small samples and few candidates, so that a test takes a second."""
-    for module in (cma_es, grid, random_layouts, greedy, tables):
+    for module in (cma_es, grid, random_layouts, greedy):
         monkeypatch.setattr(module, "COLUMNS", 96)
+    for module in (cma_es, grid, random_layouts, greedy, tables):
         monkeypatch.setattr(module, "FRAMES", 3)
     monkeypatch.setattr(tables, "HEIGHTS", 2)
     monkeypatch.setattr(tables, "YAWS", 4)
@@ -449,7 +450,7 @@ def held():
 
 def whole_table(problem, held, name):
     if name not in held:
-        made = tables.Table.of(problem, np.random.default_rng(0))
+        made = tables.Table.of(problem, np.random.default_rng(0), 96)
         for part in range(len(made.parts)):
             made.look(part)
         held[name] = made
@@ -587,7 +588,7 @@ def test_finer_moves_are_of_one_unit_and_never_for_the_worse(table, problem, sta
     rows = {s: tally.view(problem, s, stand[s][None])[0] for s in range(5)}
     x, moved = start, 0
     for k in range(6):
-        new, seen = greedy.finer(problem, tally, x, rows, 1, 0.5, np.random.default_rng(k))
+        new, seen = greedy.finer(problem, tally, x, rows, 1, 0.5, np.random.default_rng(k), 64)
         assert tally.value(seen) >= tally.value(rows)
         a, b = (candidates.poses(space, row[None])[0] for row in (x, new))
         assert np.allclose(a[[0, 1, 4]], b[[0, 1, 4]], atol=1e-5)

@@ -25,6 +25,10 @@ TRIES = 64
 """Finer moves tried for a unit in one step."""
 WIDTH, NARROW = 1.0, 0.02
 """Finer moves, in typical steps: the first ones, and those at which a round ends."""
+LEVEL_COLUMNS, LEVEL_TRIES, LEVEL_NARROW = 2, 0.5, 5.0
+"""Where no sensor is aimed: factors on the columns of a sample, on :data:`TRIES` and on
+:data:`NARROW`. There a view of twice the columns costs an eighth more, and a round is soon over:
+how it ends depends more on where it began than on how long it goes on."""
 FINER = 0.6
 """What the width shrinks by where less than half of the units moved, or it was for nothing."""
 PASSES = 3
@@ -41,6 +45,28 @@ VIEWS = "views"
 """What is compiled ahead."""
 
 _LEAST = 1e-6  # a gain smaller than this is rounding
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The columns of a sample, the moves tried for a unit at once, and the width of the moves, in
+    typical steps, at which a round ends."""
+
+    columns: int
+    tries: int
+    narrow: float
+
+
+def aimed(problem: Problem) -> bool:
+    """Whether some sensor is aimed, as cameras are."""
+    return any(sensor.spec.aimed for sensor in problem.layout.sensors)
+
+
+def effort(problem: Problem) -> Effort:
+    """What a problem's sensors need."""
+    if aimed(problem):
+        return Effort(COLUMNS, TRIES, NARROW)
+    return Effort(LEVEL_COLUMNS * COLUMNS, round(LEVEL_TRIES * TRIES), LEVEL_NARROW * NARROW)
 
 
 # ── Greedy, lazily ──────────────────────────────────────────────────────────
@@ -163,7 +189,7 @@ def finer(
     u: int,
     width: float,
     rng: np.random.Generator,
-    tries: int = TRIES,
+    tries: int,
 ) -> tuple[Float[np.ndarray, " N"], dict[int, Rows]]:
     """The best of so many random moves of one unit and its sensors, if it is better.
 
@@ -288,7 +314,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     _ = problem.arrays  # here: two threads would each make them
 
     def look() -> bool:
-        table = Table.of(problem, run.rng(0, 0))
+        table = Table.of(problem, run.rng(0, 0), effort(problem).columns)
         for part in range(sum(kind.parts > 0 for kind in table.kinds)):
             table.look(part)
         problem.known.add(VIEWS)
@@ -309,7 +335,8 @@ def _table(run: Run, number: int, looked: int | None = None) -> Table:
         looked = len(table.parts) if looked is None else looked
         if sum(len(kind.rows) for kind in table.kinds) == looked:
             return table
-    table = Table.of(run.problem, run.rng(0, number), first=number == 0)
+    columns = effort(run.problem).columns
+    table = Table.of(run.problem, run.rng(0, number), columns, first=number == 0)
     for part in range(len(table.parts) if looked is None else looked):
         table.look(part)
     _tables[run] = number, table
@@ -375,17 +402,17 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
 
 
 def _move(run: Run, state: Moving) -> Moving | Placing:
-    problem, u = run.problem, state.unit
+    problem, u, wanted = run.problem, state.unit, effort(run.problem)
     x, key = state.now, (state.round, state.passes, u)
     held = _passes.pop(run, None)
     if held is not None and held[0] == key:
         _, tally, rows = held
     else:
-        tally = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), COLUMNS, FRAMES))
+        tally = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES))
         rows = sights(problem, tally, x, range(len(problem.layout)))
-    tried = TRIES * len(problem.layout.members()[u])
-    charge(run, tally, (u == 0) * len(rows) + MOVE_COST * tried)
-    new, rows = finer(problem, tally, x, rows, u, state.width, run.rng(2, *key))
+    views = wanted.tries * len(problem.layout.members()[u])
+    charge(run, tally, (u == 0) * len(rows) + MOVE_COST * views)
+    new, rows = finer(problem, tally, x, rows, u, state.width, run.rng(2, *key), wanted.tries)
     _passes[run] = (*key[:2], u + 1), tally, rows
     moved = state.moved + (new is not x)
     state = replace(state, now=new, moved=moved, unit=u + 1)
@@ -400,7 +427,7 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
         state = replace(state, x=new, value=value)
     narrower = not better or 2 * moved < units * PASSES
     width = state.width * (FINER if narrower else 1.0)
-    if width < NARROW:
+    if width < wanted.narrow:
         return Placing(state.round + 1)
     return replace(state, now=state.x, moved=0, width=width)
 

@@ -21,7 +21,6 @@ from inspe_jax.placement.methods.adam import advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge, finer, sights
 from inspe_jax.placement.methods.states import KEY, method_of
-from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 
@@ -103,11 +102,6 @@ def ahead(run: Run) -> dict[str, CompileJob]:
         return True
 
     return jobs | {GRADIENT: gradient}
-
-
-def aimed(problem: Problem) -> bool:
-    """Whether some sensor is aimed, so that gradients are of use."""
-    return any(sensor.spec.aimed for sensor in problem.layout.sensors)
 
 
 State = Placing | greedy.Exchanging | greedy.Moving | Improving
@@ -232,7 +226,7 @@ def _for(run: Run) -> Method:
     weights = run.problem.objective.weights_by_name
     if any(weight for name, weight in weights.items() if name not in PAPER):
         return CMA_ES
-    return _AIMED if aimed(run.problem) else greedy.GREEDY
+    return _AIMED if greedy.aimed(run.problem) else greedy.GREEDY
 
 
 GREEDY_ADAM = replace(

@@ -168,10 +168,11 @@ def _steps(
     """Heights, yaws and pitches of a sensor's candidates within its limits."""
     sensor = problem.layout.sensors[s]
     low, high = heights
-    height = low + (high - low) * (np.arange(HEIGHTS) + shift[0]) / HEIGHTS
     sector = problem.space.constraints.yaw.get(sensor.name)
     # All directions of a LiDAR that looks all round are one.
-    yaws = 1 if sensor.spec.grid.wraps and sector is None else YAWS
+    around = sensor.spec.grid.wraps and sector is None
+    levels, yaws = (2 * HEIGHTS, 1) if around else (HEIGHTS, YAWS)
+    height = low + (high - low) * (np.arange(levels) + shift[0]) / levels
     begin, end = sector or (0.0, 2 * np.pi)
     yaw = begin + (end - begin) * (np.arange(yaws) + shift[1]) / yaws
     down = np.radians(np.array(sensor.spec.candidate_pitches_deg) + 10 * (shift[2] - 0.5))

@@ -18,7 +18,7 @@ from inspe_jax.placement.sample_score import Rows, SampleScore, times
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
-"""Heights and yaws of candidates at each foot; twice the heights where all yaws are one."""
+"""Usual number of heights, and that of yaws, of candidates at each foot."""
 CHUNK = 128
 """Number of candidates in one step."""
 Picks = dict[int, int]
@@ -58,9 +58,14 @@ class Table:
 
     @classmethod
     def of(
-        cls, problem: Problem, rng: np.random.Generator, columns: int, first: bool = True
+        cls,
+        problem: Problem,
+        rng: np.random.Generator,
+        columns: int,
+        heights: int,
+        first: bool = True,
     ) -> "Table":
-        """Feet × heights × yaws × pitches, on a sample of so many columns.
+        """Feet × so many heights × yaws × pitches, on a sample of so many columns.
 
         The candidates are shifted at random by up to a step if not ``first``.
         """
@@ -69,18 +74,18 @@ class Table:
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
-        heights, pitches = limits(space, space.start(layout)[0])
+        reach, pitches = limits(space, space.start(layout)[0])
         groups: dict[object, list[int]] = {}
         for s, sensor in enumerate(layout.sensors):
             grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
             sector = space.constraints.yaw.get(sensor.name)
-            key = (grids, sector, *heights[s].round(3), *pitches[s].round(3))
+            key = (grids, sector, *reach[s].round(3), *pitches[s].round(3))
             groups.setdefault(key, []).append(s)
         kinds = []
         for sensors in groups.values():
             s = sensors[0]
             at = np.flatnonzero(stand[[layout.sensors[t].unit for t in sensors]].any(0))
-            steps = _steps(problem, s, heights[s], pitches[s], shift)
+            steps = _steps(problem, s, reach[s], heights, pitches[s], shift)
             product = np.meshgrid(at, *steps, indexing="ij")
             # In random order, so that the first chunk is a sample of all.
             order = rng.permutation(product[0].size)
@@ -161,18 +166,18 @@ class Table:
 def _steps(
     problem: Problem,
     s: int,
-    heights: Float[np.ndarray, "2"],
+    reach: Float[np.ndarray, "2"],
+    heights: int,
     pitches: Float[np.ndarray, "2"],
     shift: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, " h"], Float[np.ndarray, " y"], Float[np.ndarray, " p"]]:
-    """Heights, yaws and pitches of a sensor's candidates within its limits."""
+    """Heights, yaws and pitches of a sensor's candidates, between its lowest and highest."""
     sensor = problem.layout.sensors[s]
-    low, high = heights
+    low, high = reach
     sector = problem.space.constraints.yaw.get(sensor.name)
     # All directions of a LiDAR that looks all round are one.
-    around = sensor.spec.grid.wraps and sector is None
-    levels, yaws = (2 * HEIGHTS, 1) if around else (HEIGHTS, YAWS)
-    height = low + (high - low) * (np.arange(levels) + shift[0]) / levels
+    yaws = 1 if sensor.spec.grid.wraps and sector is None else YAWS
+    height = low + (high - low) * (np.arange(heights) + shift[0]) / heights
     begin, end = sector or (0.0, 2 * np.pi)
     yaw = begin + (end - begin) * (np.arange(yaws) + shift[1]) / yaws
     down = np.radians(np.array(sensor.spec.candidate_pitches_deg) + 10 * (shift[2] - 0.5))

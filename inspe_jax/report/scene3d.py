@@ -5,13 +5,14 @@ graphics cards work in single precision.
 """
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import shapely
 import viser
 from jaxtyping import Float, Int
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from scipy.spatial.transform import Rotation
 
 from inspe_jax.core.geometry import rotation
@@ -35,10 +36,12 @@ GROUND_COLORS: dict[Region, str] = dict(
 USER_COLOR = "#fafafa"
 BROKEN_COLOR = "#ff1744"
 """Colour of sensors that break a rule of mounting; their number has a ! beside it, too."""
-OPACITY = {Visibility.OUT_OF_VIEW: 0.45, Visibility.HIDDEN: 0.6, Visibility.SEEN: 0.12}
-"""Opacity of voxels, by kind."""
+OPACITY = 0.6
+"""Opacity of hidden voxels."""
+TINTS = {Visibility.OUT_OF_VIEW: 0.75, Visibility.SEEN: 0.45}
+"""Share of a kind's own colour in the ground below columns of voxels that are mostly of it."""
 FAINT = 0.3
-"""Factor on the opacity of voxels that are out of date."""
+"""Factor on the opacity, and on that share, for voxels that are out of date."""
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from a camera's optical frame to the sensor body frame: its right, down and forward
 axes are −y, −z and x."""
@@ -50,6 +53,8 @@ ABOVE = 0.8
 """Height of numbers above a unit's highest sensor [m]."""
 CROWN = 0.5
 """Opacity of the crowns of trees."""
+THIN, WIDE = 0.12, 0.4
+"""Width of the outlines of what sensors look at, and of that of the selected one [m]."""
 LIFT = 0.05
 """Height of lines above the ground [m]."""
 
@@ -70,6 +75,7 @@ class Scene3D:
         self.drawn: dict[str, Any] = {}
         self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
         self._at: dict[int, Float[np.ndarray, 6]] = {}  # their poses
+        self._sight: tuple[np.ndarray, bool] | None = None  # of the voxels that are drawn
         self._units = 0  # number of units that have a label
         api.set_up_direction("+z")
         api.configure_environment_map(None)
@@ -113,27 +119,54 @@ class Scene3D:
     def draw_voxels(
         self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility], *, faint: bool = False
     ) -> None:
-        """Draw the voxels of the kinds ``shown``, in the colour of their kind.
+        """Draw the voxels of the kinds ``shown``: hidden ones as boxes, others as tints of the
+        ground.
 
-        ``sight`` is the :class:`Visibility` of each voxel in a frame. With ``faint`` they are
-        nearly transparent, for voxels of a layout that has changed since.
+        ``sight`` is the :class:`Visibility` of each voxel in a frame. A column has the tint of the
+        kind that most of its voxels are of, so that no tint lies on another one, and none hides a
+        box. With ``faint`` all are nearly transparent, for a layout that has changed since.
         """
-        grid = self.scene.voxels
-        by_column, wanted = np.asarray(sight).reshape(-1, grid.level_count), set(shown)
-        free = free_of_bodies(self.scene)
-        for kind, opacity in OPACITY.items():
-            name, own = f"voxels/{kind.name.lower().replace('_', ' ')}", (by_column == kind) & free
-            if kind not in wanted or not own.any():
-                self._forget(name)
+        wanted, prefixes = set(shown), {kind: f"voxels/{_words(kind)}" for kind in Visibility}
+        same = self._sight is not None and self._sight[0] is sight and self._sight[1] == faint
+        self._sight = sight, faint
+        for kind, prefix in prefixes.items():
+            before = [name for name in self.drawn if name.startswith(prefix)]
+            if same and before:
+                for name in before:
+                    self.drawn[name].visible = kind in wanted
                 continue
-            column, low, high = runs(own)
+            new = self._draw_kind(kind, sight, faint) if kind in wanted else set[str]()
+            for name in before:
+                if name not in new:
+                    self._forget(name)
+
+    def _draw_kind(self, kind: Visibility, sight: Int[np.ndarray, " V"], faint: bool) -> set[str]:
+        """Draw the voxels of one kind; returns the names of what is drawn."""
+        grid, fading, name = self.scene.voxels, FAINT if faint else 1.0, f"voxels/{_words(kind)}"
+        kinds = np.where(
+            free_of_bodies(self.scene), np.asarray(sight).reshape(-1, grid.level_count), -1
+        )
+        if kind == Visibility.HIDDEN:
+            column, low, high = runs(kinds == kind)
+            if not len(column):
+                return set()
             foot = grid.ground[column] + grid.spacing * low
             tall = grid.spacing * (high - low)
             center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
             wide = np.full(len(column), 0.94 * grid.spacing)
             size = np.column_stack([wide, wide, tall])
-            opacity = FAINT * opacity if faint else opacity
-            self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=opacity)
+            self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=fading * OPACITY)
+            return {name}
+        counts = np.stack([(kinds == other).sum(1) for other in Visibility])
+        mostly = (counts.argmax(0) == kind) & (counts[kind] > 0)
+        drawn = set[str]()
+        for region, ground in GROUND_COLORS.items():
+            own = mostly & (grid.region == region)
+            if kind in TINTS and own.any():
+                color = mixed(ground, SIGHT_COLORS[kind], fading * TINTS[kind])
+                self._squares(f"{name}/{region.key}", own, color, LIFT / 2)
+                drawn.add(f"{name}/{region.key}")
+        return drawn
 
     def draw_columns(self, layer: MapLayer | None, *, faint: bool = False) -> None:
         """Draw the columns on the ground in the colours of a layer of kinds; None draws none.
@@ -177,6 +210,11 @@ class Scene3D:
         self._number(layout, poses, wrong)
         return new
 
+    def highlight(self, selected: int) -> None:
+        """Draw the outline of what one sensor looks at wider than those of the others."""
+        for k in self._looks:
+            self.drawn[f"sensors/{k + 1}/view"].thickness = WIDE if k == selected else THIN
+
     def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
         name = f"sensors/{k + 1}"
         body: Any
@@ -195,7 +233,7 @@ class Scene3D:
         self.drawn[f"{name}/device"] = body
         nowhere = np.zeros((1, 2, 3))
         self._lines(f"{name}/pole", nowhere, "#404040", 0.08)
-        self._lines(f"{name}/view", nowhere, color, 0.12)
+        self._lines(f"{name}/view", nowhere, color, THIN)
         return body
 
     def _move_sensor(self, k: int, spec: Spec, pose: Float[np.ndarray, "6"]) -> None:
@@ -237,6 +275,16 @@ class Scene3D:
         if name in self.drawn:
             self.drawn.pop(name).remove()
 
+    @cached_property
+    def _corners(self) -> tuple[Float[np.ndarray, "C 3"], Int[np.ndarray, "L 4"]]:
+        """Corners of columns on the ground, and which of them each column has."""
+        grid = self.scene.voxels
+        index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)
+        corner = index[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]
+        at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
+        points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=0.0)
+        return points, which.reshape(-1, 4)
+
     def _draw_ground(self) -> None:
         """Draw a mesh for each region, with its corners on the ground."""
         grid = self.scene.voxels
@@ -247,15 +295,13 @@ class Scene3D:
         self, name: str, own: np.ndarray, color: str, lift: float, opacity: float | None = None
     ) -> None:
         """Draw the squares of some columns (L,) so high above the ground [m], as one mesh."""
-        grid = self.scene.voxels
-        index = np.round((grid.columns - grid.center[:2]) / grid.spacing - 0.5).astype(int)[own]
-        if not len(index):
+        if not own.any():
             return
-        corner = index[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]  # (l, 4, 2)
-        at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
-        points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=lift)
+        points, corners = self._corners
+        used, which = np.unique(corners[own], return_inverse=True)
         square = which.reshape(-1, 4)
         faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
+        points = points[used] + [0.0, 0.0, lift]
         self.drawn[name] = self.api.add_mesh_simple(
             name, points.astype(np.float32), faces.astype(np.uint32), color=rgb(color),
             side="double", cast_shadow=False, opacity=opacity,
@@ -328,6 +374,17 @@ def runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
     """The segments of a line, each by its two ends."""
     return np.stack([line[:-1], line[1:]], 1)
+
+
+def _words(kind: Visibility) -> str:
+    return kind.name.lower().replace("_", " ")
+
+
+def mixed(one: str, other: str, share: float) -> str:
+    """A colour between two, with so much of the other, from 0 to 1."""
+    pairs = zip(to_rgb(one), to_rgb(other), strict=True)
+    red, green, blue = ((1.0 - share) * a + share * b for a, b in pairs)
+    return to_hex((red, green, blue))
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -6,7 +6,9 @@ content: the map on the left, a panel for the legend on the right, a heading abo
 
 import os
 import textwrap
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,7 @@ HEAD, FOOT, NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
 SIDE, SIDE_LEFT, SIDE_GAP = 3.10, 0.48, 0.30  # of two maps, before the first, between them [inch]
 ROW_GAP = 0.45  # between two rows of maps [inch]
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
+_DRAWING = threading.RLock()
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
 
@@ -52,9 +55,14 @@ def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
         fig.savefig(f, format=suffix[1:], dpi=300, metadata=FORMATS[suffix])
 
 
-def house_style() -> Any:
-    """Matplotlib's defaults with :data:`STYLE`, whatever the user's own settings are."""
-    return style.context(["default", STYLE])
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Matplotlib's defaults with :data:`STYLE`, whatever the user's own settings are.
+
+    One thread draws at a time, since settings are those of the whole process.
+    """
+    with _DRAWING, style.context(["default", STYLE]):
+        yield
 
 
 def sheet(

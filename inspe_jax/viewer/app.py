@@ -18,8 +18,8 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
-from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.display import Display
+from inspe_jax.sensing.layout import Layout, layout_text
+from inspe_jax.viewer.display import Display, send
 from inspe_jax.viewer.handle import Handle, HandleDrag
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import POSE, Panel, set_value
@@ -77,10 +77,7 @@ class Viewer:
         self.server = serve(self.access, port)
         self.port = self.server.get_port()
         self.url, *self.other_urls = self.access.urls(self.port)
-        plain: Any = dict(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
-        self.server.gui.configure_theme(**plain)
         self.server.gui.set_panel_label(f"{layout.name} at {case.scene.name}")
-        self.server.gui.main_panel.dock_right()
         self.panel = Panel(self.server.gui, self, self.frames)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self._click)
         self.scene3d = self.display.scene3d
@@ -149,7 +146,7 @@ class Viewer:
 
         def job() -> None:
             if not {"Undo": self.session.undo, "Redo": self.session.redo}[which]():
-                self._notify(which, f"there is nothing more to {which.lower()}", None)
+                self.display.notify(which, f"there is nothing more to {which.lower()}", None)
 
         self._change(job)
 
@@ -251,7 +248,7 @@ class Viewer:
     def _save(self, path: Path | None) -> None:
         self.store.save(self.layout, path)
         self._show_file()
-        self._notify("Saved", str(self.store.path), "green")
+        self.display.notify("Saved", str(self.store.path), "green")
 
     def open_earlier(self, number: int) -> None:
         """Open a layout that an earlier run has left."""
@@ -260,17 +257,22 @@ class Viewer:
             earlier: EarlierFile = self.store.earlier[number]
             self.session.take(self.store.open(earlier))
             self.panel.withdraw(number)
-            self._notify("Opened", earlier.path.name, None)
+            self.display.notify("Opened", earlier.path.name, None)
 
         self._change(change)
 
-    def write_report(self) -> None:
-        """Write a report beside the layout's file; one at a time."""
+    def download(self, client: Any) -> None:
+        """Send a browser the layout, as it would be saved."""
+        self.queue.submit(lambda: send(client, self.store.path.name, layout_text(self.layout)))
+
+    def write_report(self, client: Any = None) -> None:
+        """Write a report beside the layout's file, and send it to a browser; one at a time."""
 
         def ended(page: Path, wrong: Exception | None) -> None:
             self.panel.report.disabled = self._searching
             if wrong is None:
-                self._notify("Report", f"wrote {page}", "green")
+                self.display.notify("Report", f"wrote {page}", "green")
+                send(client, page.name, page.read_text(encoding="utf-8"))
             else:
                 self._failed(wrong)
 
@@ -278,7 +280,7 @@ class Viewer:
             given = self.case, self.layout, self.weights, self._frame, ended
             if self.store.report(*given, **self.further):
                 self.panel.report.disabled = True
-                self._notify("Report", "drawing …", None)
+                self.display.notify("Report", "drawing …", None)
 
         self._unless_searching(job)
 
@@ -376,11 +378,11 @@ class Viewer:
             self._searching = False
             self.panel.searching(False)
             if ending.layout is None:
-                self._notify("Search", ending.words, "red" if ending.failed else None)
+                self.display.notify("Search", ending.words, "red" if ending.failed else None)
             else:
                 self.session.take(ending.layout, ending.notes)
                 color = "red" if ending.failed else "green" if ending.gain > 0 else None
-                self._notify("Search", f"{ending.gain:+.4f}: {ending.words}", color)
+                self.display.notify("Search", f"{ending.gain:+.4f}: {ending.words}", color)
             self._after_change()
 
         self.queue.submit(job)
@@ -434,15 +436,12 @@ class Viewer:
     def _show_handle(self) -> None:
         pose = np.asarray(self.layout.poses[self._selected], float)
         self.handle.show(pose, self.scene3d.shift, visible=not self._searching)
+        self.scene3d.highlight(self._selected)
 
     def _show_file(self) -> None:
         self.panel.file.content = self.store.words(self.layout)
 
-    def _notify(self, title: str, words: str, color: Any) -> None:
-        for client in self.server.get_clients().values():
-            client.add_notification(title, words, color=color, auto_close_seconds=8.0)
-
     def _failed(self, wrong: Exception) -> None:
         if not isinstance(wrong, InspeError | OSError):
             traceback.print_exception(wrong)
-        self._notify("That failed", str(wrong) or repr(wrong), "red")
+        self.display.notify("That failed", str(wrong) or repr(wrong), "red")

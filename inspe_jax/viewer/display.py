@@ -15,7 +15,9 @@ from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.scene3d import Scene3D, look_from
 from inspe_jax.report.targets import CHANCES, banded
+from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.score_panel import score_panel
@@ -52,12 +54,13 @@ class Display:
         self._frames = case.scene.traffic.frame_count
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
-        self._first: dict[int, float] = {}  # scores of the opened layout, by frames
+        self._first: dict[int, Scores] = {}  # scores of the opened layout, by frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._found: tuple[Layout, str, Float[Any, " L"]] | None = None
         self._drawn_frame, self._faded = -1, False
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
+        self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue)
         self.scene3d = Scene3D(server.scene, case.scene)
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=1.25)
@@ -122,8 +125,10 @@ class Display:
         self.scored, before = scored, self._compiled
         self._compiled = compiled().seconds
         remember_seconds(SCORES, self._compiled - before)
+        if scored.scores is not None and scored.frames == self._frames:
+            self.blind_spots.show(scored.layout, scored.scores)
         if scored.layout is self._opened and scored.scores is not None:
-            self._first[scored.frames] = scored.scores.surrogate
+            self._first[scored.frames] = scored.scores
         self._show_scores()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -131,9 +136,15 @@ class Display:
         self._sight, self._faded = (frame, sight), self._faded and layout is not self.shown
         self.draw_voxels()
 
+    def notify(self, title: str, words: str, color: Any) -> None:
+        """Show every browser a message for a while."""
+        for client in self._server.get_clients().values():
+            client.add_notification(title, words, color=color, auto_close_seconds=8.0)
+
     def close(self) -> None:
-        """Cancel the action that waits."""
+        """Cancel the action that waits, and finish what is being drawn."""
         self._waiting.cancel()
+        self.blind_spots.close()
 
     def _bind(self, s: int, body: Any) -> None:
         @body.on_click
@@ -147,6 +158,7 @@ class Display:
             if self.scored is None or self.scored.layout is not self.shown:
                 if not self._faded:
                     self._faded = True
+                    self.blind_spots.outdated()
                     self.draw_ground()
                 self._show_scores()
                 self._wait()
@@ -173,3 +185,9 @@ class Display:
         if not state.now:
             return "scoring …"
         return waiting_words(state.seconds - self._compiled, usual_seconds(SCORES, SCORES_COMPILE))
+
+
+def send(client: Any, name: str, text: str) -> None:
+    """Offer a browser a file to download; nothing where the browser is None."""
+    if client is not None:
+        client.send_file_download(name, text.encode())

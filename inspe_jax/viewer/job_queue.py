@@ -11,11 +11,14 @@ Action = Callable[[], None]
 
 
 class JobQueue:
-    """Runs actions one after another, in the order in which they were submitted."""
+    """Runs actions one after another, in the order in which they were submitted.
+
+    ``failed`` is told of every exception that an action raises.
+    """
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
         """``failed`` is called on the queue's thread with the exception that an action raised."""
-        self._failed = failed
+        self.failed = failed
         self._newest: dict[Hashable, Action] = {}
         self._lock = threading.Lock()
         self._closed = False
@@ -46,7 +49,7 @@ class JobQueue:
         try:
             action()
         except Exception as e:
-            self._failed(e)
+            self.failed(e)
 
 
 class DelayedAction:

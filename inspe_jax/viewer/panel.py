@@ -39,6 +39,9 @@ class Panel:
     def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int) -> None:
         """``viewer`` has the methods that are bound below; ``frames`` of traffic there are."""
         known = list(devices())
+        plain: Any = dict(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
+        gui.configure_theme(**plain)
+        gui.main_panel.dock_right()
         self._gui, self._viewer = gui, viewer
         self._question: Any = None
         self.offers: list[Any] = []
@@ -61,6 +64,7 @@ class Panel:
             self.stop = gui.add_button("Stop", color="orange", visible=False)
             self.bar = gui.add_progress_bar(0.0, visible=False)
             self.course = gui.add_markdown("", visible=False)
+        self.blind_spots = gui.add_folder("Blind spots", visible=False)
         with gui.add_folder("Traffic"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
@@ -77,7 +81,8 @@ class Panel:
         with gui.add_folder("File"):
             self.file = gui.add_markdown("")
             self.save = gui.add_button("Save layout")
-            self.report = gui.add_button("Write report")
+            self.download = gui.add_button("Download layout", color="gray")
+            self.report = gui.add_button("Write report", hint="And offer it for download here")
 
         self._bind(self.edit, lambda: viewer.undo_or_redo(self.edit.value))
         self._bind(self.sensor, lambda: viewer.select(self.chosen))
@@ -96,12 +101,9 @@ class Panel:
         for box in self.shown.values():
             self._bind(box, viewer.show_voxels)
         self._bind(self.save, viewer.save)
-        self._bind(self.report, viewer.write_report)
-
-        @self.add.on_click
-        async def _(event: Any) -> None:
-            viewer.settle()
-            viewer.add(self.new.value, event.client)
+        self._bind_click(self.add, lambda client: viewer.add(self.new.value, client))
+        self._bind_click(self.download, viewer.download)
+        self._bind_click(self.report, viewer.write_report)
 
     def offer_earlier(self, earlier: Sequence[EarlierFile]) -> None:
         """Offer to open layouts that an earlier run has left."""
@@ -185,6 +187,15 @@ class Panel:
         others = (self.device, self.new, self.add, self.method, self.seconds, self.save)
         for control in (*others, *self.pose.values(), *self.offers, self.report):
             control.disabled = on
+
+    def _bind_click(self, button: Any, ask: Callable[[Any], None]) -> None:
+        """Call ``ask`` with the browser that clicks a button, once typed numbers are applied."""
+
+        @button.on_click
+        async def _(event: Any) -> None:
+            if event.client is not None:
+                self._viewer.settle()
+                ask(event.client)
 
     def _bind(self, control: Any, ask: Callable[[], None], *, settle: bool = True) -> None:
         """Call ``ask`` when a browser uses a control, on the event loop, so that order is kept.

@@ -1,6 +1,7 @@
 """The panel of a layout's scores: bars, cost, and the rules of mounting that it breaks."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
@@ -9,7 +10,8 @@ from inspe_jax.report.layers import SIGHT_COLORS
 from inspe_jax.report.page import template
 from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
 from inspe_jax.report.targets import CHANCES
-from inspe_jax.scoring.metrics import METRICS
+from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scorer import ScoredLayout
@@ -35,7 +37,7 @@ def score_panel(
     scored: ScoredLayout | None,
     *,
     frames: int,
-    opened: float | None = None,
+    opened: Scores | None = None,
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
@@ -46,7 +48,7 @@ def score_panel(
 
     ``scored``: the newest scores, or None. Those of another layout are shown in grey.
     ``frames``: number of frames of the whole traffic.
-    ``opened``: P_sm of the layout that was opened.
+    ``opened``: the scores of the layout that was opened, on the same frames.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.
     ``waiting``: what is being done while the layout has no scores.
@@ -55,11 +57,13 @@ def score_panel(
     """
     scores = None if scored is None else scored.scores
     new = scored if scored is not None and scored.layout is layout else None
-    regions = {} if scores is None else scores.region_coverage
     return _TEMPLATE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
-        change=None if scores is None or opened is None else scores.surrogate - opened,
+        change=""
+        if scores is None or opened is None
+        else _change(scores.surrogate, opened.surrogate),
+        meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,
         faded=faded and new is None,
@@ -67,18 +71,60 @@ def score_panel(
         faults=faults,
         notes=notes,
         broken=BROKEN_COLOR,
-        metrics=[
-            (f"{metric.words} {metric.symbol}", scores.metrics[metric.name])
-            for metric in METRICS.values()
-            if scores is not None and metric.name in scores.metrics
-        ],
-        regions=list(regions.items()),
+        metrics=[] if scores is None else list(_metric_bars(scores, opened)),
+        regions=[] if scores is None else list(_region_bars(scores, opened)),
         sensors=len(layout),
         units=len(layout.units),
         cost=cost_of(layout),
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
     )
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A score from 0 to 1 with its ``meaning``, and what it was before, if that is known."""
+
+    words: str
+    meaning: str
+    value: float
+    before: float | None
+
+    @property
+    def digits(self) -> str:
+        """Three digits; more where they would say 1 and it is less."""
+        return next(text for n in (3, 4, 5) if (text := f"{self.value:.{n}f}") < "1" or n == 5)
+
+    @property
+    def change(self) -> str:
+        """What has changed, or nothing."""
+        return _change(self.value, self.before, 3)
+
+    @property
+    def worse(self) -> bool:
+        """Whether it was more before."""
+        return self.before is not None and self.value < self.before
+
+
+def _metric_bars(scores: Scores, opened: Scores | None) -> Iterator[Bar]:
+    for metric in METRICS.values():
+        if metric.name in scores.metrics:
+            before = None if opened is None else opened.metrics.get(metric.name)
+            words = f"{metric.words} {metric.symbol}"
+            yield Bar(words, metric.summary, scores.metrics[metric.name], before)
+
+
+def _region_bars(scores: Scores, opened: Scores | None) -> Iterator[Bar]:
+    for region, value in scores.region_coverage.items():
+        before = None if opened is None else opened.region_coverage.get(region)
+        meaning = f"share of the {region}'s voxels that some sensor ray passes through"
+        yield Bar(region, meaning, value, before)
+
+
+def _change(value: float, before: float | None, digits: int = 4) -> str:
+    """A change with its sign; nothing where none is known, or would be seen in its digits."""
+    text = "" if before is None else f"{value - before:+.{digits}f}"
+    return text if text.strip("+-0.") else ""
 
 
 def _found_keys(road_user: str) -> tuple[tuple[str, str], ...]:

@@ -176,7 +176,7 @@ def _small(monkeypatch):
         monkeypatch.setattr(module, "COLUMNS", 96)
     for module in (cma_es, grid, random_layouts, greedy, tables):
         monkeypatch.setattr(module, "FRAMES", 3)
-    monkeypatch.setattr(tables, "HEIGHTS", 2)
+    monkeypatch.setattr(greedy, "HEIGHTS", 2)
     monkeypatch.setattr(tables, "YAWS", 4)
     monkeypatch.setattr(greedy, "TRIES", 8)
     monkeypatch.setattr(tables, "CHUNK", 64)
@@ -450,7 +450,7 @@ def held():
 
 def whole_table(problem, held, name):
     if name not in held:
-        made = tables.Table.of(problem, np.random.default_rng(0), 96)
+        made = tables.Table.of(problem, np.random.default_rng(0), 96, 2)
         for part in range(len(made.parts)):
             made.look(part)
         held[name] = made

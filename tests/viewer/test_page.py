@@ -1,13 +1,17 @@
 """The page in a real browser: sensors are dragged by their handles, and everything follows."""
 
+import io
 import re
 import socket
 import threading
 from dataclasses import replace
+from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from browser import browser, errors_of
+from scipy.ndimage import binary_erosion
 from worlds import world
 
 from inspe_jax.placement.problem import Case
@@ -17,6 +21,7 @@ from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer import app
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.blind_spot_panel import LETTERS
 from inspe_jax.viewer.handle import LENGTH
 from inspe_jax.viewer.panel import set_value
 
@@ -160,6 +165,8 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
     tab.mouse.click(*on_screen(viewer, place))
     wait_until(tab, lambda: np.allclose(viewer.handle.gizmo.position, place - viewer.scene3d.shift))
     wait_until(tab, lambda: viewer.panel.chosen == 1)  # the list follows the handle
+    views = [viewer.scene3d.drawn[f"sensors/{k}/view"] for k in (1, 2)]
+    wait_until(tab, lambda: views[1].thickness > views[0].thickness)  # and so does its outline
     begin = grip(viewer, 1, 0.95)  # the arrow to its left, which is north
     drag(tab, viewer, on_screen(viewer, begin), on_screen(viewer, begin + [0, 5.0, 0]))
     settled(tab, first)
@@ -234,18 +241,64 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
     tab.get_by_text(re.compile("wrote .*layout.html")).wait_for(timeout=WAIT)
     page = viewer.store.page.read_text()
     assert str(evaluate(scene, viewer.layout).surrogate) in page
+    with tab.expect_download() as sent:
+        tab.get_by_role("link", name="layout.html").click()
+    assert Path(sent.value.path()).read_text() == page
+    press(tab, "Download layout")
+    with tab.expect_download() as sent:
+        tab.get_by_role("link", name="layout.yaml").click()
+    assert Path(sent.value.path()).read_text() == viewer.store.path.read_text()
 
 
 def test_voxels_are_shown_by_kind_and_frames_are_played(tab, viewer):
     drawn = viewer.scene3d.drawn
     assert "voxels/hidden" in drawn
-    assert "voxels/seen" not in drawn
+    assert "voxels/seen/driveway" not in drawn  # nothing is sent that nobody asks for
     tab.get_by_label("seen", exact=True).check()
     tab.get_by_label("hidden by traffic").uncheck()
-    wait_until(tab, lambda: "voxels/seen" in drawn and "voxels/hidden" not in drawn)
+    wait_until(tab, lambda: "voxels/seen/driveway" in drawn and not drawn["voxels/hidden"].visible)
     tab.get_by_label("Play").check()
     wait_until(tab, lambda: viewer.panel.frame.value >= 3)
     tab.get_by_label("Play").uncheck()
+
+
+def test_what_is_seen_hides_no_blind_spot(tab, viewer):
+    """As many dark pixels with its tint as without, and with no tint of blind spots nearly none."""
+
+    def dark():
+        """Pixels that are dark and have only dark ones beside them: not those of a smooth edge."""
+        tab.wait_for_timeout(1500)
+        stage = {"x": 0, "y": 0, "width": 1000, "height": 900}  # without the panel
+        picture = plt.imread(io.BytesIO(tab.screenshot(clip=stage)))[..., :3]
+        return int(binary_erosion(picture.max(-1) < 0.35).sum())
+
+    def tick(label, on):
+        tab.get_by_label(label, exact=True).set_checked(on)
+        meshes = viewer.scene3d.drawn.items()
+        kind = {"seen": "voxels/seen/", "never in view": "voxels/out of view/"}[label]
+        wait_until(tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
+
+    without = dark()
+    assert without > 1000
+    for _ in range(3):
+        tick("seen", True)
+        assert dark() == pytest.approx(without, rel=0.01)
+        tick("never in view", False)
+        assert dark() < without / 4
+        tick("never in view", True)
+        tick("seen", False)
+        assert dark() == without
+
+
+def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
+    (client,) = viewer.server.get_clients().values()
+    panel = viewer.display.blind_spots
+    wait_until(tab, lambda: len(panel.spots) > 1)
+    for spot, letter in zip(panel.spots[:2], LETTERS, strict=False):
+        tab.get_by_role("button", name=f"{letter} {spot.name}").click()
+        there = np.array(spot.at) - viewer.scene3d.shift[:2]
+        wait_until(tab, lambda at=there: np.allclose(client.camera.look_at[:2], at, atol=0.05))
+    assert tab.locator("img").count() > 0
 
 
 def test_two_browsers_follow_and_a_closed_one_loses_nothing(chromium, tab, viewer, scene):

@@ -19,6 +19,7 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES
 from inspe_jax.placement.space import Space
 from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
@@ -379,9 +380,16 @@ def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
 
 def test_the_panel_says_scores_faults_and_cost(scene, layout):
     scored = scorers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
+    scores = scored.scores
+    less = {name: value - 0.01 for name, value in scores.metrics.items()}
+    opened = replace(scores, surrogate=0.1, metrics=less | {"coverage": scores.metrics["coverage"]})
     text = score_panel(
-        layout, scored, frames=50, opened=0.1, faults=["unit <x> floats"], notes=["so"]
+        layout, scored, frames=50, opened=opened, faults=["unit <x> floats"], notes=["so"]
     )
+    assert text.count("+0.010") == 2  # and none where nothing has changed
+    assert METRICS["occlusion"].summary in text
+    nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
+    assert ">0.9997<" in score_panel(layout, nearly, frames=50)
     assert f"{scored.scores.surrogate:.4f}" in text
     assert f"{scored.scores.surrogate - 0.1:+.4f} since" in text
     assert "all frames" in text

@@ -2,9 +2,10 @@
 
 import asyncio
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,11 +14,14 @@ from worlds import world
 from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.scene3d import rgb
+from inspe_jax.report.tables import scores_record
 from inspe_jax.report.targets import CHANCES
+from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.layout import Unit, load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.blind_spot_panel import LETTERS, plan_picture
 from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.searcher import SearchEnding
@@ -35,7 +39,7 @@ def scene():
 def viewer(scene, layout, tmp_path):
     found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     found.told = []
-    found._notify = lambda *words: found.told.append(words)
+    found.display.notify = lambda *words: found.told.append(words)
     yield found
     found.close()
 
@@ -204,7 +208,12 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer):
 
 def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, scene, layout):
     """A square for each column, in the band of its chance; no voxels over it; and a legend."""
-    done(viewer, lambda: any(name.startswith("voxels/") for name in viewer.scene3d.drawn))
+
+    def voxels():
+        found = viewer.scene3d.drawn.items()
+        return [name for name, mesh in found if name.startswith("voxels/") and mesh.visible]
+
+    done(viewer, voxels)
     set_value(viewer.panel.ground, "finding a pedestrian")
     viewer.color_ground()
 
@@ -222,7 +231,7 @@ def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, 
     assert len(drawn) > 1
     for _, words, color in CHANCES:
         assert words not in drawn or tuple(squares()[words].color) == rgb(color)
-    assert not any(name.startswith("voxels/") for name in viewer.scene3d.drawn)
+    assert not voxels()
     assert "pedestrian found ≥ 95 %" in viewer.panel.scores.content
     assert "never in view" not in viewer.panel.scores.content
     before = drawn
@@ -234,7 +243,7 @@ def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, 
     set_value(viewer.panel.ground, "regions")
     viewer.color_ground()
     done(viewer, lambda: not squares())
-    done(viewer, lambda: any(name.startswith("voxels/") for name in viewer.scene3d.drawn))
+    done(viewer, voxels)
     assert "never in view" in viewer.panel.scores.content
 
 
@@ -361,3 +370,34 @@ def test_a_unit_without_sensors_has_no_number(viewer, layout):
     viewer.scene3d.draw_layout(bare)
     numbers = [name for name in viewer.scene3d.drawn if name.startswith("numbers/")]
     assert len(numbers) == len(layout.units)
+
+
+def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, scene, layout):
+    """Ranked, in words, and again after a change."""
+    panel = viewer.display.blind_spots
+
+    def listed_for(of):
+        wanted = scores_record(evaluate(scene, of), scene, of)["blind_spots"][: len(LETTERS)]
+        return [asdict(spot) for spot in panel.spots] == [
+            spot | {"at": tuple(spot["at"])} for spot in wanted
+        ]
+
+    done(viewer, lambda: panel.picture.image.shape[0] > 8 and viewer.panel.blind_spots.visible)
+    assert listed_for(layout)
+    for letter, spot, button in zip(LETTERS, panel.spots, panel.buttons, strict=False):
+        assert button.label == f"{letter}  {spot.name}: {spot.unseen:.0%} unseen"
+    before = panel.picture.image
+    viewer.remove(1)
+    done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
+    done(viewer, lambda: (panel.picture.image != before).any())
+    done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
+
+
+def test_the_plan_view_is_of_all_frames(scene, layout):
+    """Road users of a single frame are not on it."""
+    scores = evaluate(scene, layout)
+    spots = blind_spots(scene, scores.seen_share)[: len(LETTERS)]
+    picture = plan_picture(scene, layout, scores, spots)
+    assert (picture.std((0, 1)) > 20).all()
+    other = replace(scene, traffic=jax.tree.map(lambda leaf: leaf[::-1], scene.traffic))
+    assert (plan_picture(other, layout, scores, spots) == picture).all()

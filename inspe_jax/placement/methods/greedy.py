@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.placement.candidate_table import Picks, Table
+from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, coordinates, poses, project
 from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods.states import KEY, method_of
@@ -25,10 +25,11 @@ TRIES = 64
 """Finer moves tried for a unit in one step."""
 WIDTH, NARROW = 1.0, 0.02
 """Finer moves, in typical steps: the first ones, and those at which a round ends."""
-LEVEL_COLUMNS, LEVEL_TRIES, LEVEL_NARROW = 2, 0.5, 5.0
-"""Where no sensor is aimed: factors on the columns of a sample, on :data:`TRIES` and on
-:data:`NARROW`. There a view of twice the columns costs an eighth more, and a round is soon over:
-how it ends depends more on where it began than on how long it goes on."""
+LEVEL_COLUMNS, LEVEL_HEIGHTS, LEVEL_TRIES, LEVEL_NARROW = 2, 2, 0.5, 5.0
+"""Where no sensor is aimed: factors on the columns of a sample, on the heights of candidates, on
+:data:`TRIES` and on :data:`NARROW`. There are few candidates there, a view of twice the columns
+costs an eighth more, and a round is soon over: how it ends depends more on where it began than on
+how long it goes on."""
 FINER = 0.6
 """What the width shrinks by where less than half of the units moved, or it was for nothing."""
 PASSES = 3
@@ -49,10 +50,11 @@ _LEAST = 1e-6  # a gain smaller than this is rounding
 
 @dataclass(frozen=True)
 class Effort:
-    """The columns of a sample, the moves tried for a unit at once, and the width of the moves, in
-    typical steps, at which a round ends."""
+    """The columns of a sample, the heights of candidates, the moves tried for a unit at once, and
+    the width of the moves, in typical steps, at which a round ends."""
 
     columns: int
+    heights: int
     tries: int
     narrow: float
 
@@ -65,8 +67,13 @@ def aimed(problem: Problem) -> bool:
 def effort(problem: Problem) -> Effort:
     """What a problem's sensors need."""
     if aimed(problem):
-        return Effort(COLUMNS, TRIES, NARROW)
-    return Effort(LEVEL_COLUMNS * COLUMNS, round(LEVEL_TRIES * TRIES), LEVEL_NARROW * NARROW)
+        return Effort(COLUMNS, HEIGHTS, TRIES, NARROW)
+    return Effort(
+        LEVEL_COLUMNS * COLUMNS,
+        LEVEL_HEIGHTS * HEIGHTS,
+        round(LEVEL_TRIES * TRIES),
+        LEVEL_NARROW * NARROW,
+    )
 
 
 # ── Greedy, lazily ──────────────────────────────────────────────────────────
@@ -314,7 +321,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     _ = problem.arrays  # here: two threads would each make them
 
     def look() -> bool:
-        table = Table.of(problem, run.rng(0, 0), effort(problem).columns)
+        table = _new_table(run, 0)
         for part in range(sum(kind.parts > 0 for kind in table.kinds)):
             table.look(part)
         problem.known.add(VIEWS)
@@ -335,12 +342,16 @@ def _table(run: Run, number: int, looked: int | None = None) -> Table:
         looked = len(table.parts) if looked is None else looked
         if sum(len(kind.rows) for kind in table.kinds) == looked:
             return table
-    columns = effort(run.problem).columns
-    table = Table.of(run.problem, run.rng(0, number), columns, first=number == 0)
+    table = _new_table(run, number)
     for part in range(len(table.parts) if looked is None else looked):
         table.look(part)
     _tables[run] = number, table
     return table
+
+
+def _new_table(run: Run, number: int) -> Table:
+    wanted, rng = effort(run.problem), run.rng(0, number)
+    return Table.of(run.problem, rng, wanted.columns, wanted.heights, first=number == 0)
 
 
 def forget(run: Run) -> None:

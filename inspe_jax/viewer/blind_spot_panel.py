@@ -1,0 +1,126 @@
+"""The plan view on the page, and the worst blind spots beside it: a click on one looks at it.
+
+Both are means over all frames. They are drawn on a thread of their own, so that a sensor can be
+dragged meanwhile.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, spread_badges
+from inspe_jax.report.layers import seen_layer
+from inspe_jax.report.routes import center_distance
+from inspe_jax.report.sheet import HALO, frame_map, house_style
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
+from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.job_queue import JobQueue
+
+LETTERS = "ABCDE"
+"""Of the worst blind spots, on the plan view and in the list."""
+SIDE, DOTS = 3.4, 160
+"""Side of the plan view [inch], and pixels per inch."""
+APART = 0.07
+"""Least distance between two letters, as a share of the side."""
+AWAY = np.array([0.0, -22.0, 20.0])
+"""From a blind spot to the camera that looks at it [m]."""
+
+
+class BlindSpotPanel:
+    """A folder of the page with the plan view of the newest scores and their blind spots.
+
+    ``spots`` are those that are listed, the worst first.
+    """
+
+    def __init__(self, gui: viser.GuiApi, folder: Any, scene: Scene, queue: JobQueue) -> None:
+        """``folder`` is empty and invisible until there are scores. Errors go to ``queue``."""
+        self.spots: tuple[BlindSpot, ...] = ()
+        self._folder, self._scene = folder, scene
+        self._drawing = JobQueue(queue.failed)
+        with folder:
+            self.picture = gui.add_image(np.full((8, 8, 3), 255, np.uint8), format="png")
+            self.buttons = [
+                gui.add_button(letter, color="gray", visible=False, hint="Look at this place")
+                for letter in LETTERS
+            ]
+        for k, button in enumerate(self.buttons):
+            self._bind(k, button)
+
+    def show(self, layout: Layout, scores: Scores) -> None:
+        """Show the scores of all frames of a layout, as soon as they are drawn."""
+        self._drawing.submit(lambda: self._show(layout, scores), key="show")
+
+    def outdated(self) -> None:
+        """Say that what is shown is of a layout before."""
+        self._drawing.submit(lambda: self._title(", before the last change"), key="title")
+
+    def close(self) -> None:
+        """Finish what is being drawn."""
+        self._drawing.close()
+
+    def _show(self, layout: Layout, scores: Scores) -> None:
+        self.spots = blind_spots(self._scene, scores.seen_share)[: len(LETTERS)]
+        self.picture.image = plan_picture(self._scene, layout, scores, self.spots)
+        for k, button in enumerate(self.buttons):
+            button.visible = k < len(self.spots)
+            if button.visible:
+                spot = self.spots[k]
+                button.label = f"{LETTERS[k]}  {spot.name}: {spot.unseen:.0%} unseen"
+        self._title("")
+        self._folder.visible = True
+
+    def _title(self, when: str) -> None:
+        self._folder.label = f"Blind spots{when}"
+
+    def _bind(self, k: int, button: Any) -> None:
+        @button.on_click
+        async def _(event: Any) -> None:
+            if event.client is None or k >= len(self.spots):
+                return
+            at = np.array(self.spots[k].at)
+            ground = self._scene.intersection.ground(at[None])
+            look_at = np.append(at, ground) - self._scene.voxels.center
+            camera = event.client.camera
+            camera.position, camera.look_at = look_at + AWAY, look_at
+
+
+def plan_picture(
+    scene: Scene, layout: Layout, scores: Scores, spots: tuple[BlindSpot, ...]
+) -> UInt8[np.ndarray, "N N 3"]:
+    """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
+    layer = replace(seen_layer(scores.seen_share, scene), users=False)
+    raster, extent = column_raster(scene.voxels, layer.values)
+    layout = scores.conditions.layout(layout)
+    poses = np.asarray(layout.poses, float)
+    with house_style():
+        fig = Figure(figsize=(SIDE, SIDE), dpi=DOTS, facecolor="white")
+        ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
+        frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
+        ax.axis("off")
+        draw_layer(ax, scene, layout, poses, layer, raster, extent, 0)
+        draw_badges(ax, layout, poses, SIDE)
+        at = np.array([spot.at for spot in spots]).reshape(-1, 2)
+        apart = APART * np.ptp(ax.get_xlim())
+        for letter, (x, y) in zip(LETTERS, spread_badges(at, 0.0 * at, apart), strict=False):
+            ax.text(
+                x, y, letter, size=9, weight="bold", ha="center", va="center_baseline",
+                zorder=10, bbox=dict(boxstyle="circle", fc="white", ec="black", lw=0.8),
+            )  # fmt: skip
+        key = ax.inset_axes((0.03, 0.03, 0.26, 0.022))
+        key.imshow(np.linspace(0, 1, 64)[None], cmap=layer.colors, aspect="auto")
+        key.axis("off")
+        for x, words, side in ((0.03, "never", "left"), (0.29, "always seen", "right")):
+            ax.text(
+                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes,
+                path_effects=HALO,
+            )  # fmt: skip
+        canvas = FigureCanvasAgg(fig)
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()

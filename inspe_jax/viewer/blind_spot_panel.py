@@ -4,13 +4,13 @@ Both are means over all frames. They are drawn on a thread of their own, so that
 dragged meanwhile.
 """
 
+from base64 import b64encode
 from dataclasses import replace
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import UInt8
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, spread_badges
@@ -29,6 +29,10 @@ SIDE, DOTS = 3.4, 160
 """Side of the plan view [inch], and pixels per inch."""
 APART = 0.07
 """Least distance between two letters, as a share of the side."""
+_IMAGE = (
+    '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
+    'src="data:image/png;base64,{}">'
+)
 AWAY = np.array([0.0, -22.0, 20.0])
 """From a blind spot to the camera that looks at it [m]."""
 
@@ -45,7 +49,7 @@ class BlindSpotPanel:
         self._folder, self._scene = folder, scene
         self._drawing = JobQueue(queue.failed)
         with folder:
-            self.picture = gui.add_image(np.full((8, 8, 3), 255, np.uint8), format="png")
+            self.picture = gui.add_html("")
             self.buttons = [
                 gui.add_button(letter, color="gray", visible=False, hint="Look at this place")
                 for letter in LETTERS
@@ -67,7 +71,8 @@ class BlindSpotPanel:
 
     def _show(self, layout: Layout, scores: Scores) -> None:
         self.spots = blind_spots(self._scene, scores.seen_share)[: len(LETTERS)]
-        self.picture.image = plan_picture(self._scene, layout, scores, self.spots)
+        png = plan_picture(self._scene, layout, scores, self.spots)
+        self.picture.content = _IMAGE.format(b64encode(png).decode("ascii"))
         for k, button in enumerate(self.buttons):
             button.visible = k < len(self.spots)
             if button.visible:
@@ -93,8 +98,8 @@ class BlindSpotPanel:
 
 def plan_picture(
     scene: Scene, layout: Layout, scores: Scores, spots: tuple[BlindSpot, ...]
-) -> UInt8[np.ndarray, "N N 3"]:
-    """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
+) -> bytes:
+    """A plan view without a heading as PNG: how often each column is seen, sensors, blind spots."""
     layer = replace(seen_layer(scores.seen_share, scene), users=False)
     raster, extent = column_raster(scene.voxels, layer.values)
     layout = scores.conditions.layout(layout)
@@ -121,6 +126,6 @@ def plan_picture(
                 x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes,
                 path_effects=HALO,
             )  # fmt: skip
-        canvas = FigureCanvasAgg(fig)
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        png = BytesIO()
+        fig.savefig(png, format="png", dpi=DOTS)
+        return png.getvalue()

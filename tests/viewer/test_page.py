@@ -27,6 +27,9 @@ from inspe_jax.viewer.panel import set_value
 
 pytestmark = pytest.mark.browser
 
+EDGES = 0.03
+"""Share of dark pixels at edges, which are smoothed with the colour beside them: 1.5 % were seen to
+change with that colour."""
 WAIT = 120_000
 """For what compiles first [ms]."""
 
@@ -266,11 +269,11 @@ def test_what_is_seen_hides_no_blind_spot(tab, viewer):
     """As many dark pixels with its tint as without, and with no tint of blind spots nearly none."""
 
     def dark():
-        """Pixels that are dark and have only dark ones beside them: not those of a smooth edge."""
+        """Pixels that are dark, and so are all near them: not those of a smoothed edge."""
         tab.wait_for_timeout(1500)
         stage = {"x": 0, "y": 0, "width": 1000, "height": 900}  # without the panel
         picture = plt.imread(io.BytesIO(tab.screenshot(clip=stage)))[..., :3]
-        return int(binary_erosion(picture.max(-1) < 0.35).sum())
+        return int(binary_erosion(picture.max(-1) < 0.35, iterations=2).sum())
 
     def tick(label, on):
         tab.get_by_label(label, exact=True).set_checked(on)
@@ -278,16 +281,19 @@ def test_what_is_seen_hides_no_blind_spot(tab, viewer):
         kind = {"seen": "voxels/seen/", "never in view": "voxels/out of view/"}[label]
         wait_until(tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
 
+    first = score_of(tab)
+    viewer.remove(1)  # the LiDAR, which has all in view
+    settled(tab, first)
     without = dark()
-    assert without > 1000
+    assert without > 10_000
     for _ in range(3):
         tick("seen", True)
-        assert dark() == pytest.approx(without, rel=0.01)
+        assert dark() == pytest.approx(without, rel=EDGES)
         tick("never in view", False)
         assert dark() < without / 4
         tick("never in view", True)
         tick("seen", False)
-        assert dark() == without
+        assert dark() == pytest.approx(without, rel=EDGES)
 
 
 def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
@@ -298,7 +304,7 @@ def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
         tab.get_by_role("button", name=f"{letter} {spot.name}").click()
         there = np.array(spot.at) - viewer.scene3d.shift[:2]
         wait_until(tab, lambda at=there: np.allclose(client.camera.look_at[:2], at, atol=0.05))
-    assert tab.locator("img").count() > 0
+    assert tab.get_by_alt_text("Plan view").count() == 1
 
 
 def test_two_browsers_follow_and_a_closed_one_loses_nothing(chromium, tab, viewer, scene):

@@ -3,9 +3,11 @@
 import asyncio
 import time
 from dataclasses import asdict, replace
+from io import BytesIO
 from types import SimpleNamespace
 
 import jax
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -382,14 +384,14 @@ def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, sce
             spot | {"at": tuple(spot["at"])} for spot in wanted
         ]
 
-    done(viewer, lambda: panel.picture.image.shape[0] > 8 and viewer.panel.blind_spots.visible)
+    done(viewer, lambda: panel.picture.content and viewer.panel.blind_spots.visible)
     assert listed_for(layout)
     for letter, spot, button in zip(LETTERS, panel.spots, panel.buttons, strict=False):
         assert button.label == f"{letter}  {spot.name}: {spot.unseen:.0%} unseen"
-    before = panel.picture.image
+    before = panel.picture.content
     viewer.remove(1)
     done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
-    done(viewer, lambda: (panel.picture.image != before).any())
+    done(viewer, lambda: panel.picture.content != before)
     done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
 
 
@@ -398,6 +400,6 @@ def test_the_plan_view_is_of_all_frames(scene, layout):
     scores = evaluate(scene, layout)
     spots = blind_spots(scene, scores.seen_share)[: len(LETTERS)]
     picture = plan_picture(scene, layout, scores, spots)
-    assert (picture.std((0, 1)) > 20).all()
+    assert (plt.imread(BytesIO(picture))[..., :3].std((0, 1)) > 0.1).all()  # it shows something
     other = replace(scene, traffic=jax.tree.map(lambda leaf: leaf[::-1], scene.traffic))
-    assert (plan_picture(other, layout, scores, spots) == picture).all()
+    assert plan_picture(other, layout, scores, spots) == picture

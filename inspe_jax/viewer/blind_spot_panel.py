@@ -5,30 +5,18 @@ dragged meanwhile.
 """
 
 from base64 import b64encode
-from dataclasses import replace
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 import viser
-from matplotlib.figure import Figure
 
-from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, spread_badges
-from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.routes import center_distance
-from inspe_jax.report.sheet import HALO, frame_map, house_style
+from inspe_jax.report.plan_picture import LETTERS, plan_picture
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import JobQueue
 
-LETTERS = "ABCDE"
-"""Of the worst blind spots, on the plan view and in the list."""
-SIDE, DOTS = 3.4, 160
-"""Side of the plan view [inch], and pixels per inch."""
-APART = 0.07
-"""Least distance between two letters, as a share of the side."""
 _IMAGE = (
     '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
     'src="data:image/png;base64,{}">'
@@ -94,38 +82,3 @@ class BlindSpotPanel:
             look_at = np.append(at, ground) - self._scene.voxels.center
             camera = event.client.camera
             camera.position, camera.look_at = look_at + AWAY, look_at
-
-
-def plan_picture(
-    scene: Scene, layout: Layout, scores: Scores, spots: tuple[BlindSpot, ...]
-) -> bytes:
-    """A plan view without a heading as PNG: how often each column is seen, sensors, blind spots."""
-    layer = replace(seen_layer(scores.seen_share, scene), users=False)
-    raster, extent = column_raster(scene.voxels, layer.values)
-    layout = scores.conditions.layout(layout)
-    poses = np.asarray(layout.poses, float)
-    with house_style():
-        fig = Figure(figsize=(SIDE, SIDE), dpi=DOTS, facecolor="white")
-        ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
-        frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
-        ax.axis("off")
-        draw_layer(ax, scene, layout, poses, layer, raster, extent, 0)
-        draw_badges(ax, layout, poses, SIDE)
-        at = np.array([spot.at for spot in spots]).reshape(-1, 2)
-        apart = APART * np.ptp(ax.get_xlim())
-        for letter, (x, y) in zip(LETTERS, spread_badges(at, 0.0 * at, apart), strict=False):
-            ax.text(
-                x, y, letter, size=9, weight="bold", ha="center", va="center_baseline",
-                zorder=10, bbox=dict(boxstyle="circle", fc="white", ec="black", lw=0.8),
-            )  # fmt: skip
-        key = ax.inset_axes((0.03, 0.03, 0.26, 0.022))
-        key.imshow(np.linspace(0, 1, 64)[None], cmap=layer.colors, aspect="auto")
-        key.axis("off")
-        for x, words, side in ((0.03, "never", "left"), (0.29, "always seen", "right")):
-            ax.text(
-                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes,
-                path_effects=HALO,
-            )  # fmt: skip
-        png = BytesIO()
-        fig.savefig(png, format="png", dpi=DOTS)
-        return png.getvalue()

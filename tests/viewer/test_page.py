@@ -16,12 +16,12 @@ from worlds import world
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
+from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.report.scene3d import turn_of
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer import app
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.blind_spot_panel import LETTERS
 from inspe_jax.viewer.handle import LENGTH
 from inspe_jax.viewer.panel import set_value
 

@@ -15,6 +15,7 @@ from worlds import world
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.problem import Case
+from inspe_jax.report.plan_picture import LETTERS, plan_picture
 from inspe_jax.report.scene3d import rgb
 from inspe_jax.report.tables import scores_record
 from inspe_jax.report.targets import CHANCES
@@ -23,7 +24,6 @@ from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.layout import Unit, load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.blind_spot_panel import LETTERS, plan_picture
 from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.searcher import SearchEnding

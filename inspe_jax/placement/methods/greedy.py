@@ -28,8 +28,7 @@ WIDTH, NARROW = 1.0, 0.02
 LEVEL_COLUMNS, LEVEL_HEIGHTS, LEVEL_TRIES, LEVEL_NARROW = 2, 2, 0.5, 5.0
 """Where no sensor is aimed: factors on the columns of a sample, on the heights of candidates, on
 :data:`TRIES` and on :data:`NARROW`. There are few candidates there, a view of twice the columns
-costs an eighth more, and a round is soon over: how it ends depends more on where it began than on
-how long it goes on."""
+costs an eighth more, and how a round ends depends most on where it began."""
 FINER = 0.6
 """What the width shrinks by where less than half of the units moved, or it was for nothing."""
 PASSES = 3
@@ -50,8 +49,7 @@ _LEAST = 1e-6  # a gain smaller than this is rounding
 
 @dataclass(frozen=True)
 class Effort:
-    """The columns of a sample, the heights of candidates, the moves tried for a unit at once, and
-    the width of the moves, in typical steps, at which a round ends."""
+    """Columns of a sample, heights of candidates, moves tried at once, width that ends a round."""
 
     columns: int
     heights: int
@@ -68,12 +66,8 @@ def effort(problem: Problem) -> Effort:
     """What a problem's sensors need."""
     if aimed(problem):
         return Effort(COLUMNS, HEIGHTS, TRIES, NARROW)
-    return Effort(
-        LEVEL_COLUMNS * COLUMNS,
-        LEVEL_HEIGHTS * HEIGHTS,
-        round(LEVEL_TRIES * TRIES),
-        LEVEL_NARROW * NARROW,
-    )
+    columns, heights = LEVEL_COLUMNS * COLUMNS, LEVEL_HEIGHTS * HEIGHTS
+    return Effort(columns, heights, round(LEVEL_TRIES * TRIES), LEVEL_NARROW * NARROW)
 
 
 # ── Greedy, lazily ──────────────────────────────────────────────────────────

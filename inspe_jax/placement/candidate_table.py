@@ -74,18 +74,18 @@ class Table:
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
-        reach, pitches = limits(space, space.start(layout)[0])
+        bounds, pitches = limits(space, space.start(layout)[0])
         groups: dict[object, list[int]] = {}
         for s, sensor in enumerate(layout.sensors):
             grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
             sector = space.constraints.yaw.get(sensor.name)
-            key = (grids, sector, *reach[s].round(3), *pitches[s].round(3))
+            key = (grids, sector, *bounds[s].round(3), *pitches[s].round(3))
             groups.setdefault(key, []).append(s)
         kinds = []
         for sensors in groups.values():
             s = sensors[0]
             at = np.flatnonzero(stand[[layout.sensors[t].unit for t in sensors]].any(0))
-            steps = _steps(problem, s, reach[s], heights, pitches[s], shift)
+            steps = _steps(problem, s, bounds[s], heights, pitches[s], shift)
             product = np.meshgrid(at, *steps, indexing="ij")
             # In random order, so that the first chunk is a sample of all.
             order = rng.permutation(product[0].size)
@@ -166,14 +166,14 @@ class Table:
 def _steps(
     problem: Problem,
     s: int,
-    reach: Float[np.ndarray, "2"],
+    bounds: Float[np.ndarray, "2"],
     heights: int,
     pitches: Float[np.ndarray, "2"],
     shift: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, " h"], Float[np.ndarray, " y"], Float[np.ndarray, " p"]]:
     """Heights, yaws and pitches of a sensor's candidates, between its lowest and highest."""
     sensor = problem.layout.sensors[s]
-    low, high = reach
+    low, high = bounds
     sector = problem.space.constraints.yaw.get(sensor.name)
     # All directions of a LiDAR that looks all round are one.
     yaws = 1 if sensor.spec.grid.wraps and sector is None else YAWS

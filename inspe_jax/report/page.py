@@ -35,7 +35,7 @@ from inspe_jax.report.schedule import (
     sensors_in_words,
     total_price,
 )
-from inspe_jax.report.sheet import house_style
+from inspe_jax.report.sheet import house_style, png_text
 from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -139,7 +139,7 @@ def report_page(
         done += 1
         if progress:
             progress(done, steps)
-        return _png(figure)
+        return png_text(figure, DPI)
 
     parts = []
     for entry in entries:
@@ -325,13 +325,6 @@ def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     share = np.bincount(kinds, minlength=len(BLIND)) / max(len(kinds), 1)
     rows = zip(BLIND, share.tolist(), strict=True)
     return [(name.replace("\n", " "), color, part) for (name, color), part in rows]
-
-
-def _png(figure: Figure) -> str:
-    made = io.BytesIO()
-    with house_style():
-        figure.savefig(made, format="png", dpi=DPI, metadata={})
-    return base64.b64encode(made.getvalue()).decode()
 
 
 def _text(words: str) -> str:

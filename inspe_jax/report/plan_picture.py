@@ -1,7 +1,6 @@
 """The plan view of a page: a small picture without a heading, with the worst blind spots on it."""
 
 from dataclasses import replace
-from io import BytesIO
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -25,14 +24,14 @@ APART = 0.07
 
 def plan_picture(
     scene: Scene, layout: Layout, scores: Scores, spots: tuple[BlindSpot, ...]
-) -> bytes:
-    """A plan view without a heading as PNG: how often each column is seen, sensors, blind spots."""
+) -> Figure:
+    """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
     layer = replace(seen_layer(scores.seen_share, scene), users=False)
     raster, extent = column_raster(scene.voxels, layer.values)
     layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     with house_style():
-        fig = Figure(figsize=(SIDE, SIDE), dpi=DOTS, facecolor="white")
+        fig = Figure(figsize=(SIDE, SIDE), facecolor="white")
         ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
         frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
         ax.axis("off")
@@ -53,6 +52,4 @@ def plan_picture(
                 x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes,
                 path_effects=HALO,
             )  # fmt: skip
-        png = BytesIO()
-        fig.savefig(png, format="png", dpi=DOTS)
-        return png.getvalue()
+    return fig

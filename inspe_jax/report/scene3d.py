@@ -126,43 +126,49 @@ class Scene3D:
         kind that most of its voxels are of, so that no tint lies on another one, and none hides a
         box. With ``faint`` all are nearly transparent, for a layout that has changed since.
         """
-        wanted, prefixes = set(shown), {kind: f"voxels/{_words(kind)}" for kind in Visibility}
+        free, wanted, fading = free_of_bodies(self.scene), set(shown), FAINT if faint else 1.0
+        kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
         same = self._sight is not None and self._sight[0] is sight and self._sight[1] == faint
         self._sight = sight, faint
-        for kind, prefix in prefixes.items():
+        for kind in (Visibility.HIDDEN, *TINTS):
+            prefix, new = f"voxels/{kind.name.lower().replace('_', ' ')}", set[str]()
             before = [name for name in self.drawn if name.startswith(prefix)]
             if same and before:
                 for name in before:
                     self.drawn[name].visible = kind in wanted
                 continue
-            new = self._draw_kind(kind, sight, faint) if kind in wanted else set[str]()
+            if kind in wanted:
+                draw = self._draw_tint if kind in TINTS else self._draw_hidden
+                new = draw(prefix, kind, kinds, fading)
             for name in before:
                 if name not in new:
                     self._forget(name)
 
-    def _draw_kind(self, kind: Visibility, sight: Int[np.ndarray, " V"], faint: bool) -> set[str]:
-        """Draw the voxels of one kind; returns the names of what is drawn."""
-        grid, fading, name = self.scene.voxels, FAINT if faint else 1.0, f"voxels/{_words(kind)}"
-        kinds = np.where(
-            free_of_bodies(self.scene), np.asarray(sight).reshape(-1, grid.level_count), -1
-        )
-        if kind == Visibility.HIDDEN:
-            column, low, high = runs(kinds == kind)
-            if not len(column):
-                return set()
-            foot = grid.ground[column] + grid.spacing * low
-            tall = grid.spacing * (high - low)
-            center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
-            wide = np.full(len(column), 0.94 * grid.spacing)
-            size = np.column_stack([wide, wide, tall])
-            self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=fading * OPACITY)
-            return {name}
+    def _draw_hidden(
+        self, name: str, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float
+    ) -> set[str]:
+        """Draw the voxels of a kind as boxes; returns the names of what is drawn."""
+        grid = self.scene.voxels
+        column, low, high = runs(kinds == kind)
+        if not len(column):
+            return set()
+        foot = grid.ground[column] + grid.spacing * low
+        tall = grid.spacing * (high - low)
+        center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
+        wide = np.full(len(column), 0.94 * grid.spacing)
+        size = np.column_stack([wide, wide, tall])
+        self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=fading * OPACITY)
+        return {name}
+
+    def _draw_tint(
+        self, name: str, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float
+    ) -> set[str]:
+        """Tint the columns that are mostly of a kind; returns the names of what is drawn."""
         counts = np.stack([(kinds == other).sum(1) for other in Visibility])
-        mostly = (counts.argmax(0) == kind) & (counts[kind] > 0)
-        drawn = set[str]()
+        mostly, drawn = (counts.argmax(0) == kind) & (counts[kind] > 0), set[str]()
         for region, ground in GROUND_COLORS.items():
-            own = mostly & (grid.region == region)
-            if kind in TINTS and own.any():
+            own = mostly & (self.scene.voxels.region == region)
+            if own.any():
                 color = mixed(ground, SIGHT_COLORS[kind], fading * TINTS[kind])
                 self._squares(f"{name}/{region.key}", own, color, LIFT / 2)
                 drawn.add(f"{name}/{region.key}")
@@ -374,10 +380,6 @@ def runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
     """The segments of a line, each by its two ends."""
     return np.stack([line[:-1], line[1:]], 1)
-
-
-def _words(kind: Visibility) -> str:
-    return kind.name.lower().replace("_", " ")
 
 
 def mixed(one: str, other: str, share: float) -> str:

@@ -4,6 +4,8 @@ A sheet is 180 mm wide. Its parts have fixed places in inches, so that nothing m
 content: the map on the left, a panel for the legend on the right, a heading above, notes below.
 """
 
+import base64
+import io
 import os
 import textwrap
 import threading
@@ -39,8 +41,9 @@ HEAD, FOOT, NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
 SIDE, SIDE_LEFT, SIDE_GAP = 3.10, 0.48, 0.30  # of two maps, before the first, between them [inch]
 ROW_GAP = 0.45  # between two rows of maps [inch]
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
-_DRAWING = threading.RLock()
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
+
+_DRAWING = threading.RLock()
 
 
 def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
@@ -53,6 +56,14 @@ def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
     suffix = Path(path).suffix.lower()
     with house_style(), whole_file(path) as f:
         fig.savefig(f, format=suffix[1:], dpi=300, metadata=FORMATS[suffix])
+
+
+def png_text(fig: Figure, dpi: float) -> str:
+    """A figure as PNG in base64, for a page that holds it. The same figure gives the same text."""
+    made = io.BytesIO()
+    with house_style():
+        fig.savefig(made, format="png", dpi=dpi, metadata={})
+    return base64.b64encode(made.getvalue()).decode()
 
 
 @contextmanager

@@ -4,13 +4,13 @@ Both are means over all frames. They are drawn on a thread of their own, so that
 dragged meanwhile.
 """
 
-from base64 import b64encode
 from typing import Any
 
 import numpy as np
 import viser
 
-from inspe_jax.report.plan_picture import LETTERS, plan_picture
+from inspe_jax.report.plan_picture import DOTS, LETTERS, plan_picture
+from inspe_jax.report.sheet import png_text
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
@@ -59,8 +59,8 @@ class BlindSpotPanel:
 
     def _show(self, layout: Layout, scores: Scores) -> None:
         self.spots = blind_spots(self._scene, scores.seen_share)[: len(LETTERS)]
-        png = plan_picture(self._scene, layout, scores, self.spots)
-        self.picture.content = _IMAGE.format(b64encode(png).decode("ascii"))
+        figure = plan_picture(self._scene, layout, scores, self.spots)
+        self.picture.content = _IMAGE.format(png_text(figure, DOTS))
         for k, button in enumerate(self.buttons):
             button.visible = k < len(self.spots)
             if button.visible:

@@ -189,5 +189,5 @@ class Display:
 
 def send(client: Any, name: str, text: str) -> None:
     """Offer a browser a file to download; nothing where the browser is None."""
-    if hasattr(client, "send_file_download"):
+    if client is not None:
         client.send_file_download(name, text.encode())

@@ -56,13 +56,12 @@ def score_panel(
     ``road_user``: by the chance to find whom the ground is coloured; None if it is not.
     """
     scores = None if scored is None else scored.scores
+    before = None if scores is None or opened is None else opened.surrogate
     new = scored if scored is not None and scored.layout is layout else None
     return _TEMPLATE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
-        change=""
-        if scores is None or opened is None
-        else _change(scores.surrogate, opened.surrogate),
+        change="" if scores is None else _change(scores.surrogate, before),
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,
@@ -93,7 +92,8 @@ class Bar:
     @property
     def digits(self) -> str:
         """Three digits; more where they would say 1 and it is less."""
-        return next(text for n in (3, 4, 5) if (text := f"{self.value:.{n}f}") < "1" or n == 5)
+        enough = (n for n in (3, 4) if self.value == 1.0 or round(self.value, n) < 1.0)
+        return f"{self.value:.{next(enough, 5)}f}"
 
     @property
     def change(self) -> str:

@@ -390,6 +390,8 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
     assert METRICS["occlusion"].summary in text
     nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
     assert ">0.9997<" in score_panel(layout, nearly, frames=50)
+    full = replace(scored, scores=replace(scores, metrics=less | {"coverage": 1.0}))
+    assert ">1.000<" in score_panel(layout, full, frames=50)
     assert f"{scored.scores.surrogate:.4f}" in text
     assert f"{scored.scores.surrogate - 0.1:+.4f} since" in text
     assert "all frames" in text

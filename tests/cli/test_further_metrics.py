@@ -88,7 +88,7 @@ def test_curves_of_ones_own_are_scored_with(run, scene, layout, tmp_path):
 def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monkeypatch):
     from inspe_jax.report import page
 
-    monkeypatch.setattr(page, "_png", lambda figure: str(len(figure.axes)))
+    monkeypatch.setattr(page, "png_text", lambda figure, _: str(len(figure.axes)))
     monkeypatch.setattr(page, "scene3d_page", lambda *_: "")
     plain = report_page(scene, [report_entry(Case(scene), layout, None)])
     further = report_entry(Case(scene), layout, None, metrics=("detectability",))

@@ -121,7 +121,7 @@ def metrics_command(there):
 
 
 def report_page(there):
-    there.monkeypatch.setattr(page, "_png", lambda _: "")
+    there.monkeypatch.setattr(page, "png_text", lambda *_: "")
     there.monkeypatch.setattr(page, "scene3d_page", lambda *_: "")
     shed = page.viewshed(there.scene, there.layout)
     return page.report_page(there.scene, [page.ReportEntry(there.layout, there.scores, shed)])

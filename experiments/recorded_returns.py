@@ -66,13 +66,13 @@ def recorded(scene: Scene) -> Iterator[Found]:
             for t in range(scene.traffic.frame_count):
                 frame = recorder.frame(t)
                 scans.append(frame.stations[0].scans[0])
-                actors = FrameActors(frame.boxes, recorder.static_world.center)
-                returns = lidar.cast(actors, recorder.recording.turn)
+                actors = FrameActors(frame.boxes, recorder.surroundings.static_world.center)
+                returns = lidar.cast(actors, recorder.surroundings.recording.turn)
                 hits.append(returns.distance[returns.box >= 0])
             far = np.concatenate([np.linalg.norm(scan.points[:, :3], axis=1) for scan in scans])
             on_users = sum(int(scan.returns.sum()) for scan in scans if scan.returns is not None)
             reach = lidar.reach
-            noise = recorder.recording.noise.range
+            noise = recorder.surroundings.recording.noise.range
             assert far.max() < reach + 6 * noise, (name, weather, far.max(), reach)
             yield Found(name, weather, reach, far, np.concatenate(hits), on_users)
 

@@ -238,7 +238,7 @@ def test_a_wet_road_mirrors_a_lamp_where_a_mirror_would():
 def test_only_paved_ground_is_wet_and_only_in_rain():
     scene = empty()
     recorder, _ = recorded(scene, [0.0, 0.0, 6.0, 0.0, -0.3, 0.0], RAIN)
-    static = recorder.static_world
+    static = recorder.surroundings.static_world
     road = np.array([[0.0, 0.0, 0.0], [60.0, 60.0, 0.0]], np.float32)
     assert static.surface.label(road[:, :2])[0] == Region.JUNCTION
     darker, film, slope = wet_road.wetness_on(static, road, 1.0)
@@ -260,7 +260,7 @@ def test_lamps_are_mirrored_towards_the_camera():
             scene, [0.0, 0.0, 6.0, 0.0, -0.4, 0.0], Conditions.of("night", weather)
         )
         camera = recorder.sensors[0]
-        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.static_world.center)
+        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.surroundings.static_world.center)
         pixels, colour = camera.lit_ground.added(actors, camera.origin)
         assert len(np.unique(pixels)) == len(pixels)
         point = camera.background.point[pixels]

@@ -27,7 +27,7 @@ from inspe_jax.simulation.embedded.camera import SHADOWED
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.materials import BUILDING, CROWN, POLE, ROOF, TRUNK
-from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder, LiveSensor
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
 from inspe_jax.simulation.embedded.shapes import VARIANTS
 from inspe_jax.simulation.embedded.sunlit import SunlitPoints
@@ -91,22 +91,22 @@ def test_returns_agree_with_rays_and_triangles(scene, corners):
     """300 rays of one LiDAR: distances agree to a millimetre, and so do the road users."""
     recorder = EmbeddedRecorder(scene, corners)
     boxes = boxes_at(scene.traffic, 0, 0)
-    actors = FrameActors(boxes, recorder.static_world.center)
+    actors = FrameActors(boxes, recorder.surroundings.static_world.center)
     lidar = recorder.sensors[0]
     returns = lidar.cast(actors, 0.0)
     rng = np.random.default_rng(0)
     some = np.concatenate(
         [rng.choice(len(lidar.body), 200, replace=False), np.flatnonzero(returns.box >= 0)[::20]]
     )
-    road_users = pose_road_users(boxes, recorder.static_world.center)
-    everything = np.concatenate([recorder.static_world.triangles, road_users.triangles])
+    road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
+    everything = np.concatenate([recorder.surroundings.static_world.triangles, road_users.triangles])
     distance, index = nearest_triangle(lidar.origin, lidar.directions[some], everything)
     distance = np.where(distance <= COARSE.reach, distance, np.inf)
     met = np.isfinite(distance)
     assert met.sum() > 100
     assert np.array_equal(met, np.isfinite(returns.distance[some]))
     assert np.abs(returns.distance[some][met] - distance[met]).max() < 1e-3
-    own = index[met] - len(recorder.static_world.triangles)
+    own = index[met] - len(recorder.surroundings.static_world.triangles)
     box = np.where(own >= 0, road_users.box[np.maximum(own, 0)], -1)
     assert (box == returns.box[some][met]).mean() > 0.99  # edges may go either way
     assert (box >= 0).sum() > 20
@@ -136,7 +136,7 @@ def test_no_ray_slips_through_between_two_faces():
 def test_points_lie_on_surfaces_within_the_noise(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
+    returns = lidar.cast(FrameActors((), recorder.surroundings.static_world.center), 0.1)
     noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
     scan = lidar.scan(returns, 0, noise, np.random.default_rng(1))
     back = np.isfinite(returns.distance)
@@ -154,7 +154,7 @@ def test_points_lie_on_surfaces_within_the_noise(scene, corners):
 def test_the_given_share_of_returns_is_lost(scene, corners):
     recorder = EmbeddedRecorder(scene, corners)
     lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.static_world.center), 0.1)
+    returns = lidar.cast(FrameActors((), recorder.surroundings.static_world.center), 0.1)
     total = np.isfinite(returns.distance).sum()
 
     def left(**noise):
@@ -177,7 +177,7 @@ def test_points_on_a_car_fall_with_range_as_the_beams_spread():
             world(count=0, radius=60.0, voxel=2.0), (x, 0, np.pi / 2, 4.6, 1.85, 1.5)
         )
         recorder = EmbeddedRecorder(scene, place_sensors((spec, [0, 0, 1.2, 0, 0, 0])))
-        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.static_world.center)
+        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.surroundings.static_world.center)
         counts.append(int((recorder.sensors[0].cast(actors, 0.0).box == 0).sum()))
     assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
     assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
@@ -194,7 +194,7 @@ def test_the_turn_takes_time(scene):
     traffic = replace(moving.traffic, velocity=velocity)
     moving = replace(moving, traffic=traffic)
     recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
-    actors = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.static_world.center)
+    actors = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.surroundings.static_world.center)
     lidar = recorder.sensors[0]
     still, turned = lidar.cast(actors, 0.0), lidar.cast(actors, 0.1)
     # The car is to the right, at −90°: a quarter of a turn before the middle, 25 ms early.
@@ -236,8 +236,8 @@ def test_rays_reach_as_many_voxels_as_coverage_says(crowded, name):
     seen = np.zeros(crowded.voxels.count, bool)
     for s in range(len(layout)):
         origin, directions, reach = layout.rays(s)
-        met = recorder.static_caster.cast(
-            origin - recorder.static_world.center, directions, reach
+        met = recorder.surroundings.static_caster.cast(
+            origin - recorder.surroundings.static_world.center, directions, reach
         ).distance
         raycast.exact(crowded.voxels, origin, directions, np.minimum(met, reach), seen)
     share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
@@ -256,8 +256,8 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
         boxes = boxes_at(crowded.traffic, t, 0)
-        road_users = pose_road_users(boxes, recorder.static_world.center)
-        caster = Caster(np.concatenate([recorder.static_world.triangles, road_users.triangles]))
+        road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
+        caster = Caster(np.concatenate([recorder.surroundings.static_world.triangles, road_users.triangles]))
         solid = np.zeros(len(centers), bool)
         for box in boxes:
             turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
@@ -266,7 +266,7 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
         for s, pose in enumerate(layout.poses):
             to = centers - pose[:3]
             far = np.linalg.norm(to, axis=1)
-            origin = pose[:3] - recorder.static_world.center
+            origin = pose[:3] - recorder.surroundings.static_world.center
             seen |= in_view[s] & ~caster.meets(origin, to / far[:, None], far - 0.01)
         shares.append(seen[~solid].mean())
     scores = inspe_jax.evaluate(crowded, layout)
@@ -279,7 +279,7 @@ def test_only_kerbs_and_poles_stand_within_the_radius():
     for name in ("four_way", "roundabout", "t_junction"):
         place = inspe_jax.built_in(name)
         scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
-        static_world = EmbeddedRecorder(scene, lidars((9, 9, 6))).static_world
+        static_world = EmbeddedRecorder(scene, lidars((9, 9, 6))).surroundings.static_world
         open_ = shapely.union_all(list(place.regions.values()))
         tall = np.isin(static_world.material, [BUILDING, ROOF, TRUNK, CROWN])
         at = (static_world.triangles[tall] + static_world.center).reshape(-1, 3)
@@ -292,7 +292,7 @@ def test_only_kerbs_and_poles_stand_within_the_radius():
 
 def test_units_over_the_road_have_no_mast(scene):
     over, beside = (
-        EmbeddedRecorder(scene, lidars((x, x, 6))).static_world.material == POLE for x in (0, 14)
+        EmbeddedRecorder(scene, lidars((x, x, 6))).surroundings.static_world.material == POLE for x in (0, 14)
     )
     # A tube of eight sides with three triangles each.
     assert beside.sum() == over.sum() + 24
@@ -403,7 +403,7 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
             if hull.area < 400:
                 continue
             # Not hidden: alone in the world it has as many pixels.
-            actors = FrameActors((box,), recorder.static_world.center)
+            actors = FrameActors((box,), recorder.surroundings.static_world.center)
             free = recorder.sensors[0].image(actors, 0, np.random.default_rng(0), ("instance",))
             own = free.instance > 0
             seen = image.instance == box.track + 1
@@ -435,7 +435,7 @@ def test_no_road_user_or_shadow_is_missed(pose, slope):
     for light in ("midday", "dusk"):
         recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
         (camera,) = recorder.sensors
-        actors = FrameActors(boxes_at(crowd.traffic, 0, 0), recorder.static_world.center)
+        actors = FrameActors(boxes_at(crowd.traffic, 0, 0), recorder.surroundings.static_world.center)
         seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
         road_users, caster = actors.at(0.0)
         background = camera.background
@@ -580,7 +580,7 @@ def test_layers_of_the_static_world(light):
     layout = place_sensors((SMALL, pose.tolist()))
     given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
     recorder = EmbeddedRecorder(*given)
-    assert not len(recorder.static_world.poles)
+    assert not len(recorder.surroundings.static_world.poles)
     (image,) = recorder.frame(0).stations[0].images
     assert not image.instance.any()
     u, v = np.meshgrid(np.arange(SMALL.width) + 0.5, np.arange(SMALL.height) + 0.5)
@@ -619,3 +619,60 @@ def test_bad_input(scene, corners):
         EmbeddedRecorder(scene, corners, recording=Recording(image_scale=9))
     with pytest.raises(InspeError, match=r"layer 'dept': one of .*did you mean depth"):
         EmbeddedRecorder(scene, corners, recording=Recording(layers=("dept",)))
+
+
+# ---- A sensor in hand -----------------------------------------------------------------------
+
+POLE_LABEL = 6  # CARLA's
+
+@pytest.fixture(scope="module")
+def both():
+    """Two cameras and a LiDAR on two units."""
+    return place_sensors(
+        (SMALL, [12.0, 9.5, 5.0, 0.0, -0.3, -2.4]),
+        (COARSE, [-9.0, -9.0, 6.0, 0.0, 0.0, 0.0]),
+        (SMALL, [-9.0, 9.0, 5.0, 0.0, -0.3, -0.8]),
+    )
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("s", [0, 1])
+def test_a_live_sensor_records_at_its_place_what_the_recorder_does(scene, both, light, s):
+    around, small = Conditions(light), Recording(image_scale=0.5)
+    whole = EmbeddedRecorder(scene, both, around, small, seed=3)
+    live = LiveSensor(scene, both, s, around, small, seed=3)
+    live.record(0, np.array(both.poses[s]) + [0.5, 0, 0, 0, 0, 0.2])  # held, and put back
+    for t in (2, 0):
+        frame = whole.frame(t)
+        boxes, found = live.record(t, np.array(both.poses[s]))
+        station = frame.stations[both.sensors[s].unit]
+        assert [box.track for box in boxes] == [box.track for box in frame.boxes]
+        if s == 0:
+            np.testing.assert_array_equal(found.rgb, station.images[0].rgb)
+            np.testing.assert_array_equal(found.pixels, station.images[0].pixels)
+        else:
+            np.testing.assert_array_equal(found.points, station.scans[0].points)
+            np.testing.assert_array_equal(found.returns, station.scans[0].returns)
+
+
+def test_a_sensor_that_is_held_elsewhere_does_not_see_the_mast_it_left(scene, both):
+    """Unlike that of another unit."""
+    behind = np.array([16.0, 13.5, 2.0, 0.0, 0.0, -3 * np.pi / 4])  # looks back at its mast
+
+    def moved(s, pose):
+        poses = np.array(both.poses, float)
+        poses[s] = pose
+        unit = both.sensors[s].unit
+        units = list(both.units)
+        units[unit] = replace(units[unit], base=(*pose[:2].tolist(), 0.0))
+        return replace(both, poses=poses, units=tuple(units))
+
+    small = Recording(layers=("semantic",))
+    _, held = LiveSensor(scene, both, 0, recording=small).record(0, behind)
+    _, there = LiveSensor(scene, moved(0, behind), 0, recording=small).record(0)
+    at_mast = np.s_[124:156, 159:161]  # straight ahead, 5.7 m away
+    assert POLE_LABEL not in held.semantic[at_mast]
+    assert (held.semantic[at_mast] == there.semantic[at_mast]).all()
+    other = moved(2, np.array([12.0, 9.5, 5.0, 0, 0, 0]))  # another unit stands there
+    _, blocked = LiveSensor(scene, other, 0, recording=small).record(0, behind)
+    assert (blocked.semantic[at_mast] == POLE_LABEL).all()

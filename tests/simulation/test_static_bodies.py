@@ -168,8 +168,10 @@ def test_the_lights_of_parked_vehicles_are_off():
     night = Conditions("night")
     recorder = EmbeddedRecorder(place.with_statics([car]), layout, night)
     (dark,) = recorder.frame(0).stations[0].images
-    assert len(beams_of(FrameActors(recorder.parked, place.voxels.center)).front) == 0
-    recorder.parked = tuple(replace(box, parked=False) for box in recorder.parked)
+    assert len(beams_of(FrameActors(recorder.surroundings.parked, place.voxels.center)).front) == 0
+    around = recorder.surroundings
+    shining = tuple(replace(box, parked=False) for box in around.parked)
+    recorder.surroundings = replace(around, parked=shining)
     (lit,) = recorder.frame(0).stations[0].images
     shown = dark.pixels[0]
     assert shown > 50

@@ -1,25 +1,15 @@
 """The embedded recorder: simulates the sensors of a layout in a world of triangles."""
 
-from dataclasses import replace
-
 import numpy as np
+from jaxtyping import Float
 
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.headlights import GroundMap
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, boxes_of
-from inspe_jax.simulation.embedded.sensors import simulated_sensor
-from inspe_jax.simulation.embedded.shading import Shading
-from inspe_jax.simulation.embedded.static_world import build_static_world
-from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.frame import Frame
-from inspe_jax.simulation.parked import parked_vehicles
+from inspe_jax.simulation.embedded.sensors import SimulatedSensor, simulated_sensor
+from inspe_jax.simulation.embedded.surroundings import Surroundings, surroundings_of
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording, stations_of
-
-BELOW = 2.5
-"""A mast ends this far below the lowest sensor of its unit [m], so that no sensor sees it."""
 
 
 class EmbeddedRecorder:
@@ -43,47 +33,75 @@ class EmbeddedRecorder:
         seed: int = 0,
         appearance_seed: int = 0,
     ) -> None:
-        self.recording = recording or Recording()
-        self.recording.check()
-        self.scene, self.seed, self.appearance_seed = scene, seed, appearance_seed
-        layout = conditions.layout(layout)
-        poses = np.asarray(layout.poses, float)
-        self.layout = layout
-        parked, statics = parked_vehicles(scene)
-        self.parked = tuple(replace(b, parked=True) for b in boxes_of(parked, appearance_seed))
-        self.static_world = build_static_world(
-            scene.intersection, scene.voxels.radius, _masts(layout, poses), statics
-        )
-        self.static_caster = Caster(self.static_world.triangles)
-        shading = Shading(conditions, self.static_world.poles - self.static_world.center)
-        place = scene.intersection, scene.voxels.radius
-        ground = GroundMap(*place, shading.light) if shading.light.lamps > 0 else None
-        surroundings = Surroundings(
-            self.static_world, self.static_caster, shading, self.recording, appearance_seed, ground
-        )
+        recording = recording or Recording()
+        recording.check()
+        self.scene, self.seed = scene, seed
+        self.layout = layout = conditions.layout(layout)
+        given = scene, layout, conditions, recording, appearance_seed
+        self.surroundings = surroundings_of(*given)
         self.sensors = [
-            simulated_sensor(sensor.spec, pose, surroundings)
-            for sensor, pose in zip(layout.sensors, poses, strict=True)
+            simulated_sensor(sensor.spec, pose, self.surroundings)
+            for sensor, pose in zip(layout.sensors, np.asarray(layout.poses, float), strict=True)
         ]
 
     def frame(self, t: int) -> Frame:
         """Frame t of the scene's traffic, as every station recorded it."""
-        boxes = boxes_at(self.scene.traffic, t, self.appearance_seed) + self.parked
-        actors = FrameActors(boxes, self.static_world.center)
+        actors = self.surroundings.actors(t)
         recorded = [
-            sensor.record(actors, np.random.default_rng([self.seed, t, s, 3]))
+            sensor.record(actors, noise_source(self.seed, t, s))
             for s, sensor in enumerate(self.sensors)
         ]
         stations = stations_of(self.layout, recorded)
-        return Frame(t, float(self.scene.traffic.time[t]), boxes, stations)
+        return Frame(t, float(self.scene.traffic.time[t]), actors.boxes, stations)
 
 
-def _masts(layout: Layout, poses: np.ndarray) -> np.ndarray:
-    """Foot (x, y, z) and height of each unit's mast, (U, 4) [m]."""
-    heights = [min(poses[s, 2] for s in members) - BELOW for members in layout.members()]
-    return np.array(
-        [
-            (*unit.base, max(height - unit.base[2], 0.5))
-            for unit, height in zip(layout.units, heights, strict=True)
-        ]
-    )
+class LiveSensor:
+    """One sensor of a layout, recorded wherever it is held: what a person sees who drags it.
+
+    At its own pose it records what :class:`EmbeddedRecorder` records with it. Elsewhere its unit
+    has no mast, and all else stays where the layout has it. Parameters and errors are those of
+    :class:`EmbeddedRecorder`; ``s`` is the sensor's place in the layout.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        s: int,
+        conditions: Conditions = FAIR,
+        recording: Recording | None = None,
+        seed: int = 0,
+        appearance_seed: int = 0,
+    ) -> None:
+        recording = recording or Recording()
+        recording.check()
+        layout = conditions.layout(layout)
+        self.spec, self._own = layout.sensors[s].spec, np.array(layout.poses[s], float)
+        self._unit, self._s, self._seed = layout.sensors[s].unit, s, seed
+        self._given = scene, layout, conditions, recording, appearance_seed
+        self._still = surroundings_of(*self._given)
+        self._held: Surroundings | None = None
+        self._placed: tuple[Float[np.ndarray, "6"], SimulatedSensor] | None = None
+
+    def record(
+        self, t: int, pose: Float[np.ndarray, "6"] | None = None
+    ) -> tuple[tuple[RoadUserBox, ...], Image | Scan]:
+        """The road users of frame t, and what the sensor records of them: from a world pose, or
+        where the layout has it."""
+        at = self._own if pose is None else np.array(pose, float)
+        if self._placed is None or not np.array_equal(self._placed[0], at):
+            around = self._still if np.array_equal(at, self._own) else self._without_its_mast()
+            self._placed = at, simulated_sensor(self.spec, at, around)
+        actors = self._still.actors(t)
+        noise = noise_source(self._seed, t, self._s)
+        return actors.boxes, self._placed[1].record(actors, noise)
+
+    def _without_its_mast(self) -> Surroundings:
+        if self._held is None:
+            self._held = surroundings_of(*self._given, mastless=self._unit)
+        return self._held
+
+
+def noise_source(seed: int, t: int, s: int) -> np.random.Generator:
+    """The random numbers for the noise of sensor s in frame t."""
+    return np.random.default_rng([seed, t, s, 3])

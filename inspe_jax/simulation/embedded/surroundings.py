@@ -1,12 +1,24 @@
 """What all sensors of an embedded recorder share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic.frames import TrafficFrames
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.headlights import GroundMap
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, boxes_of
 from inspe_jax.simulation.embedded.shading import Shading
-from inspe_jax.simulation.embedded.static_world import StaticWorld
+from inspe_jax.simulation.embedded.static_world import StaticWorld, build_static_world
+from inspe_jax.simulation.frame import RoadUserBox
+from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.simulation.recorder import Recording
+
+BELOW = 2.5
+"""A mast ends this far below the lowest sensor of its unit [m], so that no sensor sees it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,8 +26,8 @@ class Surroundings:
     """The world around the sensors, its light, and what is to be recorded.
 
     ``static_caster`` casts rays into the triangles of ``static_world``. ``appearance_seed`` is that
-    of the road users' shapes and colours. ``ground`` is where their headlights are followed, None
-    by day.
+    of the road users' shapes and colours: of the ``traffic``'s, and of those that are ``parked`` in
+    all frames. ``ground`` is where their headlights are followed, None by day.
     """
 
     static_world: StaticWorld
@@ -23,4 +35,53 @@ class Surroundings:
     shading: Shading
     recording: Recording
     appearance_seed: int
+    traffic: TrafficFrames
+    parked: tuple[RoadUserBox, ...]
     ground: GroundMap | None = None
+
+    def actors(self, t: int) -> FrameActors:
+        """The road users of frame t."""
+        boxes = boxes_at(self.traffic, t, self.appearance_seed) + self.parked
+        return FrameActors(boxes, self.static_world.center)
+
+
+def surroundings_of(
+    scene: Scene,
+    layout: Layout,
+    conditions: Conditions,
+    recording: Recording,
+    appearance_seed: int,
+    *,
+    mastless: int | None = None,
+) -> Surroundings:
+    """The surroundings of a layout's sensors in a scene: with a mast for each unit, except for the
+    unit ``mastless``.
+
+    Raises InspeError where Embree is missing.
+    """
+    parked, statics = parked_vehicles(scene)
+    place = scene.intersection, scene.voxels.radius
+    static_world = build_static_world(*place, _masts(layout, mastless), statics)
+    shading = Shading(conditions, static_world.poles - static_world.center)
+    return Surroundings(
+        static_world,
+        Caster(static_world.triangles),
+        shading,
+        recording,
+        appearance_seed,
+        scene.traffic,
+        tuple(replace(box, parked=True) for box in boxes_of(parked, appearance_seed)),
+        GroundMap(*place, shading.light) if shading.light.lamps > 0 else None,
+    )
+
+
+def _masts(layout: Layout, mastless: int | None) -> np.ndarray:
+    """Foot (x, y, z) and height of each unit's mast, (U, 4) [m]."""
+    poses = np.asarray(layout.poses, float)
+    heights = [min(poses[s, 2] for s in members) - BELOW for members in layout.members()]
+    masts = [
+        (*unit.base, max(height - unit.base[2], 0.5))
+        for u, (unit, height) in enumerate(zip(layout.units, heights, strict=True))
+        if u != mastless
+    ]
+    return np.array(masts, float).reshape(-1, 4)

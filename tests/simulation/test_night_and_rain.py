@@ -260,7 +260,7 @@ def test_lamps_are_mirrored_towards_the_camera():
             scene, [0.0, 0.0, 6.0, 0.0, -0.4, 0.0], Conditions.of("night", weather)
         )
         camera = recorder.sensors[0]
-        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.surroundings.static_world.center)
+        actors = recorder.surroundings.actors(0)
         pixels, colour = camera.lit_ground.added(actors, camera.origin)
         assert len(np.unique(pixels)) == len(pixels)
         point = camera.background.point[pixels]

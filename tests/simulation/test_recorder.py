@@ -99,7 +99,8 @@ def test_returns_agree_with_rays_and_triangles(scene, corners):
         [rng.choice(len(lidar.body), 200, replace=False), np.flatnonzero(returns.box >= 0)[::20]]
     )
     road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
-    everything = np.concatenate([recorder.surroundings.static_world.triangles, road_users.triangles])
+    still = recorder.surroundings.static_world.triangles
+    everything = np.concatenate([still, road_users.triangles])
     distance, index = nearest_triangle(lidar.origin, lidar.directions[some], everything)
     distance = np.where(distance <= COARSE.reach, distance, np.inf)
     met = np.isfinite(distance)
@@ -177,7 +178,7 @@ def test_points_on_a_car_fall_with_range_as_the_beams_spread():
             world(count=0, radius=60.0, voxel=2.0), (x, 0, np.pi / 2, 4.6, 1.85, 1.5)
         )
         recorder = EmbeddedRecorder(scene, place_sensors((spec, [0, 0, 1.2, 0, 0, 0])))
-        actors = FrameActors(boxes_at(scene.traffic, 0, 0), recorder.surroundings.static_world.center)
+        actors = recorder.surroundings.actors(0)
         counts.append(int((recorder.sensors[0].cast(actors, 0.0).box == 0).sum()))
     assert counts[0] / counts[1] == pytest.approx(4, rel=0.25)
     assert counts[1] / counts[2] == pytest.approx(4, rel=0.25)
@@ -194,7 +195,7 @@ def test_the_turn_takes_time(scene):
     traffic = replace(moving.traffic, velocity=velocity)
     moving = replace(moving, traffic=traffic)
     recorder = EmbeddedRecorder(moving, place_sensors((COARSE, [0, 0, 3.0, 0, 0, 0])))
-    actors = FrameActors(boxes_at(moving.traffic, 0, 0), recorder.surroundings.static_world.center)
+    actors = recorder.surroundings.actors(0)
     lidar = recorder.sensors[0]
     still, turned = lidar.cast(actors, 0.0), lidar.cast(actors, 0.1)
     # The car is to the right, at −90°: a quarter of a turn before the middle, 25 ms early.
@@ -257,7 +258,8 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
     for t in range(crowded.traffic.frame_count):
         boxes = boxes_at(crowded.traffic, t, 0)
         road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
-        caster = Caster(np.concatenate([recorder.surroundings.static_world.triangles, road_users.triangles]))
+        still = recorder.surroundings.static_world.triangles
+        caster = Caster(np.concatenate([still, road_users.triangles]))
         solid = np.zeros(len(centers), bool)
         for box in boxes:
             turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
@@ -292,7 +294,8 @@ def test_only_kerbs_and_poles_stand_within_the_radius():
 
 def test_units_over_the_road_have_no_mast(scene):
     over, beside = (
-        EmbeddedRecorder(scene, lidars((x, x, 6))).surroundings.static_world.material == POLE for x in (0, 14)
+        EmbeddedRecorder(scene, lidars((x, x, 6))).surroundings.static_world.material == POLE
+        for x in (0, 14)
     )
     # A tube of eight sides with three triangles each.
     assert beside.sum() == over.sum() + 24
@@ -435,7 +438,7 @@ def test_no_road_user_or_shadow_is_missed(pose, slope):
     for light in ("midday", "dusk"):
         recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
         (camera,) = recorder.sensors
-        actors = FrameActors(boxes_at(crowd.traffic, 0, 0), recorder.surroundings.static_world.center)
+        actors = recorder.surroundings.actors(0)
         seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
         road_users, caster = actors.at(0.0)
         background = camera.background
@@ -624,6 +627,7 @@ def test_bad_input(scene, corners):
 # ---- A sensor in hand -----------------------------------------------------------------------
 
 POLE_LABEL = 6  # CARLA's
+
 
 @pytest.fixture(scope="module")
 def both():

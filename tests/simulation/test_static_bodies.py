@@ -189,7 +189,7 @@ def test_a_parked_vehicle_looks_the_same_in_any_traffic():
             box
             for box in EmbeddedRecorder(
                 scene.with_statics(bodies), place_sensors((LIDAR, [-12.0, 3.0, 4.0, 0.0, 0.0, 0.0]))
-            ).parked
+            ).surroundings.parked
             if np.allclose(box.center[:2], car.middle)
         )
         found.append((box.track, box.name))

@@ -81,7 +81,7 @@ class LiveSensor:
         self._given = scene, layout, conditions, recording, appearance_seed
         self._still = surroundings_of(*self._given)
         self._held: Surroundings | None = None
-        self._placed: tuple[Float[np.ndarray, "6"], SimulatedSensor] | None = None
+        self._placed: tuple[Float[np.ndarray, 6], SimulatedSensor] | None = None
 
     def record(
         self, t: int, pose: Float[np.ndarray, "6"] | None = None

@@ -1,6 +1,7 @@
 """Claim: a sensor let go has scores in 0.3 s, of all frames in 2 s; the page answers in 0.3 s.
 
 All in the median; the page also while it scores and searches, unless it draws in 3-D by software.
+While a sensor is dragged, what it sees is recorded five times a second.
 A search stops in 0.5 s, in the midst of compiling, too.
 
 W1 of `benchmark_speed.py`: 152 520 voxels, 12 sensors, 100 frames of 40 road users. Once without a
@@ -11,6 +12,10 @@ a card did it at once, and one draws it in software.
 Scores: sensors are dragged as a browser drags them, by events of the handle: a start, an event
 every 50 ms, an end. Timed from the end to the scores on the page's panel, of 20 frames and of all,
 with mounting, the shown frame's voxels and all that is drawn.
+
+Recordings: a camera and a LiDAR are dragged in a circle for some seconds, with an event every
+50 ms, while scores follow. Timed from each recording of what the sensor sees, as it is put on the
+page, to the next.
 
 Answers: another sensor is chosen, which is what can be done at any time, at rest, while all frames
 are scored over and over, and while a search runs, from its button on, with all that it compiles.
@@ -59,6 +64,7 @@ PAUSE = (0.3, 1.0)
 LONG = 600.0
 """What a search is given, which is stopped before [s]."""
 BROWSERS = ("no browser", "a browser, nothing in 3-D", "a browser, 3-D in software")
+RECORDINGS = {"camera": "next picture, dragged", "lidar": "next points, dragged"}
 SCORES = {"few": "20 frames", "all": "all frames"}
 ANSWERS = ("at rest", "while it scores", "while it searches")
 STOPS = ("stop, compiling", "stop, searching")
@@ -112,6 +118,28 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
             if whole:
                 heard.setdefault(False, heard[True])
     return {"few": heard[False], "all": heard[True]}
+
+
+def recordings(viewer: Viewer, s: int, seconds: float) -> Iterator[float]:
+    """Drag a sensor in a circle; seconds from one recording of what it sees to the next."""
+    viewer.select(s)
+    pose = np.array(viewer.layout.poses[s], float)
+    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
+    viewer._on_drag(HandleDrag("start", at, turn))
+    began, seen, last = time.monotonic(), viewer.display.sensor_view.seen, None
+    moved = began
+    while (now := time.monotonic()) < began + seconds:
+        if now >= moved:
+            moved += EVERY
+            aside = np.array([np.cos(now - began), np.sin(now - began), 0.0])
+            viewer._on_drag(HandleDrag("update", at + aside, turn))
+        if viewer.display.sensor_view.seen not in (None, seen):
+            seen = viewer.display.sensor_view.seen
+            if last is not None:
+                yield now - last
+            last = now
+        time.sleep(0.002)
+    viewer._on_drag(HandleDrag("end", at, turn))
 
 
 def on_server(viewer: Viewer, s: int) -> float:
@@ -213,6 +241,10 @@ def measured(
         found = drag(viewer, k % len(viewer.layout), rng)
         for key, name in SCORES.items():
             yield dict(timed=name, after=time.monotonic() - began, seconds=found[key])
+    for kind, name in RECORDINGS.items():
+        s = [sensor.spec.kind for sensor in viewer.layout.sensors].index(kind)
+        for seconds in recordings(viewer, s, counts["drags"] / 3):
+            yield dict(timed=name, after=time.monotonic() - began, seconds=seconds)
     time.sleep(2.0)  # until all is drawn
     states: list[AbstractContextManager[Ready]]
     states = [nullcontext(lambda: None), scoring(viewer), searching(viewer, tab)]
@@ -259,8 +291,9 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
     """Every time: of scores, of answers."""
     fig, found = Figure(figsize=(8.0, 5.6), layout="constrained"), times_of(rows)
     others = (*ANSWERS, *STOPS)
-    scores, answered = fig.subplots(2, 1, height_ratios=(len(SCORES), len(others)))
-    for ax, names in ((scores, tuple(SCORES.values())), (answered, others)):
+    above = (*SCORES.values(), *RECORDINGS.values())
+    scores, answered = fig.subplots(2, 1, height_ratios=(len(above), len(others)))
+    for ax, names in ((scores, above), (answered, others)):
         lines = [line for name in names for line in found if line[0] == name]
         for y, line in enumerate(lines):
             ax.plot(found[line], np.full(len(found[line]), y), "|", ms=9, color="#0072b2")
@@ -269,7 +302,10 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
         ax.set_ylim(len(lines) - 0.4, -0.6)
         ax.grid(axis="x", lw=0.4, color="#d0d0d0")
         ax.set_axisbelow(True)
-    scores.set(xlabel="from the end of a drag to its scores [s]", xlim=(0, None))
+    scores.set(
+        xlabel="from the end of a drag to its scores, from a recording to the next [s]",
+        xlim=(0, None),
+    )
     answered.set(xlabel="from a choice, or from Stop, to its answer [s]", xscale="log")
     answered.xaxis.set_major_formatter("{x:g}")
     return fig
@@ -317,7 +353,7 @@ def main() -> None:
                 viewer.close()
     table = Table("", *looked, title="median (most), in seconds")
     found = times_of(rows)
-    for name in (*SCORES.values(), *ANSWERS, *STOPS):
+    for name in (*SCORES.values(), *RECORDINGS.values(), *ANSWERS, *STOPS):
         times = [found[name, browser] for browser in looked]
         table.add_row(name, *(f"{np.median(of):.3f} ({max(of):.3f})" for of in times))
     console.print(table)

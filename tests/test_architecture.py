@@ -41,7 +41,9 @@ ROOMS = {
     "jaxopt": ("placement/methods/solver_rounds.py",),
     "optax": ("placement/methods/adam.py", "perception/training/optimiser.py"),
     "equinox": ("perception/",),
-    "PIL": ("dataset/formats/", "dataset/loading/decode.py", "simulation/"),
+    "PIL": (
+        "dataset/formats/", "dataset/loading/decode.py", "simulation/", "viewer/sensor_view.py",
+    ),
     "matplotlib": ("report/",),
     "viser": ("report/", "viewer/"),
     "websockets": ("report/server.py",),

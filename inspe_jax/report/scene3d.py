@@ -53,6 +53,8 @@ ABOVE = 0.8
 """Height of numbers above a unit's highest sensor [m]."""
 CROWN = 0.5
 """Opacity of the crowns of trees."""
+POINT_COLOR, POINT_SIZE = "#b5009b", 0.14
+"""Of a LiDAR's points: a colour that nothing else has, and their size [m]."""
 THIN, WIDE = 0.12, 0.4
 """Width of the outlines of what sensors look at, and of that of the selected one [m]."""
 LIFT = 0.05
@@ -186,6 +188,20 @@ class Scene3D:
         for kind, (words, color) in enumerate(layer.kinds):
             own = layer.values == kind
             self._squares(f"columns/{words}", own, color, LIFT / 2, FAINT if faint else None)
+
+    def draw_points(self, points: Float[np.ndarray, "N 3"] | None) -> None:
+        """Draw a LiDAR's points, given in the world [m], in place of those before; or none."""
+        cloud = self.drawn.get("points")
+        if points is None or not len(points):
+            self._forget("points")
+            return
+        at = (points - self.shift).astype(np.float32)
+        if cloud is None:
+            self.drawn["points"] = self.api.add_point_cloud(
+                "points", at, rgb(POINT_COLOR), point_size=POINT_SIZE, point_shading="flat"
+            )
+        else:
+            cloud.points = at
 
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
         """Draw every sensor on its pole, the outline of what it looks at, and its number.

@@ -72,6 +72,7 @@ HEADERS = {
 """Headers of every response: no other page can show this one in a frame, or learn its address."""
 
 SENT: tuple[type[Message], ...] = (
+    kinds.CommandTriggerMessage,
     kinds.GuiUpdateMessage,
     kinds.SceneNodeClickMessage,
     kinds.TransformControlsDragEndMessage,

@@ -26,10 +26,13 @@ from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
+from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.queries import check_layout
 from inspe_jax.visibility.target_rays import picture_scale, rays_on_target
+
+_AT_ONCE = 64  # points of pixel_density_at are compiled for multiples of this
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -117,6 +120,23 @@ def target_view(
             pixels[s] = np.asarray(scale) * spec.focal_pixels
     within = np.diff(np.minimum(edges, height))
     return TargetView(road_user, points, free, pixels, sight @ (within / within.sum()), found)
+
+
+def pixel_density_at(
+    spec: Spec, pose: Float[np.ndarray, "6"], points: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, " N"]:
+    """Pixels per metre across each of N points of the world [m], of a camera at a world pose.
+
+    As in :attr:`TargetView.pixels_per_metre`. They are 0 outside of the picture and beyond reach,
+    and for LiDARs.
+    """
+    if spec.focal_pixels is None:
+        return np.zeros(len(points))
+    to = np.zeros((-(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE, 3))  # few sizes to compile for
+    to[: len(points)] = points - pose[:3]
+    turned = transform_of(jnp.asarray([0.0, 0.0, 0.0, *pose[3:]], float))
+    scale = picture_scale(spec.grid.rays, turned, jnp.asarray(to, float), height=0.0)
+    return np.asarray(scale)[: len(points)] * spec.focal_pixels
 
 
 def _found(

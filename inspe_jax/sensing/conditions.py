@@ -49,7 +49,7 @@ class Conditions:
     def __post_init__(self) -> None:  # safe: it is not a pytree, so only users create it
         for kind, given, known in (
             ("light", self.light, lights()),
-            ("weather", self.weather, (CLEAR, *_figures()["weather"])),
+            ("weather", self.weather, weathers()),
         ):
             check_known(given, known, kind)
         if self.weather == CLEAR:
@@ -88,6 +88,11 @@ class Conditions:
     def weather_text(self) -> str:
         """The weather with its intensity, as :meth:`of` reads it."""
         return self.weather if self.intensity is None else f"{self.weather}:{self.intensity:.12g}"
+
+    @property
+    def unusual(self) -> bool:
+        """Whether the weather has another intensity than its usual one."""
+        return self != Conditions(self.light, self.weather)
 
     @property
     def words(self) -> str:
@@ -155,6 +160,11 @@ def effective_depth(depth: float, extinction: float) -> float:
 def lights() -> tuple[str, ...]:
     """The names of all lights."""
     return tuple(_figures()["light"])
+
+
+def weathers() -> tuple[str, ...]:
+    """The names of all weathers, the clear one first."""
+    return (CLEAR, *_figures()["weather"])
 
 
 @cache

@@ -6,6 +6,8 @@ same page. What they ask for runs in turn on one thread, that of the job queue.
 
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.viewer.display import Display, send
 from inspe_jax.viewer.handle import Handle, HandleDrag
@@ -72,14 +75,17 @@ class Viewer:
         self._dragging: tuple[int, Layout, bool] | None = None
         self._searching, self._best = False, layout
         self.queue = JobQueue(self._failed)
-        self._typing, self._playing = {key: DelayedAction() for key in POSE}, DelayedAction()
+        self._typing, self._playing = (
+            {key: DelayedAction() for key in (*POSE, "name")},
+            DelayedAction(),
+        )
         self.access = AccessRules("127.0.0.1") if access is None else access
         self.server = serve(self.access, port)
         self.port = self.server.get_port()
         self.url, *self.other_urls = self.access.urls(self.port)
         self.server.gui.set_panel_label(f"{layout.name} at {case.scene.name}")
-        self.panel = Panel(self.server.gui, self, self.frames)
-        self.display = Display(self.server, case, layout, self.panel, self.queue, self._click)
+        self.panel = Panel(self.server.gui, self, self.frames, case.conditions)
+        self.display = Display(self.server, case, layout, self.panel, self.queue, self.select)
         self.scene3d = self.display.scene3d
         heard = self._on_scores, self._on_sight, self._on_found
         self.scorer = Scorer(case, weights, *heard, **self.further)
@@ -99,11 +105,6 @@ class Viewer:
     def layout(self) -> Layout:
         """The layout as it is now."""
         return self.session.layout
-
-    @property
-    def _frame(self) -> int:
-        """The slider's frame. With a single frame the slider still has two places."""
-        return min(max(int(self.panel.frame.value), 0), self.frames - 1)
 
     def close(self) -> None:
         """Apply what is typed, stop the search, finish a report that is being written, and stop."""
@@ -130,16 +131,13 @@ class Viewer:
 
     def select(self, s: int) -> None:
         """Select another sensor."""
+        self.settle()
 
         def job() -> None:
             self._selected = min(s, len(self.layout) - 1)
             self._show_controls()
 
         self.queue.submit(job)
-
-    def _click(self, s: int) -> None:
-        self.settle()
-        self.select(s)
 
     def undo_or_redo(self, which: str) -> None:
         """Undo the last change, or redo it; ``which`` is "Undo" or "Redo"."""
@@ -156,21 +154,13 @@ class Viewer:
 
     def type_number(self, s: int, key: str, value: float) -> None:
         """Set a number of a sensor's pose, once nothing more is typed."""
+        change = partial(self.session.set_number, s, key, value)
+        self._typing[key].start(TYPED, lambda: self._change(change))
 
-        def job() -> None:
-            if not np.isfinite(value):
-                raise InspeError(f"{key}: {value} is not a finite number")
-            pose = np.array(self.layout.poses[s], float)
-            if key == "height":
-                pose[2] += value - self.session.height(s)
-            elif key in ("x", "y"):
-                pose["xy".index(key)] = value
-                pose[:2] = self.session.inside(pose[:2])
-            else:
-                pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
-            self.session.move(s, pose)
-
-        self._typing[key].start(TYPED, lambda: self._change(job))
+    def rename(self, s: int, name: str) -> None:
+        """Give a sensor another name, once nothing more is typed."""
+        change = partial(self.session.rename, s, name)
+        self._typing["name"].start(TYPED, lambda: self._change(change))
 
     def duplicate(self, s: int) -> None:
         """Add a copy of a sensor to its unit."""
@@ -195,7 +185,7 @@ class Viewer:
 
     def select_frame(self) -> None:
         """Show the slider's frame."""
-        self.scorer.select_frame(self._frame)
+        self.scorer.select_frame(self.panel.shown_frame)
 
     def show_voxels(self) -> None:
         """Show the kinds of voxels that are ticked."""
@@ -205,6 +195,18 @@ class Viewer:
         """Colour the ground as it is chosen, once what that needs is found."""
         self.scorer.find_targets(self.panel.road_user)
         self.queue.submit(self.display.draw_ground, key="ground")
+
+    def change_conditions(self) -> None:
+        """Score, show and search in the light and the weather that are chosen."""
+
+        def job() -> None:
+            around = Conditions.of(self.panel.light.value, self.panel.weather.value)
+            self.case = replace(self.case, conditions=around)
+            self.scorer.case = self.searcher.case = self.case
+            self.display.set_case(self.case)
+            self._show()
+
+        self._unless_searching(job)
 
     def optimise(self) -> None:
         """Start a search from the present layout."""
@@ -277,7 +279,7 @@ class Viewer:
                 self._failed(wrong)
 
         def job() -> None:
-            given = self.case, self.layout, self.weights, self._frame, ended
+            given = self.case, self.layout, self.weights, self.panel.shown_frame, ended
             if self.store.report(*given, **self.further):
                 self.panel.report.disabled = True
                 self.display.notify("Report", "drawing …", None)
@@ -309,7 +311,7 @@ class Viewer:
         if drag.phase == "update":
             self._dragging = s, of, True
             where, _ = self.session.moved(s, self._dragged_pose(s, drag))
-            self.display.draw(where)
+            self.display.draw(where, held=True)
             self.scorer.score(where, whole=False)
         elif drag.phase == "end":
             self._dragging = None
@@ -318,9 +320,7 @@ class Viewer:
                 self._after_change()
 
     def _dragged_pose(self, s: int, drag: HandleDrag) -> Float[np.ndarray, "6"]:
-        pose = drag.on(np.array(self.layout.poses[s], float), self.scene3d.shift)
-        pose[:2] = self.session.inside(pose[:2])
-        return pose
+        return drag.on(np.array(self.layout.poses[s], float), self.scene3d.shift)
 
     # ── Callbacks of the scorer and the search, from their threads ──
 
@@ -367,7 +367,7 @@ class Viewer:
             if not self._searching:
                 return
             self._best = layout
-            self.display.draw(layout)
+            self.display.draw(layout, held=True)
             self.scorer.score(layout, whole=False)
             self.store.keep(layout)  # in case the page is lost
 
@@ -426,6 +426,7 @@ class Viewer:
         def show() -> None:
             self.panel.list_sensors([sensor.name for sensor in layout.sensors], s)
             self.panel.offer_device(sensor.spec.name)
+            set_value(self.panel.name, sensor.name)
             for key, value in numbers.items():
                 set_value(self.panel.pose[key], round(float(value), 1))
 
@@ -436,7 +437,7 @@ class Viewer:
     def _show_handle(self) -> None:
         pose = np.asarray(self.layout.poses[self._selected], float)
         self.handle.show(pose, self.scene3d.shift, visible=not self._searching)
-        self.scene3d.highlight(self._selected)
+        self.display.select(self._selected)
 
     def _show_file(self) -> None:
         self.panel.file.content = self.store.words(self.layout)

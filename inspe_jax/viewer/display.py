@@ -20,8 +20,9 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
-from inspe_jax.viewer.score_panel import score_panel
+from inspe_jax.viewer.score_panel import score_panel, sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.sensor_view import Look, SensorView
 
 NARROW = 0.8
 """A window that is narrower than this, width to height, is taken for a telephone's."""
@@ -52,6 +53,7 @@ class Display:
         self._server, self._case, self._opened = server, case, opened
         self._panel, self._queue, self._clicked = panel, queue, clicked
         self._frames = case.scene.traffic.frame_count
+        self._selected, self._held = 0, False
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
         self._first: dict[int, Scores] = {}  # scores of the opened layout, by frames
@@ -60,6 +62,10 @@ class Display:
         self._drawn_frame, self._faded = -1, False
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
+        self._opened_in = case.conditions
+        self.sensor_view = SensorView(
+            server.gui, panel.sensor_view, case, queue.failed, self._show_points
+        )
         self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue)
         self.scene3d = Scene3D(server.scene, case.scene)
         self.scene3d.draw_mounting()
@@ -73,21 +79,45 @@ class Display:
             client.camera.position = (0.0, -2.3 * radius, 2.2 * radius)
             client.camera.look_at = (0.0, -1.5 * radius, 0.0)
 
-    def draw(self, layout: Layout, faults: Sequence[Fault] = (), notes: Sequence[str] = ()) -> None:
-        """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
-        self.shown, self._faults, self._notes = layout, faults, notes
+    def set_case(self, case: Case) -> None:
+        """Show layouts in other conditions from now on."""
+        self._case = self.sensor_view.case = case
+        self._found = None
+
+    def draw(
+        self,
+        layout: Layout,
+        faults: Sequence[Fault] = (),
+        notes: Sequence[str] = (),
+        *,
+        held: bool = False,
+    ) -> None:
+        """Show a layout, the rules of mounting that it breaks, and notes on the last change.
+
+        ``held``: a sensor of it is being moved at the moment.
+        """
+        self.shown, self._faults, self._notes, self._held = layout, faults, notes, held
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
         for s, body in self.scene3d.draw_layout(seen, broken).items():
             self._bind(s, body)
+        self._look()
         self._show_scores()
         self._wait()
+
+    def select(self, s: int) -> None:
+        """Show that a sensor is selected, and what it sees."""
+        self._selected = s
+        self.scene3d.highlight(s)
+        self._look()
+        self._show_scores()
 
     def draw_users(self, frame: int) -> None:
         """Show the road users of a frame."""
         if frame != self._drawn_frame:
             self.scene3d.draw_users(frame)
             self._drawn_frame = frame
+            self._look()
 
     def draw_voxels(self) -> None:
         """Show the kinds of voxels that are ticked, in the frame that is shown.
@@ -127,8 +157,9 @@ class Display:
         remember_seconds(SCORES, self._compiled - before)
         if scored.scores is not None and scored.frames == self._frames:
             self.blind_spots.show(scored.layout, scored.scores)
-        if scored.layout is self._opened and scored.scores is not None:
-            self._first[scored.frames] = scored.scores
+        scores = scored.scores
+        if scored.layout is self._opened and scores and scores.conditions == self._opened_in:
+            self._first[scored.frames] = scores
         self._show_scores()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -144,6 +175,7 @@ class Display:
     def close(self) -> None:
         """Cancel the action that waits, and finish what is being drawn."""
         self._waiting.cancel()
+        self.sensor_view.close()
         self.blind_spots.close()
 
     def _bind(self, s: int, body: Any) -> None:
@@ -151,11 +183,27 @@ class Display:
         async def _(_: Any) -> None:
             self._clicked(s)
 
+    @property
+    def _current(self) -> bool:
+        """Whether the newest scores are of the shown layout, in the conditions that are shown."""
+        found = self.scored
+        if found is None or found.layout is not self.shown:
+            return False
+        return found.scores is None or found.scores.conditions == self._case.conditions
+
+    def _look(self) -> None:
+        """Look through the selected sensor in the frame that is shown."""
+        s, t = min(self._selected, len(self.shown) - 1), max(self._drawn_frame, 0)
+        self.sensor_view.look(Look(self.shown, s, t, self._held))
+
+    def _show_points(self, points: Float[Any, "N 3"] | None) -> None:
+        self._queue.submit(lambda: self.scene3d.draw_points(points), key="points")
+
     def _wait(self) -> None:
         """Until the shown layout has scores, fade the old ones and say what is being done."""
 
         def job() -> None:
-            if self.scored is None or self.scored.layout is not self.shown:
+            if not self._current:
                 if not self._faded:
                     self._faded = True
                     self.blind_spots.outdated()
@@ -167,9 +215,13 @@ class Display:
 
     def _show_scores(self) -> None:
         scored = self.scored
+        self._panel.table.content = sensor_table(
+            self.shown, scored if self._current else None, self._selected
+        )
         self._panel.scores.content = score_panel(
             self.shown,
             scored,
+            outdated=not self._current,
             frames=self._frames,
             opened=None if scored is None else self._first.get(scored.frames),
             faults=[fault.words for fault in self._faults],

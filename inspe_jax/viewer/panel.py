@@ -10,6 +10,7 @@ from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.conditions import Conditions, lights, weathers
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 from inspe_jax.viewer.store import EarlierFile
 
@@ -30,26 +31,42 @@ GROUND: dict[str, str | None] = {REGIONS: None} | {f"finding a {name}": name for
 """What the ground can be coloured by: its regions, or the chance to find a road user there."""
 
 
+KEYS: tuple[tuple[str, Any, Any, str], ...] = (
+    ("Undo", "Z", "cmd/ctrl", "Ctrl+Z"),
+    ("Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z"),
+    ("Save layout", "S", "cmd/ctrl", "Ctrl+S"),
+    ("Select the next sensor", "N", None, "N"),
+    ("Select the sensor before", "N", "shift", "Shift+N"),
+    ("Remove the selected sensor", "delete", None, "Delete"),
+    ("List the keys", "H", None, "H"),
+)
+"""What keys do: words, the key, what is held with it, and both in words. They are not heard while a
+number is typed. Arrows and W, A, S, D, Q, E move the camera, which is viser's."""
+
+
 class Panel:
     """Every control by name. When a person uses one, a method of ``viewer`` is called.
 
     A value that the program itself sets calls nothing.
     """
 
-    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int) -> None:
-        """``viewer`` has the methods that are bound below; ``frames`` of traffic there are."""
+    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int, around: Conditions) -> None:
+        """``viewer`` has the methods that are bound below; ``frames`` of traffic there are, and
+        the conditions at the start are those ``around``."""
         known = list(devices())
         plain: Any = dict(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
         gui.configure_theme(**plain)
         gui.main_panel.dock_right()
-        self._gui, self._viewer = gui, viewer
+        self._gui, self._viewer, self._frames = gui, viewer, frames
         self._question: Any = None
         self.offers: list[Any] = []
         self.earlier = gui.add_folder("Earlier work", visible=False)
         self.scores = gui.add_html("")
         self.edit = gui.add_button_group("Change", ("Undo", "Redo"))
-        with gui.add_folder("Sensor"):
+        with gui.add_folder("Sensors"):
+            self.table = gui.add_html("")
             self.sensor = gui.add_dropdown("Sensor", ("1",))
+            self.name = gui.add_text("Name", "")
             self.device = gui.add_dropdown("Device", known)
             self.pose = {key: gui.add_number(label, 0.0, step=0.1) for key, label in POSE.items()}
             self.existing = gui.add_button_group("This one", ("Duplicate", "Remove"))
@@ -57,6 +74,7 @@ class Panel:
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
+        self.sensor_view = gui.add_folder("Through the sensor")
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
             self.seconds = gui.add_number("Time [s]", SECONDS, min=1.0, step=10.0)
@@ -65,9 +83,14 @@ class Panel:
             self.bar = gui.add_progress_bar(0.0, visible=False)
             self.course = gui.add_markdown("", visible=False)
         self.blind_spots = gui.add_folder("Blind spots", visible=False)
-        with gui.add_folder("Traffic"):
+        with gui.add_folder("Traffic, light and weather"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
+            self.light = gui.add_dropdown("Light", lights(), initial_value=around.light)
+            given = around.weather_text if around.unusual else around.weather
+            self.weather = gui.add_dropdown(
+                "Weather", list(dict.fromkeys((*weathers(), given))), initial_value=given
+            )
             self.ground = gui.add_dropdown(
                 "Ground",
                 list(GROUND),
@@ -84,9 +107,21 @@ class Panel:
             self.download = gui.add_button("Download layout", color="gray")
             self.report = gui.add_button("Write report", hint="And offer it for download here")
 
+        keys: dict[str, Callable[[Any], None]] = {
+            "Undo": lambda _: viewer.undo_or_redo("Undo"),
+            "Redo": lambda _: viewer.undo_or_redo("Redo"),
+            "Save layout": lambda _: viewer.save(),
+            "Select the next sensor": lambda _: viewer.select(self._beside(1)),
+            "Select the sensor before": lambda _: viewer.select(self._beside(-1)),
+            "Remove the selected sensor": lambda _: viewer.remove(self.chosen),
+            "List the keys": _list_keys,
+        }
+        for words, key, held, _ in KEYS:
+            self._bind_click(gui.add_command(words, hotkey=key, modifier=held), keys[words])
         self._bind(self.edit, lambda: viewer.undo_or_redo(self.edit.value))
         self._bind(self.sensor, lambda: viewer.select(self.chosen))
         self._bind(self.device, lambda: viewer.swap(self.chosen, self.device.value))
+        self._bind(self.name, lambda: viewer.rename(self.chosen, self.name.value), settle=False)
         for key, number in self.pose.items():
             self._bind(number, partial(self._typed, viewer, key), settle=False)
         which = {"Duplicate": viewer.duplicate, "Remove": viewer.remove}
@@ -97,6 +132,8 @@ class Panel:
         self._bind(self.stop, viewer.stop)
         self._bind(self.frame, viewer.select_frame)
         self._bind(self.play, viewer.select_frame)
+        for choice in (self.light, self.weather):
+            self._bind(choice, viewer.change_conditions)
         self._bind(self.ground, viewer.color_ground)
         for box in self.shown.values():
             self._bind(box, viewer.show_voxels)
@@ -162,10 +199,19 @@ class Panel:
         return GROUND.get(self.ground.value)
 
     @property
+    def shown_frame(self) -> int:
+        """The slider's frame. With a single frame the slider still has two places."""
+        return min(max(int(self.frame.value), 0), self._frames - 1)
+
+    @property
     def chosen(self) -> int:
         """The chosen sensor's place in the layout; 0 if none is chosen."""
         value, options = self.sensor.value, self.sensor.options
         return options.index(value) if value in options else 0
+
+    def _beside(self, step: int) -> int:
+        """The place of the sensor so many places after the chosen one, round and round."""
+        return (self.chosen + step) % len(self.sensor.options)
 
     def list_sensors(self, names: Sequence[str], chosen: int) -> None:
         """List these sensors, numbered from 1, and choose the one at place ``chosen``."""
@@ -184,18 +230,22 @@ class Panel:
         """Disable changes while a search runs, and show the button that stops it."""
         self.stop.visible = self.bar.visible = self.course.visible = on
         self.optimise.visible = self.edit.visible = self.existing.visible = not on
-        others = (self.device, self.new, self.add, self.method, self.seconds, self.save)
-        for control in (*others, *self.pose.values(), *self.offers, self.report):
+        choices = self.device, self.new, self.method, self.seconds, self.light, self.weather
+        buttons = self.add, self.save, self.report, *self.offers
+        for control in (*choices, self.name, *self.pose.values(), *buttons):
             control.disabled = on
 
     def _bind_click(self, button: Any, ask: Callable[[Any], None]) -> None:
-        """Call ``ask`` with the browser that clicks a button, once typed numbers are applied."""
+        """Call ``ask`` with the browser that clicks a button, or presses the key of a command, once
+        typed numbers are applied."""
 
-        @button.on_click
-        async def _(event: Any) -> None:
+        async def called(event: Any) -> None:
             if event.client is not None:
                 self._viewer.settle()
                 ask(event.client)
+
+        register = getattr(button, "on_click", None) or button.on_trigger
+        register(called)
 
     def _bind(self, control: Any, ask: Callable[[], None], *, settle: bool = True) -> None:
         """Call ``ask`` when a browser uses a control, on the event loop, so that order is kept.
@@ -218,6 +268,12 @@ class Panel:
 
         register = getattr(control, "on_click", None) or control.on_update
         register(called)
+
+
+def _list_keys(client: Any) -> None:
+    """Tell a browser what keys do."""
+    words = "; ".join(f"{key}: {what[0].lower()}{what[1:]}" for what, _, _, key in KEYS)
+    client.add_notification("Keys", f"{words}. Arrows, W, A, S, D, Q and E move the camera.")
 
 
 def set_value(control: Any, value: Any) -> None:

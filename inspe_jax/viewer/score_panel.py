@@ -13,6 +13,7 @@ from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
+from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scorer import ScoredLayout
 
@@ -30,6 +31,7 @@ LEGEND = (
 )
 
 _TEMPLATE = template("viewer", "score_panel.html.j2")
+_TABLE = template("viewer", "sensor_table.html.j2")
 
 
 def score_panel(
@@ -37,6 +39,7 @@ def score_panel(
     scored: ScoredLayout | None,
     *,
     frames: int,
+    outdated: bool = False,
     opened: Scores | None = None,
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
@@ -48,6 +51,7 @@ def score_panel(
 
     ``scored``: the newest scores, or None. Those of another layout are shown in grey.
     ``frames``: number of frames of the whole traffic.
+    ``outdated``: whether the scores are of other conditions, and so in grey too.
     ``opened``: the scores of the layout that was opened, on the same frames.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.
@@ -57,11 +61,12 @@ def score_panel(
     """
     scores = None if scored is None else scored.scores
     before = None if scores is None or opened is None else opened.surrogate
-    new = scored if scored is not None and scored.layout is layout else None
+    new = scored if scored is not None and scored.layout is layout and not outdated else None
     return _TEMPLATE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
+        opened_in=_elsewhere(scores, opened),
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,
@@ -78,6 +83,29 @@ def score_panel(
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
     )
+
+
+def sensor_table(layout: Layout, scored: ScoredLayout | None, selected: int) -> str:
+    """The sensors of a layout as HTML, the ``selected`` one bold: name, what it costs, and what
+    P_sm loses without it.
+
+    ``scored`` are the layout's scores, None as long as there are none.
+    """
+    scores = None if scored is None else scored.scores
+    lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
+    known, rows = devices(), []
+    for number, (sensor, loss) in enumerate(zip(layout.sensors, lost, strict=True), 1):
+        price = known[sensor.spec.name].price_usd if sensor.spec.name in known else None
+        rows.append(
+            dict(
+                number=number,
+                name=sensor.name,
+                price="" if price is None else f"{price:,.0f}",
+                lost="" if loss is None else f"{loss:.4f}",
+                selected=number == selected + 1,
+            )
+        )
+    return _TABLE.render(rows=rows)
 
 
 @dataclass(frozen=True)
@@ -125,6 +153,13 @@ def _change(value: float, before: float | None, digits: int = 4) -> str:
     """A change with its sign; nothing where none is known, or would be seen in its digits."""
     text = "" if before is None else f"{value - before:+.{digits}f}"
     return text if text.strip("+-0.") else ""
+
+
+def _elsewhere(scores: Scores | None, opened: Scores | None) -> str:
+    """The conditions of the opened layout's scores, if they are others."""
+    if scores is None or opened is None or scores.conditions == opened.conditions:
+        return ""
+    return str(opened.conditions)
 
 
 def _found_keys(road_user: str) -> tuple[tuple[str, str], ...]:

@@ -21,6 +21,8 @@ REMEMBERED = 200
 """Number of changes that can be undone."""
 HEIGHT = 6.0
 """Height of a new sensor above the ground [m]."""
+LONGEST_NAME = 60
+"""Number of characters that a sensor's name has at most."""
 BESIDE = 0.8
 """A copy is turned by this fraction of the field of view, so that both views overlap a little."""
 
@@ -60,11 +62,13 @@ class LayoutSession:
     def moved(self, s: int, pose: Float[np.ndarray, "6"]) -> MountedLayout:
         """The layout with sensor ``s`` let go at a world pose; the session does not change.
 
+        A pose outside of the region of interest is moved to its rim.
         The sensor's unit moves with it in plan, since it stands on one foot. The unit's other
         sensors keep their heights above the ground. Height and direction change for sensor ``s``
         alone. The result is the nearest layout that can be mounted.
         """
-        old = self.layout
+        old, pose = self.layout, np.array(pose, float)
+        pose[:2] = self.inside(pose[:2])
         unit = old.sensors[s].unit
         members, poses = list(old.members()[unit]), np.array(old.poses, float)
         stood, shift = np.array(old.units[unit].base[:2]), pose[:2] - poses[s, :2]
@@ -80,6 +84,36 @@ class LayoutSession:
     def move(self, s: int, pose: Float[np.ndarray, "6"]) -> None:
         """Move sensor ``s`` to a world pose: see :meth:`moved`."""
         self.take(*self.moved(s, pose))
+
+    def set_number(self, s: int, key: str, value: float) -> None:
+        """Set a number of a sensor's pose: "x" or "y" in the world [m], "height" above the ground
+        [m], "yaw" or "pitch" [degrees].
+
+        Raises InspeError if it is not finite.
+        """
+        if not np.isfinite(value):
+            raise InspeError(f"{key}: {value} is not a finite number")
+        pose = np.array(self.layout.poses[s], float)
+        if key == "height":
+            pose[2] += value - self.height(s)
+        elif key in ("x", "y"):
+            pose["xy".index(key)] = value
+        else:
+            pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
+        self.move(s, pose)
+
+    def rename(self, s: int, name: str) -> None:
+        """Give sensor ``s`` another name.
+
+        Raises InspeError if it is empty or too long, or another sensor has it.
+        """
+        name, sensors = name.strip(), list(self.layout.sensors)
+        if not 0 < len(name) <= LONGEST_NAME:
+            raise InspeError(f"a sensor's name has 1 to {LONGEST_NAME} characters, not {len(name)}")
+        if any(name == other.name for k, other in enumerate(sensors) if k != s):
+            raise InspeError(f"another sensor is named '{name}': give each its own name")
+        sensors[s] = replace(sensors[s], name=name)
+        self.take(replace(self.layout, sensors=tuple(sensors)))
 
     def height(self, s: int) -> float:
         """Height of sensor ``s`` above the ground at its unit's foot [m]."""

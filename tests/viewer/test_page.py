@@ -1,5 +1,6 @@
 """The page in a real browser: sensors are dragged by their handles, and everything follows."""
 
+import base64
 import io
 import re
 import socket
@@ -19,11 +20,15 @@ from inspe_jax.placement.space import Space
 from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.report.scene3d import turn_of
 from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
+from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+from inspe_jax.simulation.recorder import Recording
 from inspe_jax.viewer import app
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import LENGTH
 from inspe_jax.viewer.panel import set_value
+from inspe_jax.viewer.sensor_view import image_scale
 
 pytestmark = pytest.mark.browser
 
@@ -440,3 +445,57 @@ def test_while_a_change_is_not_scored_yet_what_was_is_faint(tab, viewer, monkeyp
     settled(tab)
     tab.wait_for_function(faint, arg="")
     wait_until(tab, lambda: viewer.scene3d.drawn["voxels/hidden"].opacity == strong)
+
+
+def test_the_camera_in_hand_shows_what_the_recorder_records(tab, viewer, scene):
+    """By day; then the light is changed on the page, and scores and picture follow."""
+    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+
+    def shown():
+        source = tab.get_by_alt_text("What the camera sees").get_attribute("src", timeout=WAIT)
+        kind, _, text = source.partition(";base64,")
+        return plt.imread(io.BytesIO(base64.b64decode(text)), kind.rpartition("/")[2])
+
+    def wanted(around):
+        small = Recording(image_scale=image_scale(viewer.layout.sensors[0].spec))
+        recorder = EmbeddedRecorder(scene, viewer.layout, around, small)
+        return recorder.frame(0).stations[0].images[0].rgb / np.float32(255)
+
+    first = score_of(tab)
+    wait_until(tab, lambda: np.array_equal(shown(), wanted(FAIR)))
+    tab.get_by_label("height [m]").fill("8")
+    tab.keyboard.press("Enter")
+    second = settled(tab, first)
+    wait_until(tab, lambda: np.array_equal(shown(), wanted(FAIR)))
+    tab.get_by_label("Light", exact=True).click(force=True)
+    tab.get_by_role("option", name="night").click()
+    night = Conditions("night")
+    assert settled(tab, second) == evaluate(scene, viewer.layout, conditions=night).surrogate
+    wait_until(tab, lambda: np.array_equal(shown(), wanted(night)))
+    assert tab.get_by_text("since it was opened (midday, clear)").is_visible()
+
+
+def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
+    first = score_of(tab)
+    tab.get_by_label("height [m]").fill("8")
+    tab.keyboard.press("Enter")
+    second = settled(tab, first)
+    tab.get_by_label("height [m]").press("Delete")  # of a digit, not of the sensor
+    tab.get_by_text("all frames, scored").click()  # no number is typed from now on
+    tab.wait_for_timeout(1000)
+    assert len(viewer.layout) == 2
+    tab.keyboard.press("Control+z")
+    assert settled(tab, second) == first
+    tab.keyboard.press("Control+Shift+z")
+    assert settled(tab, first) == second
+    tab.keyboard.press("n")
+    wait_until(tab, lambda: viewer.panel.chosen == 1)
+    tab.keyboard.press("n")
+    wait_until(tab, lambda: viewer.panel.chosen == 0)
+    tab.keyboard.press("Shift+n")
+    wait_until(tab, lambda: viewer.panel.chosen == 1)
+    tab.keyboard.press("Delete")
+    tab.get_by_text("1 sensors on 1 units").wait_for(timeout=WAIT)
+    assert viewer.layout.sensors == layout.sensors[:1]
+    tab.keyboard.press("h")
+    tab.get_by_text("Ctrl+Z: undo").wait_for()

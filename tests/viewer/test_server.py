@@ -491,7 +491,7 @@ def test_values_that_are_no_option_ask_for_nothing(fresh, layout, capfd):
     assert panel.chosen == 0
     assert panel.method.value in panel.method.options
     assert panel.new.value in panel.new.options
-    assert 0 <= fresh._frame < fresh.frames
+    assert 0 <= fresh.panel.shown_frame < fresh.frames
     assert "Traceback" not in capfd.readouterr().err
 
 

@@ -1,6 +1,7 @@
 """The page's server without a browser: what its handle and its buttons ask for."""
 
 import asyncio
+import importlib.util
 import time
 from base64 import b64decode
 from dataclasses import asdict, replace
@@ -11,10 +12,13 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 from scipy.spatial.transform import Rotation
 from worlds import world
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.plan_picture import DOTS, LETTERS, plan_picture
 from inspe_jax.report.scene3d import rgb
@@ -24,11 +28,18 @@ from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
+from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit, load_layout, save_layout
+from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
+from inspe_jax.simulation.frame import Image
+from inspe_jax.simulation.recorder import Recording
+from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.searcher import SearchEnding
+from inspe_jax.viewer.sensor_view import image_scale
 
 AHEAD, LEFT, UP = np.eye(3)
 YAW = np.radians(-100)
@@ -263,11 +274,10 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
 
 
 def test_a_place_typed_far_outside_is_brought_to_the_rim(viewer, scene, layout, monkeypatch):
-    moved = []
-    monkeypatch.setattr(viewer.session, "move", lambda s, pose: moved.append(pose))
+    monkeypatch.setattr(viewer.session, "_mounted", lambda wanted: (wanted, ()))
     viewer.type_number(0, "x", 1e4)
-    done(viewer, lambda: moved)
-    away = moved[0][:2] - scene.voxels.center[:2]
+    done(viewer, lambda: viewer.layout is not layout)
+    away = viewer.layout.poses[0, :2] - scene.voxels.center[:2]
     assert np.hypot(*away) == pytest.approx(scene.voxels.radius)
     toward = np.array([1e4, layout.poses[0, 1]]) - scene.voxels.center[:2]
     np.testing.assert_allclose(away / np.hypot(*away), toward / np.hypot(*toward))
@@ -314,7 +324,7 @@ def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
     viewer.type_number(0, "height", 4.0)
-    viewer._click(1)
+    viewer.display._clicked(1)
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(4.0)
     assert viewer._selected == 1
@@ -412,3 +422,141 @@ def test_the_plan_view_is_of_all_frames(scene, layout):
     ).all()  # it shows something
     other = replace(scene, traffic=jax.tree.map(lambda leaf: leaf[::-1], scene.traffic))
     assert drawn(other) == picture
+
+
+def recorded(scene, layout, s, frame, around=FAIR):
+    """What the recorder has of one sensor, in pictures of the page's size."""
+    small = Recording(image_scale=image_scale(layout.sensors[s].spec))
+    station = EmbeddedRecorder(scene, layout, around, small).frame(frame).stations
+    unit = station[layout.sensors[s].unit]
+    (found,) = (*unit.images, *unit.scans)
+    return found
+
+
+def same(seen, wanted):
+    """Whether two recordings are the same, bit by bit."""
+    if type(seen) is not type(wanted) or not np.array_equal(seen.pose, wanted.pose):
+        return False
+    of = (lambda one: one.rgb) if isinstance(seen, Image) else (lambda one: one.points)
+    return np.array_equal(of(seen), of(wanted))
+
+
+def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(viewer, scene):
+    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+    view = viewer.display.sensor_view
+    first = recorded(scene, viewer.layout, 0, 0)
+    done(viewer, lambda: same(view.seen, first))
+    pull(viewer, (0.7, 0, 0.5), phases=("start", "update"))
+    done(viewer, lambda: view.seen.pose[2] == pytest.approx(6.5, abs=1e-6))
+    assert "data:image/jpeg" in view.picture.content
+    pull(viewer, (0.7, 0, 0.5), phases=("end",))
+    wanted = recorded(scene, viewer.layout, 0, 0)
+    assert not same(first, wanted)
+    done(viewer, lambda: same(view.seen, wanted) and "data:image/png" in view.picture.content)
+    exact = view.picture.content.partition("data:image/png;base64,")[2].partition('"')[0]
+    shown = np.asarray(Pillow.open(BytesIO(b64decode(exact))))
+    np.testing.assert_array_equal(shown, wanted.rgb)
+    listed = np.count_nonzero(wanted.pixels)
+    assert f"{listed} of {len(wanted.pixels)} road users are in the picture" in view.picture.content
+    assert "px/m" in view.picture.content
+
+    viewer.select(1)  # the LiDAR, in another frame
+    set_value(viewer.panel.frame, 2)
+    viewer.select_frame()
+    scan = recorded(scene, viewer.layout, 1, 2)
+    done(viewer, lambda: same(view.seen, scan))
+    done(viewer, lambda: "points" in viewer.scene3d.drawn)
+    drawn = viewer.scene3d.drawn["points"].points + viewer.scene3d.shift
+    np.testing.assert_allclose(drawn, world_points(scan).T, atol=0.02)  # float16 within 32 m
+    assert f"{len(scan.points):,} points" in view.picture.content
+    viewer.select(0)
+    done(viewer, lambda: "points" not in viewer.scene3d.drawn)
+
+
+def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
+    done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
+    night = Conditions.of("night", "rain")
+    viewer.panel.light.value, viewer.panel.weather.value = "night", "rain"
+    viewer.change_conditions()
+    scores = evaluate(scene, layout, conditions=night)
+
+    def settled():
+        found = viewer.display.scored
+        return found.scores.conditions == night and found.frames == 3
+
+    done(viewer, settled)
+    assert viewer.display.scored.scores.surrogate == scores.surrogate
+    assert f'data-score="{scores.surrogate}"' in viewer.panel.scores.content
+    change = scores.surrogate - evaluate(scene, layout).surrogate
+    assert f"{change:+.4f} since it was opened (midday, clear)" in viewer.panel.scores.content
+    assert viewer.searcher.case.conditions == night
+    if importlib.util.find_spec("embreex"):
+        wanted = recorded(scene, layout, 0, 0, night)
+        done(viewer, lambda: same(viewer.display.sensor_view.seen, wanted))
+
+
+def test_scores_of_other_conditions_are_not_taken_for_those_asked_for(viewer, scene, layout):
+    """They arrive late, or stand there until the new ones come."""
+    done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
+    old = viewer.display.scored
+    viewer.scorer.close()  # no new ones come
+    viewer.panel.light.value = "night"
+    viewer.change_conditions()
+    viewer._on_scores(old)
+    done(viewer)
+    assert 'data-state="scoring …"' in viewer.panel.scores.content
+    done(viewer, lambda: "opacity:.3" in viewer.panel.scores.content)
+
+
+def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch):
+    view = viewer.display.sensor_view
+    done(viewer, lambda: view.picture.content)
+    set_value(view.on, False)
+    set_value(viewer.panel.frame, 1)
+    viewer.select_frame()
+    done(viewer, lambda: view.seen is None and not view.picture.content)
+
+    def none(*_):
+        raise InspeError("recording needs Embree: pip install it")
+
+    monkeypatch.setattr(sensor_view, "LiveSensor", none)
+    set_value(view.on, True)
+    viewer.select(1)
+    done(viewer, lambda: "recording needs Embree: pip install it" in view.picture.content)
+    assert not viewer.told
+
+
+def test_a_table_lists_the_sensors_with_what_each_adds_and_costs(viewer, scene, layout):
+    done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
+    viewer.select(1)
+    done(viewer, lambda: "font-weight:700" in viewer.panel.table.content.split("<tr")[3])
+    for row in evaluate(scene, layout).contributions:
+        assert row.sensor in viewer.panel.table.content
+        assert f"{row.surrogate:.4f}" in viewer.panel.table.content
+    viewer.swap(1, "velodyne-vlp-16")
+    price = devices()["velodyne-vlp-16"].price_usd
+    done(viewer, lambda: f"{price:,.0f}" in viewer.panel.table.content)
+
+
+def test_a_sensor_gets_another_name(viewer, layout):
+    viewer.select(1)
+    viewer.rename(1, "north")  # on the way
+    viewer.rename(1, " <b>north west</b> ")
+    viewer.settle()
+    done(viewer)
+    assert viewer.layout.sensors[1].name == "<b>north west</b>"
+    assert "&lt;b&gt;north west&lt;/b&gt;" in viewer.panel.table.content
+    assert "<b>" not in viewer.panel.table.content
+    for name, wrong in (
+        (layout.sensors[0].name, "another sensor is named"),
+        ("", "1 to 60 characters"),
+        ("x" * 61, "1 to 60 characters"),
+    ):
+        viewer.rename(1, name)
+        viewer.settle()
+        done(viewer)
+        assert wrong in viewer.told[-1][1]
+        assert viewer.layout.sensors[1].name == "<b>north west</b>"
+        done(viewer, lambda: viewer.panel.name.value == "<b>north west</b>")
+    viewer.undo_or_redo("Undo")
+    done(viewer, lambda: viewer.layout is layout)

@@ -1,0 +1,195 @@
+"""Through the selected sensor: a camera's picture or a LiDAR's points, and what it has of road
+users.
+
+The embedded recorder makes both. It works on a thread of its own, so that a sensor can be dragged
+meanwhile: pictures of a place that is already out of date are not begun.
+"""
+
+import base64
+import io
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import viser
+from jaxtyping import Float, UInt8
+from PIL import Image as Pillow
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
+from inspe_jax.dataset.points_in_boxes import world_points
+from inspe_jax.placement.problem import Case
+from inspe_jax.report.page import template
+from inspe_jax.scoring.detection import BANDS, FEW
+from inspe_jax.scoring.targets import pixel_density_at
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.simulation.embedded.recorder import LiveSensor
+from inspe_jax.simulation.frame import Image, RoadUserBox, Scan
+from inspe_jax.simulation.recorder import Recording
+from inspe_jax.viewer.job_queue import JobQueue
+
+PIXELS = 320 * 240
+"""Number of pixels of a picture, unless the camera itself has fewer."""
+LISTED = 6
+"""Number of road users that are listed, the nearest ones."""
+QUALITY = 88
+"""Of a JPEG, of 100."""
+_TEMPLATE = template("viewer", "sensor_view.html.j2")
+
+
+class Look(NamedTuple):
+    """What is looked at: with sensor ``s`` of a layout, in frame ``t``. ``held``: it is moved at
+    the moment, so that its mast and those of the others stay where they were."""
+
+    layout: Layout
+    s: int
+    t: int
+    held: bool
+
+    def same(self, other: "Look") -> bool:
+        """Whether another is the same: layouts are, if they are one object."""
+        return self.layout is other.layout and self[1:] == other[1:]
+
+
+class Seen(NamedTuple):
+    """A road user that a sensor has something of: its class, its distance [m], and how much."""
+
+    kind: str
+    distance: float
+    much: str
+
+
+class SensorView:
+    """A folder of the page with the view of a sensor.
+
+    ``seen`` is the newest recording. ``show_points`` is called, on the view's thread, with the
+    points of a LiDAR in the world (N, 3) [m]; with None if there are none to show.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        folder: Any,
+        case: Case,
+        failed: Callable[[Exception], None],
+        show_points: Callable[[Float[np.ndarray, "N 3"] | None], None],
+    ) -> None:
+        """``folder`` is filled. ``failed`` is told of errors, except that the recorder is not
+        there, which the page says in place of a picture."""
+        self.case = case
+        self.seen: Image | Scan | None = None
+        self._folder, self._show_points = folder, show_points
+        self._recording = JobQueue(failed)
+        self._live: tuple[Case, Layout, int, LiveSensor] | None = None
+        self._newest: tuple[Case, Look] | None = None
+        with folder:
+            self.on = gui.add_checkbox("Live", True, hint="Record what the selected sensor gets")
+            self.picture = gui.add_html("")
+
+        @self.on.on_update
+        async def _(event: Any) -> None:
+            newest, self._newest = self._newest, None
+            if newest is not None and event.client is not None:
+                self.look(newest[1])
+
+    def look(self, at: Look) -> None:
+        """Show this, unless something newer is to be shown before it is begun.
+
+        Does nothing if it is shown already.
+        """
+        newest = self._newest
+        if newest is not None and newest[0] is self.case and newest[1].same(at):
+            return
+        self._newest = self.case, at
+        self._recording.submit(lambda: self._look(at), key="look")
+
+    def close(self) -> None:
+        """Finish what is being recorded."""
+        self._recording.close()
+
+    def _look(self, at: Look) -> None:
+        seen, page = None, ""
+        try:
+            if self.on.value:
+                pose = np.array(at.layout.poses[at.s], float)
+                boxes, seen = self._live_sensor(at).record(at.t, pose)
+                page = _page(at.layout.sensors[at.s].spec, boxes, seen, held=at.held)
+        except InspeError as e:
+            page = _TEMPLATE.render(wrong=str(e))
+        self.picture.content, self.seen = page, seen
+        self._folder.label = f"Through sensor {at.s + 1}"
+        self._show_points(world_points(seen).T if isinstance(seen, Scan) else None)
+
+    def _live_sensor(self, at: Look) -> LiveSensor:
+        """The selected sensor: while it is held, in the surroundings that it was taken up in."""
+        if self._live is not None:
+            case, layout, s, sensor = self._live
+            there = layout is at.layout or (at.held and layout.sensors == at.layout.sensors)
+            if there and case is self.case and s == at.s:
+                return sensor
+        case, small = self.case, Recording(image_scale=image_scale(at.layout.sensors[at.s].spec))
+        sensor = LiveSensor(case.scene, at.layout, at.s, case.conditions, small)
+        self._live = case, at.layout, at.s, sensor
+        return sensor
+
+
+def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan, *, held: bool) -> str:
+    """What a sensor has recorded, as HTML."""
+    rows = sorted(_rows(spec, boxes, seen), key=lambda row: row.distance)
+    return _TEMPLATE.render(
+        wrong="",
+        image=picture_url(seen.rgb, exact=not held) if isinstance(seen, Image) else "",
+        summary=_summary(boxes, seen),
+        rows=rows[:LISTED],
+    )
+
+
+def _summary(boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
+    if isinstance(seen, Image):
+        shown = np.count_nonzero(np.asarray(seen.pixels))
+        return f"{shown} of {len(boxes)} road users are in the picture"
+    enough = np.count_nonzero(np.asarray(seen.returns) >= FEW)
+    some = f"{enough} of {len(boxes)} road users have {FEW:g} or more"
+    return f"{len(seen.points):,} points; {some}"
+
+
+def _rows(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> Iterator[Seen]:
+    """The road users that a sensor has something of."""
+    pose = np.asarray(seen.pose, float)
+    at = np.array([box.center for box in boxes]).reshape(-1, 3)
+    away = np.linalg.norm(at - pose[:3], axis=1)
+    if isinstance(seen, Scan):
+        for box, distance, points in zip(boxes, away, np.asarray(seen.returns), strict=True):
+            if points > 0:
+                yield Seen(box.kind, distance, counted(int(points), "point"))
+        return
+    sharp = pixel_density_at(spec, pose, at)
+    for box, distance, density, share in zip(
+        boxes, away, sharp, np.asarray(seen.share), strict=True
+    ):
+        if share > 0:
+            yield Seen(box.kind, distance, f"{_sharpness(density)}; {1 - share:.0%} hidden")
+
+
+def _sharpness(density: float) -> str:
+    """Pixels per metre in words, with the band of EN 62676-4; those of the camera itself, whose
+    picture here is smaller."""
+    if density <= 0:
+        return "at the edge"
+    band = [name for name, least in BANDS.items() if density >= least][-1:]
+    return ", ".join([f"{density:.0f} px/m", *band])
+
+
+def image_scale(spec: Spec) -> float:
+    """The scale of a camera's pictures, so that they have about :data:`PIXELS`."""
+    if not isinstance(spec, CameraSpec):
+        return 1.0
+    return min(1.0, float(np.sqrt(PIXELS / (spec.width * spec.height))))
+
+
+def picture_url(rgb: UInt8[np.ndarray, "H W 3"], *, exact: bool) -> str:
+    """A picture as a URL that contains it: PNG if it is to be exact, and the smaller JPEG else."""
+    file, kind = io.BytesIO(), "png" if exact else "jpeg"
+    Pillow.fromarray(rgb).save(file, kind, quality=QUALITY)
+    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode()}"

@@ -94,7 +94,7 @@ LOOK = """wanted => {
 def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
     """Drag one sensor some metres and turn it; seconds to the scores of few and of all frames."""
     heard: dict[bool, float] = {}
-    told = viewer.panel.scores
+    told = viewer.panel.headline
 
     viewer.select(s)
     pose = np.array(viewer.layout.poses[s], float)
@@ -280,7 +280,7 @@ def first_scores(viewer: Viewer) -> tuple[float, list[str]]:
     """Seconds until a page that was just started has scores, and what it says till then."""
     began, said = time.monotonic(), list[str]()
     while viewer.display.scored is None:
-        state = viewer.panel.scores.content.partition('data-state="')[2].partition('"')[0]
+        state = viewer.panel.headline.content.partition('data-state="')[2].partition('"')[0]
         if state and state not in said:
             said.append(state)
         time.sleep(0.05)

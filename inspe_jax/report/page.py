@@ -28,7 +28,8 @@ from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
 from inspe_jax.report.progress import before_after, history_view
-from inspe_jax.report.scene3d import USER_COLOR, scene3d_page
+from inspe_jax.report.scene3d import USER_COLOR
+from inspe_jax.report.scene3d_page import scene3d_page
 from inspe_jax.report.schedule import (
     installation_schedule,
     materials,

@@ -20,12 +20,10 @@ from inspe_jax.report.bodies import BODY_COLORS, body_meshes
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS, MapLayer, free_of_bodies
 from inspe_jax.report.outlines import view_outline
-from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.viewshed import Visibility, sight_in
-from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 
@@ -51,6 +49,8 @@ POLE = 4.0
 """Height at which standing poles are drawn [m]."""
 ABOVE = 0.8
 """Height of numbers above a unit's highest sensor [m]."""
+BALL = 1.2
+"""Radius of the ball about a number that can be clicked [m]."""
 CROWN = 0.5
 """Opacity of the crowns of trees."""
 POINT_COLOR, POINT_SIZE = "#b5009b", 0.14
@@ -203,12 +203,15 @@ class Scene3D:
         else:
             cloud.points = at
 
-    def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
+    def draw_layout(
+        self, layout: Layout, broken: Iterable[int] = ()
+    ) -> tuple[dict[int, Any], dict[int, Any]]:
         """Draw every sensor on its pole, the outline of what it looks at, and its number.
 
         The ``broken`` sensors, which break a rule of mounting, are red. If only poses differ from
-        the layout before, what is drawn is moved. Returns the bodies of sensors that are new, by
-        their place in the layout.
+        the layout before, what is drawn is moved. Returns what can be clicked and is new: the
+        bodies of sensors, by their place in the layout, and about the numbers of units, by the
+        place among those that carry sensors.
         """
         wrong, new = set(broken), {}
         looks = [
@@ -229,8 +232,7 @@ class Scene3D:
             if k not in self._at or (self._at[k] != poses[k]).any():
                 self._move_sensor(k, spec, poses[k])
                 self._at[k] = poses[k].copy()
-        self._number(layout, poses, wrong)
-        return new
+        return new, self._number(layout, poses, wrong)
 
     def highlight(self, selected: int) -> None:
         """Draw the outline of what one sensor looks at wider than those of the others."""
@@ -268,9 +270,12 @@ class Scene3D:
         self.drawn[f"{name}/pole"].points = self._pole(at).astype(np.float32)
         self.drawn[f"{name}/view"].points = self._view(spec, pose).astype(np.float32)
 
-    def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
+    def _number(
+        self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]
+    ) -> dict[int, Any]:
         """Draw the numbers of a unit's sensors as one label above it; several labels would
-        overlap."""
+        overlap. Each is in a ball that is not seen, since only bodies can be clicked."""
+        new = {}
         units = [members for members in layout.members() if members]
         for u, members in enumerate(units):
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
@@ -280,10 +285,15 @@ class Scene3D:
             if label is None:
                 label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
                 self.drawn[f"numbers/{u + 1}"] = label
+                new[u] = self.drawn[f"numbers/{u + 1}/ball"] = self.api.add_icosphere(
+                    f"numbers/{u + 1}/ball", BALL, opacity=0.0, cast_shadow=False
+                )
             label.text, label.position = word, at
         for u in range(len(units), self._units):
+            self._forget(f"numbers/{u + 1}/ball")
             self._forget(f"numbers/{u + 1}")
         self._units = len(units)
+        return new
 
     def _pole(self, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "1 2 3"]:
         foot = self._on_ground(at[None, :2] + self.shift[:2], lift=0.0)[0]
@@ -419,24 +429,6 @@ def quaternion(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
 def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """The rotation matrix of w, x, y, z."""
     return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
-
-
-def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
-    """An HTML page with one frame of a scene and what a layout sees of it, to turn and zoom."""
-    server = serve(
-        AccessRules("127.0.0.1", browsers=0), 0
-    )  # no browser may connect: the page is a file
-    try:
-        scene3d = Scene3D(server.scene, scene)
-        scene3d.draw_users(frame)
-        sight = sight_in(scene, layout, frame, conditions=conditions)
-        scene3d.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
-        scene3d.draw_layout(conditions.layout(layout))
-        look_from(server.initial_camera, scene)
-        return server.scene.as_html()
-    finally:
-        with quiet():
-            server.stop()
 
 
 def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:

@@ -43,6 +43,7 @@ from websockets.exceptions import ConnectionClosedOK
 from websockets.http11 import Request, Response
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.report.page_head import with_head
 
 PORTS = 100
 """Number of ports that are tried."""
@@ -203,9 +204,10 @@ def _own_names() -> set[str]:
     return names | {f"{name}.local" for name in names}
 
 
-def serve(access: AccessRules, port: int) -> viser.ViserServer:
+def serve(access: AccessRules, port: int, head: str = "") -> viser.ViserServer:
     """Start a server for browsers, at ``port`` or the next free one; at any free one for port 0.
 
+    ``head`` is HTML for the head of its page, such as a title; without it the page is viser's.
     Raises InspeError if the host is not an address of this machine, or no port is free.
     """
     host = access.host
@@ -225,7 +227,7 @@ def serve(access: AccessRules, port: int) -> viser.ViserServer:
             if e.errno not in (errno.EADDRINUSE, errno.EACCES):
                 break
         else:
-            return _guarded(access, free)
+            return _guarded(access, free, head)
     raise InspeError(f"host {host}, port {port}: no server can be started there ({wrong.strerror})")
 
 
@@ -234,7 +236,7 @@ def quiet() -> AbstractContextManager[Any]:
     return redirect_stdout(io.StringIO())
 
 
-def _guarded(access: AccessRules, port: int) -> viser.ViserServer:
+def _guarded(access: AccessRules, port: int, head: str) -> viser.ViserServer:
     """viser's server with access rules.
 
     viser has no options for this. It opens its port with ``websockets.asyncio.server.serve``, which
@@ -248,7 +250,7 @@ def _guarded(access: AccessRules, port: int) -> viser.ViserServer:
         ):  # a server of somebody else, at the same time
             return real(handler, *args, **options)
         opened.append(port)
-        guard = _Guard(access, handler, options["process_request"])
+        guard = _Guard(access, handler, options["process_request"], head)
         return real(guard.handle, *args, **options | guard.options)
 
     with _serving, quiet():
@@ -271,8 +273,10 @@ def _guarded(access: AccessRules, port: int) -> viser.ViserServer:
 class _Guard:
     """Checks the connections of one server before viser's ``handler`` and ``files`` get them."""
 
-    def __init__(self, access: AccessRules, handler: Any, files: Callable[..., Any]) -> None:
-        self.access, self.pages = access, 0
+    def __init__(
+        self, access: AccessRules, handler: Any, files: Callable[..., Any], head: str
+    ) -> None:
+        self.access, self.head, self.pages = access, head, 0
         self._silent: dict[ServerConnection, None] = {}  # in the order in which they came
         self._sockets = 0
         self._logged: list[float] = []
@@ -334,10 +338,20 @@ class _Guard:
         else:
             path = self.access.rest(request.path)
             response = self._files(connection, replace(request, path=path))
+            if response is not None and self.head:
+                self._give_head(response)
         if response is not None:
             for name, value in HEADERS.items():
                 response.headers[name] = value
         return response
+
+    def _give_head(self, response: Response) -> None:
+        """Put the head into viser's page."""
+        if response.headers.get("Content-Type", "").startswith("text/html"):
+            zipped = response.headers["Content-Encoding"] == "gzip"
+            response.body = with_head(bytes(response.body), self.head, zipped=zipped)
+            del response.headers["Content-Length"]
+            response.headers["Content-Length"] = str(len(response.body))
 
     async def handle(self, connection: ServerConnection) -> None:
         """Pass a connection on to viser, unless too many pages are open."""

@@ -17,19 +17,21 @@ from jaxtyping import Float, UInt
 from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
+from inspe_jax.report.page import template
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout, layout_text
-from inspe_jax.viewer.display import Display, send
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.display import Display
+from inspe_jax.viewer.file_actions import FileActions
 from inspe_jax.viewer.handle import Handle, HandleDrag
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import POSE, Panel, set_value
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchCallbacks, SearchEnding, Searcher
 from inspe_jax.viewer.session import LayoutSession
-from inspe_jax.viewer.store import EarlierFile, LayoutStore
+from inspe_jax.viewer.store import LayoutStore
 
 PLAYED = 0.25
 """Least time between two frames that are played [s]."""
@@ -39,7 +41,7 @@ SEARCH_COMPILES = 40.0
 """Rough time that compiling a search takes [s]."""
 
 
-class Viewer:
+class Viewer(FileActions):
     """A layout on a scene, served to browsers.
 
     ``url`` and ``port`` are the page's address, ``other_urls`` its addresses for other machines.
@@ -80,10 +82,9 @@ class Viewer:
             DelayedAction(),
         )
         self.access = AccessRules("127.0.0.1") if access is None else access
-        self.server = serve(self.access, port)
+        self.server = serve(self.access, port, self._head())
         self.port = self.server.get_port()
         self.url, *self.other_urls = self.access.urls(self.port)
-        self.server.gui.set_panel_label(f"{layout.name} at {case.scene.name}")
         self.panel = Panel(self.server.gui, self, self.frames, case.conditions)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self.select)
         self.scene3d = self.display.scene3d
@@ -147,6 +148,14 @@ class Viewer:
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
 
         self._change(job)
+
+    def set_reference(self) -> None:
+        """Compare with the present layout from now on."""
+        self._unless_searching(self.display.set_reference)
+
+    def swap_reference(self) -> None:
+        """Exchange the layout for the one that it is compared with."""
+        self._change(lambda: self.session.take(self.display.set_reference()))
 
     def swap(self, s: int, name: str) -> None:
         """Exchange a sensor's device."""
@@ -227,64 +236,6 @@ class Viewer:
     def stop(self) -> None:
         """Stop the search with its best layout so far."""
         self.queue.submit(self.searcher.stop)
-
-    def save(self) -> None:
-        """Save the layout; ask first if that would replace a file of an earlier run."""
-
-        def job() -> None:
-            if self.store.would_replace(self.layout):
-                self.panel.ask_replace(self.store.path.name, self.store.beside.name)
-            else:
-                self._save(None)
-
-        self._unless_searching(job)
-
-    def replace(self) -> None:
-        """Save the layout in place of the file that is there."""
-        self._unless_searching(lambda: self._save(None))
-
-    def save_beside(self) -> None:
-        """Save the layout under a new name, and keep that name from now on."""
-        self._unless_searching(lambda: self._save(self.store.beside))
-
-    def _save(self, path: Path | None) -> None:
-        self.store.save(self.layout, path)
-        self._show_file()
-        self.display.notify("Saved", str(self.store.path), "green")
-
-    def open_earlier(self, number: int) -> None:
-        """Open a layout that an earlier run has left."""
-
-        def change() -> None:
-            earlier: EarlierFile = self.store.earlier[number]
-            self.session.take(self.store.open(earlier))
-            self.panel.withdraw(number)
-            self.display.notify("Opened", earlier.path.name, None)
-
-        self._change(change)
-
-    def download(self, client: Any) -> None:
-        """Send a browser the layout, as it would be saved."""
-        self.queue.submit(lambda: send(client, self.store.path.name, layout_text(self.layout)))
-
-    def write_report(self, client: Any = None) -> None:
-        """Write a report beside the layout's file, and send it to a browser; one at a time."""
-
-        def ended(page: Path, wrong: Exception | None) -> None:
-            self.panel.report.disabled = self._searching
-            if wrong is None:
-                self.display.notify("Report", f"wrote {page}", "green")
-                send(client, page.name, page.read_text(encoding="utf-8"))
-            else:
-                self._failed(wrong)
-
-        def job() -> None:
-            given = self.case, self.layout, self.weights, self.panel.shown_frame, ended
-            if self.store.report(*given, **self.further):
-                self.panel.report.disabled = True
-                self.display.notify("Report", "drawing …", None)
-
-        self._unless_searching(job)
 
     # ── The handle ──
 
@@ -389,7 +340,7 @@ class Viewer:
 
     # ── What is shown; on the thread of the queue ──
 
-    def _unless_searching(self, job: Callable[[], None]) -> None:
+    def _unless_searching(self, job: Callable[[], Any]) -> None:
         """Submit an action, except during a search: the page then shows the search's layout."""
         self.queue.submit(lambda: None if self._searching else job())
 
@@ -441,6 +392,10 @@ class Viewer:
 
     def _show_file(self) -> None:
         self.panel.file.content = self.store.words(self.layout)
+
+    def _head(self) -> str:
+        title = f"{self.layout.name} at {self.case.scene.name} – inspe_jax"
+        return template("viewer", "head.html.j2").render(title=title)
 
     def _failed(self, wrong: Exception) -> None:
         if not isinstance(wrong, InspeError | OSError):

@@ -5,6 +5,7 @@ are shown faded, and the page says what is being done. Every method runs on the 
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import viser
@@ -36,6 +37,7 @@ class Display:
     """A layout as browsers see it.
 
     ``shown`` is the layout, ``scored`` the newest scores: its own, or those of a layout before.
+    ``reference`` is the layout that it is compared with.
     """
 
     def __init__(
@@ -48,21 +50,22 @@ class Display:
         clicked: Callable[[int], None],
     ) -> None:
         """Draw the scene. ``clicked`` is called with the number of a sensor that is clicked."""
-        self.shown = opened
+        self.shown = self.reference = opened
         self.scored: ScoredLayout | None = None
-        self._server, self._case, self._opened = server, case, opened
+        self._server, self._case = server, case
         self._panel, self._queue, self._clicked = panel, queue, clicked
         self._frames = case.scene.traffic.frame_count
         self._selected, self._held = 0, False
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
-        self._first: dict[int, Scores] = {}  # scores of the opened layout, by frames
+        # The newest scores, and those of the reference, by number of frames.
+        self._newest: dict[int, ScoredLayout] = {}
+        self._references: dict[int, Scores] = {}
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._found: tuple[Layout, str, Float[Any, " L"]] | None = None
-        self._drawn_frame, self._faded = -1, False
+        self._drawn_frame, self._faded, self._label = -1, False, ""
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
-        self._opened_in = case.conditions
         self.sensor_view = SensorView(
             server.gui, panel.sensor_view, case, queue.failed, self._show_points
         )
@@ -73,16 +76,24 @@ class Display:
         server.on_client_connect(self._greet)
 
     def _greet(self, client: Any) -> None:
-        """Set a new browser's camera. On a narrow screen the controls cover the lower part."""
+        """Set a new browser's camera: farther off on a narrow screen."""
         if client.camera.aspect < NARROW:
             radius = self._case.scene.voxels.radius
             client.camera.position = (0.0, -2.3 * radius, 2.2 * radius)
-            client.camera.look_at = (0.0, -1.5 * radius, 0.0)
+            client.camera.look_at = (0.0, -0.1 * radius, 0.0)
 
     def set_case(self, case: Case) -> None:
         """Show layouts in other conditions from now on."""
         self._case = self.sensor_view.case = case
         self._found = None
+
+    def set_reference(self) -> Layout:
+        """Compare with the shown layout from now on; gives the reference before."""
+        before, self.reference = self.reference, self.shown
+        shown = (found for found in self._newest.values() if found.layout is self.shown)
+        self._references = {one.frames: one.scores for one in shown if one.scores is not None}
+        self._show_scores()
+        return before
 
     def draw(
         self,
@@ -99,8 +110,11 @@ class Display:
         self.shown, self._faults, self._notes, self._held = layout, faults, notes, held
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
-        for s, body in self.scene3d.draw_layout(seen, broken).items():
-            self._bind(s, body)
+        bodies, numbers = self.scene3d.draw_layout(seen, broken)
+        for s, body in bodies.items():
+            self._bind(body, partial(self._clicked, s))
+        for u, ball in numbers.items():
+            self._bind(ball, partial(self._click_number, u))
         self._look()
         self._show_scores()
         self._wait()
@@ -157,9 +171,9 @@ class Display:
         remember_seconds(SCORES, self._compiled - before)
         if scored.scores is not None and scored.frames == self._frames:
             self.blind_spots.show(scored.layout, scored.scores)
-        scores = scored.scores
-        if scored.layout is self._opened and scores and scores.conditions == self._opened_in:
-            self._first[scored.frames] = scores
+        self._newest[scored.frames] = scored
+        if scored.layout is self.reference and scored.scores is not None:
+            self._references.setdefault(scored.frames, scored.scores)
         self._show_scores()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -178,10 +192,16 @@ class Display:
         self.sensor_view.close()
         self.blind_spots.close()
 
-    def _bind(self, s: int, body: Any) -> None:
+    def _bind(self, body: Any, then: Callable[[], None]) -> None:
         @body.on_click
         async def _(_: Any) -> None:
-            self._clicked(s)
+            then()
+
+    def _click_number(self, u: int) -> None:
+        """Of the sensors on a unit, the one after the selected one, round and round."""
+        members = [members for members in self.shown.members() if members][u]
+        after = [s for s in members if s > self._selected] if self._selected in members else []
+        self._clicked((after or list(members))[0])
 
     @property
     def _current(self) -> bool:
@@ -218,18 +238,25 @@ class Display:
         self._panel.table.content = sensor_table(
             self.shown, scored if self._current else None, self._selected
         )
-        self._panel.scores.content = score_panel(
+        page = score_panel(
             self.shown,
             scored,
             outdated=not self._current,
             frames=self._frames,
-            opened=None if scored is None else self._first.get(scored.frames),
+            reference=None if scored is None else self._references.get(scored.frames),
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
             waiting=self._waiting_words(),
             faded=self._faded,
             road_user=self._panel.road_user,
         )
+        self._panel.headline.content, self._panel.scores.content = page
+        words = f"{self.shown.name} at {self._case.scene.name}"
+        if self._current and scored is not None and scored.scores is not None:
+            words = f"{scored.scores.surrogate:.4f}  {words}"  # also where the panel is collapsed
+        if words != self._label:
+            self._label = words
+            self._server.gui.set_panel_label(words)
 
     def _waiting_words(self) -> str:
         """What is being done while there are no scores yet."""
@@ -237,9 +264,3 @@ class Display:
         if not state.now:
             return "scoring …"
         return waiting_words(state.seconds - self._compiled, usual_seconds(SCORES, SCORES_COMPILE))
-
-
-def send(client: Any, name: str, text: str) -> None:
-    """Offer a browser a file to download; nothing where the browser is None."""
-    if client is not None:
-        client.send_file_download(name, text.encode())

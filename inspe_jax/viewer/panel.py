@@ -11,7 +11,7 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.conditions import Conditions, lights, weathers
-from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
+from inspe_jax.viewer.score_panel import REFERENCE, VISIBILITY_NAMES
 from inspe_jax.viewer.store import EarlierFile
 
 SECONDS = 60.0
@@ -38,7 +38,7 @@ KEYS: tuple[tuple[str, Any, Any, str], ...] = (
     ("Select the next sensor", "N", None, "N"),
     ("Select the sensor before", "N", "shift", "Shift+N"),
     ("Remove the selected sensor", "delete", None, "Delete"),
-    ("List the keys", "H", None, "H"),
+    ("List the keys", "H", None, "H or ?"),
 )
 """What keys do: words, the key, what is held with it, and both in words. They are not heard while a
 number is typed. Arrows and W, A, S, D, Q, E move the camera, which is viser's."""
@@ -61,10 +61,11 @@ class Panel:
         self._question: Any = None
         self.offers: list[Any] = []
         self.earlier = gui.add_folder("Earlier work", visible=False)
+        self.headline = gui.add_html("")
+        self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
-        self.edit = gui.add_button_group("Change", ("Undo", "Redo"))
-        with gui.add_folder("Sensors"):
-            self.table = gui.add_html("")
+        self.compare = gui.add_button_group("Compare", ("Set as A", "Swap with A"), hint=REFERENCE)
+        with gui.add_folder("Sensor"):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")
             self.device = gui.add_dropdown("Device", known)
@@ -75,6 +76,8 @@ class Panel:
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
         self.sensor_view = gui.add_folder("Through the sensor")
+        with gui.add_folder("All sensors"):
+            self.table = gui.add_html("")
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
             self.seconds = gui.add_number("Time [s]", SECONDS, min=1.0, step=10.0)
@@ -118,7 +121,9 @@ class Panel:
         }
         for words, key, held, _ in KEYS:
             self._bind_click(gui.add_command(words, hotkey=key, modifier=held), keys[words])
-        self._bind(self.edit, lambda: viewer.undo_or_redo(self.edit.value))
+        self._bind(self.edit, lambda: self._edit(self.edit.value))
+        compare = {"Set as A": viewer.set_reference, "Swap with A": viewer.swap_reference}
+        self._bind(self.compare, lambda: compare[self.compare.value]())
         self._bind(self.sensor, lambda: viewer.select(self.chosen))
         self._bind(self.device, lambda: viewer.swap(self.chosen, self.device.value))
         self._bind(self.name, lambda: viewer.rename(self.chosen, self.name.value), settle=False)
@@ -209,6 +214,12 @@ class Panel:
         value, options = self.sensor.value, self.sensor.options
         return options.index(value) if value in options else 0
 
+    def _edit(self, what: str) -> None:
+        if what == "Save":
+            self._viewer.save()
+        else:
+            self._viewer.undo_or_redo(what)
+
     def _beside(self, step: int) -> int:
         """The place of the sensor so many places after the chosen one, round and round."""
         return (self.chosen + step) % len(self.sensor.options)
@@ -229,7 +240,8 @@ class Panel:
     def searching(self, on: bool) -> None:
         """Disable changes while a search runs, and show the button that stops it."""
         self.stop.visible = self.bar.visible = self.course.visible = on
-        self.optimise.visible = self.edit.visible = self.existing.visible = not on
+        self.optimise.visible = self.existing.visible = self.compare.visible = not on
+        self.edit.visible = not on
         choices = self.device, self.new, self.method, self.seconds, self.light, self.weather
         buttons = self.add, self.save, self.report, *self.offers
         for control in (*choices, self.name, *self.pose.values(), *buttons):

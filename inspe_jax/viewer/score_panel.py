@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
@@ -30,8 +31,19 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-_TEMPLATE = template("viewer", "score_panel.html.j2")
+REFERENCE = "A is the layout as it was opened, or the one that you have set as A"
+"""What changes are compared with, in words."""
+
+_HEADLINE = template("viewer", "headline.html.j2")
+_DETAILS = template("viewer", "score_panel.html.j2")
 _TABLE = template("viewer", "sensor_table.html.j2")
+
+
+class ScorePanel(NamedTuple):
+    """Scores as HTML: P_sm and how far scoring is; and all else."""
+
+    headline: str
+    details: str
 
 
 def score_panel(
@@ -40,19 +52,19 @@ def score_panel(
     *,
     frames: int,
     outdated: bool = False,
-    opened: Scores | None = None,
+    reference: Scores | None = None,
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
     faded: bool = False,
     road_user: str | None = None,
-) -> str:
+) -> ScorePanel:
     """A layout's scores as HTML.
 
     ``scored``: the newest scores, or None. Those of another layout are shown in grey.
     ``frames``: number of frames of the whole traffic.
     ``outdated``: whether the scores are of other conditions, and so in grey too.
-    ``opened``: the scores of the layout that was opened, on the same frames.
+    ``reference``: the scores of the layout A that this one is compared with, on the same frames.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.
     ``waiting``: what is being done while the layout has no scores.
@@ -60,29 +72,34 @@ def score_panel(
     ``road_user``: by the chance to find whom the ground is coloured; None if it is not.
     """
     scores = None if scored is None else scored.scores
-    before = None if scores is None or opened is None else opened.surrogate
+    before = None if scores is None or reference is None else reference.surrogate
     new = scored if scored is not None and scored.layout is layout and not outdated else None
-    return _TEMPLATE.render(
+    headline = _HEADLINE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
-        opened_in=_elsewhere(scores, opened),
+        against=REFERENCE,
+        reference_in=_elsewhere(scores, reference),
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,
+    )
+    details = _DETAILS.render(
+        scores=scores,
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
         notes=notes,
         broken=BROKEN_COLOR,
-        metrics=[] if scores is None else list(_metric_bars(scores, opened)),
-        regions=[] if scores is None else list(_region_bars(scores, opened)),
+        metrics=[] if scores is None else list(_metric_bars(scores, reference)),
+        regions=[] if scores is None else list(_region_bars(scores, reference)),
         sensors=len(layout),
         units=len(layout.units),
         cost=cost_of(layout),
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
     )
+    return ScorePanel(headline, details)
 
 
 def sensor_table(layout: Layout, scored: ScoredLayout | None, selected: int) -> str:
@@ -105,7 +122,7 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selected: int) -> 
                 selected=number == selected + 1,
             )
         )
-    return _TABLE.render(rows=rows)
+    return _TABLE.render(rows=rows, priced=any(row["price"] for row in rows))
 
 
 @dataclass(frozen=True)
@@ -134,17 +151,17 @@ class Bar:
         return self.before is not None and self.value < self.before
 
 
-def _metric_bars(scores: Scores, opened: Scores | None) -> Iterator[Bar]:
+def _metric_bars(scores: Scores, reference: Scores | None) -> Iterator[Bar]:
     for metric in METRICS.values():
         if metric.name in scores.metrics:
-            before = None if opened is None else opened.metrics.get(metric.name)
+            before = None if reference is None else reference.metrics.get(metric.name)
             words = f"{metric.words} {metric.symbol}"
             yield Bar(words, metric.summary, scores.metrics[metric.name], before)
 
 
-def _region_bars(scores: Scores, opened: Scores | None) -> Iterator[Bar]:
+def _region_bars(scores: Scores, reference: Scores | None) -> Iterator[Bar]:
     for region, value in scores.region_coverage.items():
-        before = None if opened is None else opened.region_coverage.get(region)
+        before = None if reference is None else reference.region_coverage.get(region)
         meaning = f"share of the {region}'s voxels that some sensor ray passes through"
         yield Bar(region, meaning, value, before)
 
@@ -155,11 +172,11 @@ def _change(value: float, before: float | None, digits: int = 4) -> str:
     return text if text.strip("+-0.") else ""
 
 
-def _elsewhere(scores: Scores | None, opened: Scores | None) -> str:
-    """The conditions of the opened layout's scores, if they are others."""
-    if scores is None or opened is None or scores.conditions == opened.conditions:
+def _elsewhere(scores: Scores | None, reference: Scores | None) -> str:
+    """The conditions of the reference's scores, if they are others."""
+    if scores is None or reference is None or scores.conditions == reference.conditions:
         return ""
-    return str(opened.conditions)
+    return str(reference.conditions)
 
 
 def _found_keys(road_user: str) -> tuple[tuple[str, str], ...]:

@@ -129,7 +129,7 @@ def report_page(there):
 
 def viewer_panel(there):
     scored = ScoredLayout(there.layout, there.scores, 3, 0.1)
-    return score_panel(there.layout, scored, frames=3)
+    return "".join(score_panel(there.layout, scored, frames=3))
 
 
 def before_and_after(there):

@@ -439,7 +439,7 @@ def test_while_a_change_is_not_scored_yet_what_was_is_faint(tab, viewer, monkeyp
     press(tab, "Duplicate")
     tab.get_by_text("scoring …").wait_for()
     wait_until(tab, lambda: viewer.scene3d.drawn["voxels/hidden"].opacity < strong / 2)
-    faint = "wanted => document.querySelector('[data-state] table').style.opacity === wanted"
+    faint = "wanted => document.querySelector('[data-details] table').style.opacity === wanted"
     tab.wait_for_function(faint, arg="0.3")
     held.set()
     settled(tab)
@@ -472,7 +472,7 @@ def test_the_camera_in_hand_shows_what_the_recorder_records(tab, viewer, scene):
     night = Conditions("night")
     assert settled(tab, second) == evaluate(scene, viewer.layout, conditions=night).surrogate
     wait_until(tab, lambda: np.array_equal(shown(), wanted(night)))
-    assert tab.get_by_text("since it was opened (midday, clear)").is_visible()
+    assert tab.get_by_text("against A (midday, clear)").is_visible()
 
 
 def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):

@@ -378,41 +378,45 @@ def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
 # ── The score panel ──
 
 
+def panel(*given, **further):
+    return "".join(score_panel(*given, **further))
+
+
 def test_the_panel_says_scores_faults_and_cost(scene, layout):
     scored = scorers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
     scores = scored.scores
     less = {name: value - 0.01 for name, value in scores.metrics.items()}
     opened = replace(scores, surrogate=0.1, metrics=less | {"coverage": scores.metrics["coverage"]})
-    text = score_panel(
-        layout, scored, frames=50, opened=opened, faults=["unit <x> floats"], notes=["so"]
+    text = panel(
+        layout, scored, frames=50, reference=opened, faults=["unit <x> floats"], notes=["so"]
     )
     assert text.count("+0.010") == 2  # and none where nothing has changed
     assert METRICS["occlusion"].summary in text
     nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
-    assert ">0.9997<" in score_panel(layout, nearly, frames=50)
+    assert ">0.9997<" in panel(layout, nearly, frames=50)
     full = replace(scored, scores=replace(scores, metrics=less | {"coverage": 1.0}))
-    assert ">1.000<" in score_panel(layout, full, frames=50)
+    assert ">1.000<" in panel(layout, full, frames=50)
     assert f"{scored.scores.surrogate:.4f}" in text
-    assert f"{scored.scores.surrogate - 0.1:+.4f} since" in text
+    assert f"{scored.scores.surrogate - 0.1:+.4f} against A" in text
     assert "all frames" in text
     assert "unit &lt;x&gt; floats" in text
     assert f"{scored.scores.region_coverage['driveway']:.3f}" in text
-    few = score_panel(layout, replace(scored, frames=17), frames=50)
+    few = panel(layout, replace(scored, frames=17), frames=50)
     assert "17 of 50 frames" in few
-    assert "since" not in few
+    assert "against" not in few
     assert "cannot be mounted" not in few
-    assert "scoring" in score_panel(layout, None, frames=50)
-    later = score_panel(replace(layout, name="moved"), scored, frames=50, faults=["floats"])
+    assert "scoring" in panel(layout, None, frames=50)
+    later = panel(replace(layout, name="moved"), scored, frames=50, faults=["floats"])
     assert "scoring" in later  # what is known is of another layout
     assert "all frames" not in later
     assert "floats" in later
-    waits = score_panel(replace(layout, name="moved"), scored, frames=50, waiting="compiling: 3 s")
+    waits = panel(replace(layout, name="moved"), scored, frames=50, waiting="compiling: 3 s")
     assert "compiling: 3 s" in waits
     assert "opacity" not in waits
-    assert "opacity:.3" in score_panel(replace(layout, name="moved"), scored, frames=50, faded=True)
-    assert "opacity" not in score_panel(layout, scored, frames=50, faded=True)  # it is this one's
+    assert "opacity:.3" in panel(replace(layout, name="moved"), scored, frames=50, faded=True)
+    assert "opacity" not in panel(layout, scored, frames=50, faded=True)  # it is this one's
     failed = replace(scored, scores=None, wrong="no <traffic>")
-    assert "no &lt;traffic&gt;" in score_panel(layout, failed, frames=50)
+    assert "no &lt;traffic&gt;" in panel(layout, failed, frames=50)
 
 
 def test_cost_is_the_catalogue_s_and_says_what_it_has_not(layout):

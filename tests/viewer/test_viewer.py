@@ -486,9 +486,9 @@ def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
 
     done(viewer, settled)
     assert viewer.display.scored.scores.surrogate == scores.surrogate
-    assert f'data-score="{scores.surrogate}"' in viewer.panel.scores.content
+    assert f'data-score="{scores.surrogate}"' in viewer.panel.headline.content
     change = scores.surrogate - evaluate(scene, layout).surrogate
-    assert f"{change:+.4f} since it was opened (midday, clear)" in viewer.panel.scores.content
+    assert f"{change:+.4f} against A (midday, clear)" in viewer.panel.headline.content
     assert viewer.searcher.case.conditions == night
     if importlib.util.find_spec("embreex"):
         wanted = recorded(scene, layout, 0, 0, night)
@@ -504,7 +504,7 @@ def test_scores_of_other_conditions_are_not_taken_for_those_asked_for(viewer, sc
     viewer.change_conditions()
     viewer._on_scores(old)
     done(viewer)
-    assert 'data-state="scoring …"' in viewer.panel.scores.content
+    assert 'data-state="scoring …"' in viewer.panel.headline.content
     done(viewer, lambda: "opacity:.3" in viewer.panel.scores.content)
 
 

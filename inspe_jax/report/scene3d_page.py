@@ -1,0 +1,25 @@
+"""A scene in three dimensions as a page that needs no server."""
+
+from inspe_jax.report.scene3d import Scene3D, look_from
+from inspe_jax.report.server import AccessRules, quiet, serve
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.viewshed import Visibility, sight_in
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout
+
+
+def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
+    """An HTML page with one frame of a scene and what a layout sees of it, to turn and zoom."""
+    # No browser may connect: the page is a file.
+    server = serve(AccessRules("127.0.0.1", browsers=0), 0)
+    try:
+        scene3d = Scene3D(server.scene, scene)
+        scene3d.draw_users(frame)
+        sight = sight_in(scene, layout, frame, conditions=conditions)
+        scene3d.draw_voxels(sight, (Visibility.HIDDEN, Visibility.OUT_OF_VIEW))
+        scene3d.draw_layout(conditions.layout(layout))
+        look_from(server.initial_camera, scene)
+        return server.scene.as_html()
+    finally:
+        with quiet():
+            server.stop()

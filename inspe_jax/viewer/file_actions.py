@@ -1,0 +1,97 @@
+"""What a browser asks of files: to save the layout, to open one, to write and to send them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from inspe_jax.placement.problem import Case
+from inspe_jax.scoring.metrics import Weights
+from inspe_jax.sensing.layout import layout_text
+from inspe_jax.viewer.display import Display
+from inspe_jax.viewer.job_queue import JobQueue
+from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.session import LayoutSession
+from inspe_jax.viewer.store import EarlierFile, LayoutStore
+
+
+class FileActions:
+    """The part of a :class:`~inspe_jax.viewer.app.Viewer` that has to do with files."""
+
+    case: Case
+    weights: Weights
+    further: dict[str, Any]
+    store: LayoutStore
+    session: LayoutSession
+    queue: JobQueue
+    panel: Panel
+    display: Display
+    _searching: bool
+    layout: Any
+    _unless_searching: Callable[[Callable[[], Any]], None]
+    _change: Callable[[Callable[[], Any]], None]
+    _show_file: Callable[[], None]
+    _failed: Callable[[Exception], None]
+
+    def save(self) -> None:
+        """Save the layout; ask first if that would replace a file of an earlier run."""
+
+        def job() -> None:
+            if self.store.would_replace(self.layout):
+                self.panel.ask_replace(self.store.path.name, self.store.beside.name)
+            else:
+                self._save(None)
+
+        self._unless_searching(job)
+
+    def replace(self) -> None:
+        """Save the layout in place of the file that is there."""
+        self._unless_searching(lambda: self._save(None))
+
+    def save_beside(self) -> None:
+        """Save the layout under a new name, and keep that name from now on."""
+        self._unless_searching(lambda: self._save(self.store.beside))
+
+    def _save(self, path: Path | None) -> None:
+        self.store.save(self.layout, path)
+        self._show_file()
+        self.display.notify("Saved", str(self.store.path), "green")
+
+    def open_earlier(self, number: int) -> None:
+        """Open a layout that an earlier run has left."""
+
+        def change() -> None:
+            earlier: EarlierFile = self.store.earlier[number]
+            self.session.take(self.store.open(earlier))
+            self.panel.withdraw(number)
+            self.display.notify("Opened", earlier.path.name, None)
+
+        self._change(change)
+
+    def download(self, client: Any) -> None:
+        """Send a browser the layout, as it would be saved."""
+        self.queue.submit(lambda: send(client, self.store.path.name, layout_text(self.layout)))
+
+    def write_report(self, client: Any = None) -> None:
+        """Write a report beside the layout's file, and send it to a browser; one at a time."""
+
+        def ended(page: Path, wrong: Exception | None) -> None:
+            self.panel.report.disabled = self._searching
+            if wrong is None:
+                self.display.notify("Report", f"wrote {page}", "green")
+                send(client, page.name, page.read_text(encoding="utf-8"))
+            else:
+                self._failed(wrong)
+
+        def job() -> None:
+            given = self.case, self.layout, self.weights, self.panel.shown_frame, ended
+            if self.store.report(*given, **self.further):
+                self.panel.report.disabled = True
+                self.display.notify("Report", "drawing …", None)
+
+        self._unless_searching(job)
+
+
+def send(client: Any, name: str, text: str) -> None:
+    """Offer a browser a file to download; nothing where the browser is None."""
+    if client is not None:
+        client.send_file_download(name, text.encode())

@@ -499,3 +499,41 @@ def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     assert viewer.layout.sensors == layout.sensors[:1]
     tab.keyboard.press("h")
     tab.get_by_text("Ctrl+Z: undo").wait_for()
+
+
+def test_the_score_stays_in_sight_and_the_page_is_its_own(tab):
+    assert tab.title() == "layout at test crossing – inspe_jax"
+    assert not tab.get_by_text("Software WebGL rendering detected").is_visible()
+    tab.get_by_label("height [m]").scroll_into_view_if_needed()
+    tab.mouse.move(1300, 600)
+    tab.mouse.wheel(0, 5000)
+    tab.get_by_role("button", name="Write report").wait_for()
+    tab.wait_for_timeout(500)
+    score, undo, report = (
+        found.bounding_box()["y"]
+        for found in (
+            tab.locator("[data-score]"),
+            tab.get_by_role("button", name="Undo"),
+            tab.get_by_role("button", name="Write report"),
+        )
+    )
+    assert 0 < score < undo < 160 < report < 900
+
+
+def test_a_number_is_clicked(tab, viewer):
+    """In the picture: that of the LiDAR."""
+    at = np.array(viewer.scene3d.drawn["numbers/2"].position) + viewer.scene3d.shift
+    tab.mouse.click(*on_screen(viewer, at + [0, 0, 0.3]))
+    wait_until(tab, lambda: viewer.panel.chosen == 1)
+
+
+def test_on_a_telephone_the_panel_is_a_bar_with_the_score_until_it_is_tapped(chromium, viewer):
+    page = chromium.new_page(viewport={"width": 390, "height": 844})
+    page.goto(viewer.url)
+    score = settled(page)
+    bar = page.get_by_text(f"{score:.4f} layout at test crossing")
+    bar.wait_for()
+    wait_until(page, lambda: bar.bounding_box()["y"] > 750)
+    bar.click()
+    wait_until(page, lambda: 300 < page.locator("[data-score]").bounding_box()["y"] < 600)
+    page.close()

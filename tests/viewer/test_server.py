@@ -1,5 +1,6 @@
 """Who speaks to the page's server: each attack is tried over the socket, and fails."""
 
+import gzip
 import http.server
 import logging
 import math
@@ -7,6 +8,7 @@ import socket
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -567,3 +569,52 @@ def test_a_page_of_another_origin_gets_nowhere(viewer):
         evil.shutdown()
         evil.server_close()
     assert viewer.layout is before
+
+
+# ── The page's head ──
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "identity"])
+def test_the_page_has_its_own_title_and_is_else_as_it_was(viewer, encoding, layout):
+    def page(at):
+        with urlopen(Request(at, headers={"Accept-Encoding": encoding})) as answer:
+            body = answer.read()
+            assert int(answer.headers["Content-Length"]) == len(body)
+            assert answer.headers["X-Frame-Options"] == "DENY"
+        return (gzip.decompress(body) if encoding == "gzip" else body).decode()
+
+    dressed = page(viewer.url)
+    assert "<title>layout at test crossing – inspe_jax</title>" in dressed
+    assert dressed.count("<title>") == dressed.count('rel="icon"') == 1
+    access = AccessRules("127.0.0.1")
+    plain = serve(access, 0)
+    try:
+        own = page(*access.urls(plain.get_port()))
+    finally:
+        with quiet():
+            plain.stop()
+    assert "<title>Viser</title>" in own
+    behind = own.index("<script")
+    assert dressed.endswith(own[behind:])
+
+
+def test_names_in_the_title_are_text(scene, layout, tmp_path):
+    bad = replace(layout, name="</title><script>alert(1)</script>")
+    found = Viewer(Case(scene), bad, tmp_path / "layout.yaml", port=0)
+    try:
+        page = urlopen(found.url).read().decode()
+        assert "alert(1)</script>" not in page
+        assert "&lt;/title&gt;&lt;script&gt;" in page
+    finally:
+        found.close()
+
+
+def test_a_key_that_no_page_offers_does_nothing(viewer):
+    before = viewer.layout
+    with socket_of(viewer.url) as page:
+        enter(page)
+        send(page, type="CommandTriggerMessage", uuid="made up")
+        send(page, type="CommandTriggerMessage", uuid="made up", more=1)
+        assert ended_by(page) == 1008
+    assert viewer.layout is before
+    still_works(viewer)

@@ -2,6 +2,7 @@
 
 import asyncio
 import importlib.util
+import re
 import time
 from base64 import b64decode
 from dataclasses import asdict, replace
@@ -383,8 +384,56 @@ def test_a_unit_without_sensors_has_no_number(viewer, layout):
     bare = replace(layout, units=(*layout.units, Unit("spare", (0.0, 0.0, 0.0))))
     done(viewer)
     viewer.scene3d.draw_layout(bare)
-    numbers = [name for name in viewer.scene3d.drawn if name.startswith("numbers/")]
-    assert len(numbers) == len(layout.units)
+    labels = [name for name in viewer.scene3d.drawn if re.fullmatch("numbers/[0-9]+", name)]
+    assert len(labels) == len(layout.units)
+
+
+def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
+    viewer.duplicate(0)
+    done(viewer)
+    assert [sensor.unit for sensor in viewer.layout.sensors] == [0, 0, 1]
+    chosen = []
+    for number in (0, 0, 0, 1, 1, 0):
+        ball = viewer.scene3d.drawn[f"numbers/{number + 1}/ball"]
+        asyncio.run(ball._impl.click_cb[0].callback(None))
+        done(viewer)
+        chosen.append(viewer._selected)
+    assert chosen == [0, 1, 0, 2, 2, 0]
+
+
+def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, scene, layout):
+    def p_sm(of):
+        done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
+        assert viewer.layout is of
+        return p_sm_of(scene, of)
+
+    def headline():
+        done(viewer)
+        return viewer.panel.headline.content
+
+    first = p_sm(layout)
+    assert "against A" not in headline()
+    pull(viewer, (1.0, 0, -3.0))
+    moved = viewer.layout
+    second = p_sm(moved)
+    assert f"{second - first:+.4f} against A" in headline()
+    viewer.set_reference()
+    assert "against A" not in headline()
+    assert p_sm(moved) == second
+    pull(viewer, (0, 0, 1.0))
+    third = viewer.layout
+    assert f"{p_sm(third) - second:+.4f} against A" in headline()
+    viewer.swap_reference()
+    done(viewer, lambda: viewer.layout is moved)
+    assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against A" in headline()
+    viewer.swap_reference()
+    done(viewer, lambda: viewer.layout is third)
+    viewer.undo_or_redo("Undo")
+    done(viewer, lambda: viewer.layout is moved)
+
+
+def p_sm_of(scene, layout):
+    return evaluate(scene, layout).surrogate
 
 
 def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, scene, layout):

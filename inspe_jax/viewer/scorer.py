@@ -109,9 +109,15 @@ class Scorer:
         self._thread.join()
 
     def _work(self) -> None:
+        resumed = 0.0
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._todo)
+                # While a sensor is dragged, half of the time is left to what else follows it.
+                rest = resumed - time.monotonic()
+                if rest > 0 and not self._todo & {"whole", "end"}:
+                    self._changed.wait(rest)
+                    continue
                 job = next(j for j in _JOBS if j in self._todo)
                 self._todo.remove(job)
                 layout, frame, since = self._layout, self._frame, self._since
@@ -126,7 +132,10 @@ class Scorer:
                 if road_user is not None:
                     self._find_chance(layout, road_user)
             else:
+                begun = time.monotonic()
                 self._score(layout, job == "whole", since)
+                ended = time.monotonic()
+                resumed = ended + (ended - begun if job == "few" else 0.0)
 
     def _score(self, layout: Layout, whole: bool, since: float) -> None:
         scene, scores, wrong = self.case.scene if whole else self.few, None, ""

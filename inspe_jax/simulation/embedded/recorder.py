@@ -6,6 +6,7 @@ from jaxtyping import Float
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.sensors import SimulatedSensor, simulated_sensor
 from inspe_jax.simulation.embedded.surroundings import Surroundings, surroundings_of
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
@@ -81,6 +82,7 @@ class LiveSensor:
         self._given = scene, layout, conditions, recording, appearance_seed
         self._still = surroundings_of(*self._given)
         self._held: Surroundings | None = None
+        self._frame: tuple[int, FrameActors] | None = None
         self._placed: tuple[Float[np.ndarray, 6], SimulatedSensor] | None = None
 
     def record(
@@ -92,7 +94,9 @@ class LiveSensor:
         if self._placed is None or not np.array_equal(self._placed[0], at):
             around = self._still if np.array_equal(at, self._own) else self._without_its_mast()
             self._placed = at, simulated_sensor(self.spec, at, around)
-        actors = self._still.actors(t)
+        if self._frame is None or self._frame[0] != t:
+            self._frame = t, self._still.actors(t)
+        actors = self._frame[1]
         noise = noise_source(self._seed, t, self._s)
         return actors.boxes, self._placed[1].record(actors, noise)
 

@@ -36,7 +36,8 @@ from inspe_jax.report.schedule import (
     sensors_in_words,
     total_price,
 )
-from inspe_jax.report.sheet import house_style, png_text
+from inspe_jax.report.sheet import house_style, jpeg_text, png_text
+from inspe_jax.report.still import DOTS, still_view
 from inspe_jax.report.tables import scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -156,6 +157,7 @@ def report_page(
                 summary=_summary(scene, entry, record["blind_spots"], *total),
                 blind=_shares(of_columns["blind"]),
                 figures=[(words, drawn(figure)) for words, figure in maps],
+                still=jpeg_text(found, DOTS) if (found := _still(scene, entry, frame)) else "",
                 scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
                 search=_search(scene, entry, frame, drawn),
                 tolerance=None
@@ -216,6 +218,7 @@ def report_sheets(
     figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
     for entry in entries:
         of_columns = layers(scene, entry.shed)
+        figures += [found] if (found := _still(scene, entry, frame)) else []
         figures += [figure for _, figure in _maps(scene, entry, of_columns, frame)]
         if entry.result is not None:
             figures += [_moves(scene, entry, frame), history_view([entry.result])]
@@ -326,6 +329,11 @@ def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     share = np.bincount(kinds, minlength=len(BLIND)) / max(len(kinds), 1)
     rows = zip(BLIND, share.tolist(), strict=True)
     return [(name.replace("\n", " "), color, part) for (name, color), part in rows]
+
+
+def _still(scene: Scene, entry: ReportEntry, frame: int) -> Figure | None:
+    """A picture of the layout in its place; None where it cannot be recorded."""
+    return still_view(scene, entry.scores.conditions.layout(entry.layout), frame=frame)
 
 
 def _text(words: str) -> str:

@@ -66,6 +66,14 @@ def png_text(fig: Figure, dpi: float) -> str:
     return base64.b64encode(made.getvalue()).decode()
 
 
+def jpeg_text(fig: Figure, dpi: float) -> str:
+    """A figure that is mostly a photograph as JPEG in base64."""
+    made = io.BytesIO()
+    with house_style():
+        fig.savefig(made, format="jpeg", dpi=dpi, pil_kwargs={"quality": 85})
+    return base64.b64encode(made.getvalue()).decode()
+
+
 @contextmanager
 def house_style() -> Iterator[None]:
     """Matplotlib's defaults with :data:`STYLE`, whatever the user's own settings are.

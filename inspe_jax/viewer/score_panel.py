@@ -86,6 +86,7 @@ def score_panel(
     )
     details = _DETAILS.render(
         scores=scores,
+        against=REFERENCE,
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,

@@ -215,3 +215,27 @@ def test_a_browser_shows_it_without_a_network(tmp_path, page):
                 pytest.fail("nothing is drawn in three dimensions")
     assert wrong == []
     assert all(url.startswith(("file:", "blob:", "data:")) for url in asked)
+
+
+@pytest.mark.browser
+def test_on_a_telephone_it_fits_and_a_scene_catches_no_finger_that_scrolls(tmp_path, page):
+    path = tmp_path / "report.html"
+    path.write_text(page, encoding="utf-8")
+    with browser() as chromium:
+        size = {"width": 390, "height": 844}
+        telephone = chromium.new_context(viewport=size, has_touch=True, is_mobile=True)
+        tab = telephone.new_page()
+        tab.goto(path.as_uri())
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+
+        def caught():
+            found = tab.locator("iframe.scene3d").first
+            return found.evaluate("frame => getComputedStyle(frame).pointerEvents") != "none"
+
+        assert not caught()
+        tab.locator("iframe.scene3d").first.scroll_into_view_if_needed()
+        box = tab.locator("iframe.scene3d").first.bounding_box()
+        tab.touchscreen.tap(box["x"] + 100, box["y"] + 100)
+        assert caught()
+        tab.get_by_text("tap on the scene to turn it").first.tap()
+        assert not caught()

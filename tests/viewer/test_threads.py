@@ -391,6 +391,8 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
         layout, scored, frames=50, reference=opened, faults=["unit <x> floats"], notes=["so"]
     )
     assert text.count("+0.010") == 2  # and none where nothing has changed
+    marks = [round(100 * (value - 0.01), 1) for value in scores.metrics.values()]
+    assert sum(f"left:calc({mark:.1f}%" in text for mark in marks) == 2  # where A's values are
     assert METRICS["occlusion"].summary in text
     nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
     assert ">0.9997<" in panel(layout, nearly, frames=50)

@@ -13,16 +13,18 @@ from inspe_jax.sensing.catalogue import Device, devices
 from inspe_jax.sensing.layout import Layout
 
 SAME_POLE = 1.0
-"""A unit this near to an existing pole stands on it [m]."""
+"""A unit this near to an existing pole is mounted on it [m]."""
 
 
 @dataclass(frozen=True)
 class SensorRow:
-    """One sensor. ``height`` is above the ground at its unit's base [m]. ``offset`` is how far it
-    hangs from the base in plan [m], towards ``offset_azimuth``. ``azimuth`` is the direction that
-    it faces; both are in degrees clockwise from north. ``tilt`` is how far it looks down, and
-    ``roll`` how far its left side is up [degrees]. ``price`` [US dollars] is None if unknown."""
+    """One sensor, with its ``number`` in the layout, from 1. ``height`` is above the ground at its
+    unit's base [m]. ``offset`` is how far it hangs from the base in plan [m], towards
+    ``offset_azimuth``. ``azimuth`` is the direction that it faces; both are in degrees clockwise
+    from north. ``tilt`` is how far it looks down, and ``roll`` how far its left side is up
+    [degrees]. ``price`` [US dollars] is None if unknown."""
 
+    number: int
     name: str
     device: str
     title: str
@@ -39,8 +41,9 @@ class SensorRow:
 class UnitRow:
     """One unit: its base in the world and on the Earth, and its sensors.
 
-    ``position`` is x, y and the height of the ground [m]; ``degrees`` latitude and longitude, None
-    where the place has no coordinates. ``pole`` says what it stands on.
+    ``position`` is x, y and the height of the ground [m], of the existing pole if it is mounted on
+    one; ``degrees`` latitude and longitude, None where the place has no coordinates. ``pole`` says
+    what it stands on.
     """
 
     name: str
@@ -76,7 +79,9 @@ def installation_schedule(
     map. ``prices`` replace the catalogue's.
     """
     poses = np.asarray(layout.poses, float)
-    feet = np.array([unit.base[:2] for unit in layout.units], float)
+    bare = np.array([unit.base[:2] for unit in layout.units], float)
+    feet, words = zip(*(_stand(place, foot) for foot in bare), strict=True)
+    feet = np.array(feet)
     ground, azimuths = place.ground(feet), _azimuths(place, poses[:, :2], poses[:, 5])
     bases = feet[[sensor.unit for sensor in layout.sensors]]
     away = poses[:, :2] - bases
@@ -87,6 +92,7 @@ def installation_schedule(
     for u, members in enumerate(layout.members()):
         sensors = tuple(
             SensorRow(
+                number=s + 1,
                 name=layout.sensors[s].name,
                 device=(name := layout.sensors[s].spec.name),
                 title=known[name].title if name in known else name,
@@ -107,7 +113,7 @@ def installation_schedule(
                 layout.units[u].name,
                 at,
                 None if lon_lat is None else (lon_lat[1], lon_lat[0]),
-                _pole(place, feet[u]),
+                words[u],
                 sensors,
             )
         )
@@ -149,9 +155,13 @@ def _azimuths(place: Intersection, points: np.ndarray, yaw: np.ndarray) -> np.nd
     return np.asarray(place.georeference.azimuth(points, yaw))
 
 
-def _pole(place: Intersection, foot: np.ndarray) -> str:
-    """What a unit stands on, in words."""
+def _stand(place: Intersection, foot: np.ndarray) -> tuple[np.ndarray, str]:
+    """Where a unit stands in plan [m], and on what, in words: on the existing pole beside it, or
+    where the layout has it."""
     if not len(place.poles):
-        return "new pole"
-    away = float(np.hypot(*(place.poles[:, :2] - foot).T).min())
-    return "existing pole" if away < SAME_POLE else f"new pole, {away:.0f} m from the nearest"
+        return foot, "new pole"
+    away = np.hypot(*(place.poles[:, :2] - foot).T)
+    k = int(away.argmin())
+    if away[k] < SAME_POLE:
+        return place.poles[k, :2], "existing pole"
+    return foot, f"new pole, {away[k]:.0f} m from the nearest"

@@ -4,6 +4,7 @@ The session changes the layout, the scorer scores it, the display shows it. All 
 same page. What they ask for runs in turn on one thread, that of the job queue.
 """
 
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,16 +19,17 @@ from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
+from inspe_jax.report.scene3d import look_from
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.display import Display
+from inspe_jax.viewer.display import BACK, Display
 from inspe_jax.viewer.file_actions import FileActions
 from inspe_jax.viewer.handle import Handle, HandleDrag
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
-from inspe_jax.viewer.panel import POSE, Panel, set_value
+from inspe_jax.viewer.panel import DIGITS, POSE, Panel, set_value
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchCallbacks, SearchEnding, Searcher
 from inspe_jax.viewer.session import LayoutSession
@@ -37,6 +39,8 @@ PLAYED = 0.25
 """Least time between two frames that are played [s]."""
 TYPED = 0.7
 """A typed number is applied after this time without another key [s], or before another action."""
+COMPILES = 3.0
+"""A search that said so this long ago still compiles [s]."""
 SEARCH_COMPILES = 40.0
 """Rough time that compiling a search takes [s]."""
 
@@ -76,6 +80,7 @@ class Viewer(FileActions):
         # While the handle is dragged: sensor, layout at the start, whether it was moved.
         self._dragging: tuple[int, Layout, bool] | None = None
         self._searching, self._best = False, layout
+        self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
         self.queue = JobQueue(self._failed)
         self._typing, self._playing = (
             {key: DelayedAction() for key in (*POSE, "name")},
@@ -151,7 +156,12 @@ class Viewer(FileActions):
 
     def set_reference(self) -> None:
         """Compare with the present layout from now on."""
-        self._unless_searching(self.display.set_reference)
+
+        def job() -> None:
+            self.display.set_reference()
+            self.display.notify("A is set", "changes are shown against this layout now", None)
+
+        self._unless_searching(job)
 
     def swap_reference(self) -> None:
         """Exchange the layout for the one that it is compared with."""
@@ -163,7 +173,12 @@ class Viewer(FileActions):
 
     def type_number(self, s: int, key: str, value: float) -> None:
         """Set a number of a sensor's pose, once nothing more is typed."""
-        change = partial(self.session.set_number, s, key, value)
+
+        def change() -> None:
+            self.session.set_number(s, key, value)
+            if self.session.notes:  # the sensor cannot be mounted there
+                self.display.notify("Mounted nearby", "; ".join(self.session.notes), "orange")
+
         self._typing[key].start(TYPED, lambda: self._change(change))
 
     def rename(self, s: int, name: str) -> None:
@@ -216,6 +231,10 @@ class Viewer(FileActions):
             self._show()
 
         self._unless_searching(job)
+
+    def look_at_all(self, client: Any) -> None:
+        """Point a browser's camera at the whole scene again."""
+        look_from(client.camera, self.case.scene, back=BACK)
 
     def optimise(self) -> None:
         """Start a search from the present layout."""
@@ -300,7 +319,9 @@ class Viewer(FileActions):
                 return
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
-            self.panel.course.content = f"best {best:.4f}, {left:.0f} s left"
+            waits = time.monotonic() - self._compiles < COMPILES
+            then = f" once it is compiled: {self._waiting}" if waits else ""
+            self.panel.course.content = f"best {best:.4f}, {left:.0f} s left{then}"
 
         self.queue.submit(job, key="progress")
 
@@ -308,8 +329,10 @@ class Viewer(FileActions):
         def job() -> None:
             if self._searching:
                 what = f"search by {self.panel.method.value}"
-                words = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
-                self.panel.course.content = f"{words}; this does not count as search time"
+                self._waiting = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
+                self._compiles = time.monotonic()
+                words = f"{self._waiting}; this does not count as search time"
+                self.panel.course.content = words
 
         self.queue.submit(job, key="progress")
 
@@ -328,7 +351,7 @@ class Viewer(FileActions):
         def job() -> None:
             self._searching = False
             self.panel.searching(False)
-            if ending.layout is None:
+            if ending.layout is None or (ending.gain <= 0 and not ending.failed):
                 self.display.notify("Search", ending.words, "red" if ending.failed else None)
             else:
                 self.session.take(ending.layout, ending.notes)
@@ -379,7 +402,7 @@ class Viewer(FileActions):
             self.panel.offer_device(sensor.spec.name)
             set_value(self.panel.name, sensor.name)
             for key, value in numbers.items():
-                set_value(self.panel.pose[key], round(float(value), 1))
+                set_value(self.panel.pose[key], round(float(value), DIGITS[key]))
 
         # On the event loop, so that it cannot come between a typed number and its reader.
         self.server.get_event_loop().call_soon_threadsafe(show)

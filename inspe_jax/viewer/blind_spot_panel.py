@@ -16,10 +16,12 @@ from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import JobQueue
+from inspe_jax.viewer.panel import SLATE
 
 _IMAGE = (
     '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
-    'src="data:image/png;base64,{}">'
+    'src="data:image/png;base64,{}"><div style="padding:.2em 1em;font-size:.875em;color:#5c5c61">'
+    "Most is missed at A, by area, weight, and share of time and height unseen:</div>"
 )
 AWAY = np.array([0.0, -22.0, 20.0])
 """From a blind spot to the camera that looks at it [m]."""
@@ -39,7 +41,7 @@ class BlindSpotPanel:
         with folder:
             self.picture = gui.add_html("")
             self.buttons = [
-                gui.add_button(letter, color="gray", visible=False, hint="Look at this place")
+                gui.add_button(letter, color=SLATE, visible=False, hint="Look at this place")
                 for letter in LETTERS
             ]
         for k, button in enumerate(self.buttons):

@@ -25,6 +25,8 @@ from inspe_jax.viewer.score_panel import score_panel, sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.sensor_view import Look, SensorView
 
+BACK = 1.25
+"""How far the camera is at first, in the usual distance."""
 NARROW = 0.8
 """A window that is narrower than this, width to height, is taken for a telephone's."""
 STALE = 0.5
@@ -72,7 +74,7 @@ class Display:
         self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue)
         self.scene3d = Scene3D(server.scene, case.scene)
         self.scene3d.draw_mounting()
-        look_from(server.initial_camera, case.scene, back=1.25)
+        look_from(server.initial_camera, case.scene, back=BACK)
         server.on_client_connect(self._greet)
 
     def _greet(self, client: Any) -> None:

@@ -23,9 +23,13 @@ POSE = {
     "yaw": "yaw [°]",
     "pitch": "pitch [°]",
 }
-"""The numbers of a pose, with their labels; shown to one decimal."""
+"""The numbers of a pose, with their labels."""
+DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
+"""The decimals with which they are shown and typed."""
 
 
+SLATE = (86, 104, 122)
+"""Colour of buttons that are not the main one of their folder."""
 REGIONS = "regions"
 GROUND: dict[str, str | None] = {REGIONS: None} | {f"finding a {name}": name for name in CLASSES}
 """What the ground can be coloured by: its regions, or the chance to find a road user there."""
@@ -38,6 +42,7 @@ KEYS: tuple[tuple[str, Any, Any, str], ...] = (
     ("Select the next sensor", "N", None, "N"),
     ("Select the sensor before", "N", "shift", "Shift+N"),
     ("Remove the selected sensor", "delete", None, "Delete"),
+    ("Look at the whole intersection", "home", None, "Home"),
     ("List the keys", "H", None, "H or ?"),
 )
 """What keys do: words, the key, what is held with it, and both in words. They are not heard while a
@@ -69,7 +74,10 @@ class Panel:
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")
             self.device = gui.add_dropdown("Device", known)
-            self.pose = {key: gui.add_number(label, 0.0, step=0.1) for key, label in POSE.items()}
+            self.pose = {
+                key: gui.add_number(label, 0.0, step=round(0.1 ** DIGITS[key], DIGITS[key]))
+                for key, label in POSE.items()
+            }
             self.existing = gui.add_button_group("This one", ("Duplicate", "Remove"))
             self.new = gui.add_dropdown("New device", known, hint="The device that Add mounts")
             self.add = gui.add_button(
@@ -107,7 +115,7 @@ class Panel:
         with gui.add_folder("File"):
             self.file = gui.add_markdown("")
             self.save = gui.add_button("Save layout")
-            self.download = gui.add_button("Download layout", color="gray")
+            self.download = gui.add_button("Download layout", color=SLATE)
             self.report = gui.add_button("Write report", hint="And offer it for download here")
 
         keys: dict[str, Callable[[Any], None]] = {
@@ -117,6 +125,7 @@ class Panel:
             "Select the next sensor": lambda _: viewer.select(self._beside(1)),
             "Select the sensor before": lambda _: viewer.select(self._beside(-1)),
             "Remove the selected sensor": lambda _: viewer.remove(self.chosen),
+            "Look at the whole intersection": viewer.look_at_all,
             "List the keys": _list_keys,
         }
         for words, key, held, _ in KEYS:
@@ -285,7 +294,8 @@ class Panel:
 def _list_keys(client: Any) -> None:
     """Tell a browser what keys do."""
     words = "; ".join(f"{key}: {what[0].lower()}{what[1:]}" for what, _, _, key in KEYS)
-    client.add_notification("Keys", f"{words}. Arrows, W, A, S, D, Q and E move the camera.")
+    more = "Arrows, W, A, S, D, Q and E move your view."
+    client.add_notification("Keys", f"{words}. {more}", auto_close_seconds=20.0)
 
 
 def set_value(control: Any, value: Any) -> None:

@@ -35,6 +35,7 @@ LISTED = 6
 """Number of road users that are listed, the nearest ones."""
 QUALITY = 88
 """Of a JPEG, of 100."""
+_NEAREST = "; the nearest:"
 _TEMPLATE = template("viewer", "sensor_view.html.j2")
 
 
@@ -114,7 +115,8 @@ class SensorView:
             if self.on.value:
                 pose = np.array(at.layout.poses[at.s], float)
                 boxes, seen = self._live_sensor(at).record(at.t, pose)
-                page = _page(at.layout.sensors[at.s].spec, boxes, seen, held=at.held)
+                spec = self.case.conditions.spec(at.layout.sensors[at.s].spec)
+                page = _page(spec, boxes, seen, held=at.held)
         except InspeError as e:
             page = _TEMPLATE.render(wrong=str(e))
         self.picture.content, self.seen = page, seen
@@ -148,10 +150,10 @@ def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan, *, held:
 def _summary(boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
     if isinstance(seen, Image):
         shown = np.count_nonzero(np.asarray(seen.pixels))
-        return f"{shown} of {len(boxes)} road users are in the picture"
+        return f"{shown} of {len(boxes)} road users are in the picture{_NEAREST}"
     enough = np.count_nonzero(np.asarray(seen.returns) >= FEW)
     some = f"{enough} of {len(boxes)} road users have {FEW:g} or more"
-    return f"{len(seen.points):,} points; {some}"
+    return f"{len(seen.points):,} points; {some}{_NEAREST}"
 
 
 def _rows(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> Iterator[Seen]:
@@ -164,7 +166,7 @@ def _rows(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> Itera
             if points > 0:
                 yield Seen(box.kind, distance, counted(int(points), "point"))
         return
-    sharp = pixel_density_at(spec, pose, at)
+    sharp = np.where(away <= spec.grid.reach, pixel_density_at(spec, pose, at), np.nan)
     for box, distance, density, share in zip(
         boxes, away, sharp, np.asarray(seen.share), strict=True
     ):
@@ -175,10 +177,12 @@ def _rows(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> Itera
 def _sharpness(density: float) -> str:
     """Pixels per metre in words, with the band of EN 62676-4; those of the camera itself, whose
     picture here is smaller."""
+    if np.isnan(density):
+        return "beyond its reach"
     if density <= 0:
-        return "at the edge"
+        return "at the picture's edge"
     band = [name for name, least in BANDS.items() if density >= least][-1:]
-    return ", ".join([f"{density:.0f} px/m", *band])
+    return ", ".join([f"{int(density)} px/m", *band])
 
 
 def image_scale(spec: Spec) -> float:

@@ -42,7 +42,9 @@ def test_on_a_map_without_coordinates(layout):
     corner, pole = installation_schedule(layout, place, {"test-camera": 900.0})
     assert (corner.position, corner.degrees) == ((9.0, 8.0, 0.0), None)
     assert corner.pole == "new pole, 18 m from the nearest"
-    assert pole.pole == "existing pole"
+    assert (pole.pole, pole.position[:2]) == ("existing pole", (-9.0, 8.4))
+    assert (pole.sensors[0].offset, pole.sensors[0].offset_azimuth) == pytest.approx((0.4, 180.0))
+    assert [row.number for unit in (corner, pole) for row in unit.sensors] == [1, 2, 3]
     east, arm = corner.sensors
     assert (east.height, east.azimuth, east.tilt, east.roll, east.offset) == pytest.approx(
         (5.0, 90.0, 12.0, 0.0, 0.0)
@@ -100,7 +102,7 @@ def test_a_page_says_what_to_mount_where(page):
     assert "2 units with 2 cameras and 1 LiDAR watch 12 m around" in words
     assert "for 1,800 US dollars without test-lidar, of unknown price" in words
     assert "corner: x 9.00 , y 8.00" in words
-    assert "arm test-camera 6.00 225.0 30.0 3.0 1.50 at 0 ° 900" in words
+    assert "2 arm test-camera 6.00 225.0 30.0 3.0 1.50 at 0 ° 900" in words
     assert "total, without prices that are unknown 1,800" in words
     (first, second, *_), share = _spots(scene, entry), entry.scores.seen_share
     assert len(share) == len(scene.voxels.columns)

@@ -203,6 +203,15 @@ class Scene3D:
         else:
             cloud.points = at
 
+    def draw_letters(self, places: dict[str, tuple[float, float]]) -> None:
+        """Draw a letter at each place [m] of the ground, in place of those before."""
+        for name in [name for name in self.drawn if name.startswith("letters/")]:
+            self._forget(name)
+        for letter, at in places.items():
+            (point,) = self._on_ground(np.array([at]), lift=1.0)
+            name = f"letters/{letter}"
+            self.drawn[name] = self.api.add_label(name, letter, position=point)
+
     def draw_layout(
         self, layout: Layout, broken: Iterable[int] = ()
     ) -> tuple[dict[int, Any], dict[int, Any]]:

@@ -4,6 +4,7 @@ Both are means over all frames. They are drawn on a thread of their own, so that
 dragged meanwhile.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,10 +34,19 @@ class BlindSpotPanel:
     ``spots`` are those that are listed, the worst first.
     """
 
-    def __init__(self, gui: viser.GuiApi, folder: Any, scene: Scene, queue: JobQueue) -> None:
-        """``folder`` is empty and invisible until there are scores. Errors go to ``queue``."""
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        folder: Any,
+        scene: Scene,
+        queue: JobQueue,
+        draw_letters: Callable[[dict[str, tuple[float, float]]], None],
+    ) -> None:
+        """``folder`` is empty and invisible until there are scores. Errors go to ``queue``, which
+        also draws the letters of the blind spots in the scene."""
         self.spots: tuple[BlindSpot, ...] = ()
         self._folder, self._scene = folder, scene
+        self._queue, self._draw_letters = queue, draw_letters
         self._drawing = JobQueue(queue.failed)
         with folder:
             self.picture = gui.add_html("")
@@ -68,6 +78,8 @@ class BlindSpotPanel:
             if button.visible:
                 spot = self.spots[k]
                 button.label = f"{LETTERS[k]}  {spot.name}: {spot.unseen:.0%} unseen"
+        places = {letter: spot.at for letter, spot in zip(LETTERS, self.spots, strict=False)}
+        self._queue.submit(lambda: self._draw_letters(places), key="letters")
         self._title("")
         self._folder.visible = True
 

@@ -71,8 +71,10 @@ class Display:
         self.sensor_view = SensorView(
             server.gui, panel.sensor_view, case, queue.failed, self._show_points
         )
-        self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue)
         self.scene3d = Scene3D(server.scene, case.scene)
+        self.blind_spots = BlindSpotPanel(
+            server.gui, panel.blind_spots, case.scene, queue, self.scene3d.draw_letters
+        )
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
         server.on_client_connect(self._greet)

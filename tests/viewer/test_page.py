@@ -473,18 +473,19 @@ def test_the_camera_in_hand_shows_what_the_recorder_records(tab, viewer, scene):
     assert settled(tab, second) == evaluate(scene, viewer.layout, conditions=night).surrogate
     wait_until(tab, lambda: np.array_equal(shown(), wanted(night)))
     assert tab.get_by_text("against A (midday, clear)").is_visible()
+    panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
+    assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")  # nothing is cut off
 
 
 def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     first = score_of(tab)
+    tab.get_by_label("height [m]").press("Delete")  # of a digit, not of the sensor
+    tab.wait_for_timeout(1000)
+    assert len(viewer.layout) == 2
     tab.get_by_label("height [m]").fill("8")
     tab.keyboard.press("Enter")
     second = settled(tab, first)
-    tab.get_by_label("height [m]").press("Delete")  # of a digit, not of the sensor
-    tab.get_by_text("all frames, scored").click()  # no number is typed from now on
-    tab.wait_for_timeout(1000)
-    assert len(viewer.layout) == 2
-    tab.keyboard.press("Control+z")
+    tab.keyboard.press("Control+z")  # of the change, not of a digit
     assert settled(tab, second) == first
     tab.keyboard.press("Control+Shift+z")
     assert settled(tab, first) == second
@@ -497,6 +498,11 @@ def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     tab.keyboard.press("Delete")
     tab.get_by_text("1 sensors on 1 units").wait_for(timeout=WAIT)
     assert viewer.layout.sensors == layout.sensors[:1]
+    (client,) = viewer.server.get_clients().values()
+    begun = np.array(client.camera.position)
+    client.camera.position = begun / 2
+    tab.keyboard.press("Home")
+    wait_until(tab, lambda: np.allclose(client.camera.position, begun, atol=0.1))
     tab.keyboard.press("h")
     tab.get_by_text("Ctrl+Z: undo").wait_for()
 

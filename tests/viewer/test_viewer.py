@@ -432,13 +432,75 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
     done(viewer, lambda: viewer.layout is moved)
 
 
+def test_a_search_without_gain_changes_nothing(viewer, layout, monkeypatch):
+    monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
+    viewer.optimise()
+    same = replace(layout, name="layout, optimised")
+    viewer._on_end(SearchEnding(same, 0.0, "its time was over"))
+    done(viewer, lambda: viewer.told)
+    assert viewer.layout is layout
+    assert viewer.told[-1][:2] == ("Search", "its time was over")
+
+
+def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monkeypatch):
+    monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
+    viewer.optimise()
+    set_value(viewer.panel.seconds, 10.0)
+    viewer._on_compiling(12.0)
+    done(viewer, lambda: "compiling" in viewer.panel.course.content)
+    viewer._on_progress(0.0, 0.5)
+    done(
+        viewer, lambda: "best 0.5000, 10 s left once it is compiled" in viewer.panel.course.content
+    )
+    viewer._compiles -= 4.0  # it has not said so for a while
+    viewer._on_progress(0.1, 0.6)
+    done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")
+    viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+
+
+def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):
+    viewer.type_number(0, "height", 60.0)
+    viewer.settle()
+    done(viewer, lambda: viewer.told)
+    title, words, _ = viewer.told[-1]
+    assert title == "Mounted nearby"
+    assert "m" in words
+    assert viewer.session.height(0) < 60
+
+
+def test_what_is_beyond_a_sensors_reach_in_the_dark_is_said(viewer, scene):
+    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
+    view = viewer.display.sensor_view
+    done(viewer, lambda: "px/m" in view.picture.content)
+    spec = viewer.layout.sensors[0].spec
+    far = [box for box in scene.traffic.center[0] if np.hypot(*(box[:2] - [9.0, 9.0])) > 9.5]
+    assert Conditions.of("night", "fog:50").spec(spec).grid.reach < 9.5
+    assert len(far)
+    assert "beyond its reach" not in view.picture.content
+    viewer.panel.light.value, viewer.panel.weather.value = "night", "fog"
+    viewer.case = replace(viewer.case, conditions=Conditions.of("night", "fog:50"))
+    viewer.queue.submit(lambda: viewer.display.set_case(viewer.case))
+    viewer.queue.submit(lambda: viewer.display.select(0))
+    done(viewer, lambda: "beyond its reach" in view.picture.content)
+
+
 def p_sm_of(scene, layout):
     return evaluate(scene, layout).surrogate
 
 
 def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, scene, layout):
-    """Ranked, in words, and again after a change."""
+    """Ranked, in words, and again after a change; their letters stand in the scene."""
     panel = viewer.display.blind_spots
+
+    def letters_stand():
+        drawn = viewer.scene3d.drawn
+        names = [f"letters/{letter}" for letter in LETTERS[: len(panel.spots)]]
+        return sorted(name for name in drawn if name.startswith("letters/")) == names and all(
+            np.allclose(drawn[name].position[:2] + viewer.scene3d.shift[:2], spot.at, atol=1e-3)
+            for name, spot in zip(names, panel.spots, strict=True)
+        )
+
+    done(viewer, lambda: panel.spots and letters_stand())
 
     def listed_for(of):
         wanted = scores_record(evaluate(scene, of), scene, of)["blind_spots"][: len(LETTERS)]

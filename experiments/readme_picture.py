@@ -19,6 +19,9 @@ from inspe_jax.report.sheet import save_figure
 from inspe_jax.report.targets import targets_view
 from inspe_jax.viewer.app import Viewer
 
+SCROLLED = 330
+"""The panel is scrolled by so much, to what the selected camera sees [pixel]."""
+
 
 def main() -> None:
     """Score, draw and write."""
@@ -46,9 +49,12 @@ def main() -> None:
         viewer = Viewer(case, layout, Path(folder) / "layout.yaml", port=0)
         try:
             with browser_on(viewer.url) as tab:
-                for close in tab.locator(".mantine-Notification-closeButton").all():
-                    close.click()  # that it is drawn without a graphics card
-                tab.wait_for_timeout(1000)
+                tab.get_by_alt_text("Plan view").wait_for(timeout=60_000)
+                window = tab.viewport_size
+                tab.mouse.move(window["width"] - 150, window["height"] / 2)
+                tab.mouse.wheel(0, SCROLLED)
+                tab.mouse.move(5, 5)  # nothing is explained there
+                tab.wait_for_timeout(3000)
                 tab.screenshot(path=options.out / "view.png")
         finally:
             viewer.close()

@@ -49,8 +49,9 @@ POLE = 4.0
 """Height at which standing poles are drawn [m]."""
 ABOVE = 0.8
 """Height of numbers above a unit's highest sensor [m]."""
-BALL = 1.2
-"""Radius of the ball about a number that can be clicked [m]."""
+BALL = 0.6
+"""Radius of the ball about a number that can be clicked, and how far it is above its foot [m]: it
+is clear of the sensors."""
 CROWN = 0.5
 """Opacity of the crowns of trees."""
 POINT_COLOR, POINT_SIZE = "#b5009b", 0.14
@@ -283,7 +284,7 @@ class Scene3D:
         self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]
     ) -> dict[int, Any]:
         """Draw the numbers of a unit's sensors as one label above it; several labels would
-        overlap. Each is in a ball that is not seen, since only bodies can be clicked."""
+        overlap. Each is in a ball that is transparent, since only bodies can be clicked."""
         new = {}
         units = [members for members in layout.members() if members]
         for u, members in enumerate(units):
@@ -295,7 +296,11 @@ class Scene3D:
                 label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
                 self.drawn[f"numbers/{u + 1}"] = label
                 new[u] = self.drawn[f"numbers/{u + 1}/ball"] = self.api.add_icosphere(
-                    f"numbers/{u + 1}/ball", BALL, opacity=0.0, cast_shadow=False
+                    f"numbers/{u + 1}/ball",
+                    BALL,
+                    opacity=0.0,
+                    cast_shadow=False,
+                    position=(0.0, 0.0, BALL),
                 )
             label.text, label.position = word, at
         for u in range(len(units), self._units):

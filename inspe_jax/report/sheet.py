@@ -60,17 +60,18 @@ def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
 
 def png_text(fig: Figure, dpi: float) -> str:
     """A figure as PNG in base64, for a page that holds it. The same figure gives the same text."""
-    made = io.BytesIO()
-    with house_style():
-        fig.savefig(made, format="png", dpi=dpi, metadata={})
-    return base64.b64encode(made.getvalue()).decode()
+    return _text(fig, dpi, format="png", metadata={})
 
 
 def jpeg_text(fig: Figure, dpi: float) -> str:
     """A figure that is mostly a photograph as JPEG in base64."""
+    return _text(fig, dpi, format="jpeg", pil_kwargs={"quality": 85})
+
+
+def _text(fig: Figure, dpi: float, **how: Any) -> str:
     made = io.BytesIO()
     with house_style():
-        fig.savefig(made, format="jpeg", dpi=dpi, pil_kwargs={"quality": 85})
+        fig.savefig(made, dpi=dpi, **how)
     return base64.b64encode(made.getvalue()).decode()
 
 

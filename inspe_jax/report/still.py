@@ -27,9 +27,10 @@ FOCAL = 0.72
 """Focal length of the camera, in widths of the picture."""
 BACK, UP, BEYOND = 1.25, 0.95, 0.12
 """Where the camera is, south of the middle and above it, and where it looks, south of the middle:
-in half-widths of what is shown."""
-HIGH = 3.5
-"""A sensor that is a metre higher is shown like one so much farther from the middle [m]."""
+in radii of the region of interest, or more where a sensor would be
+outside of the picture."""
+RIM = 20
+"""Every sensor is so far inside the picture, and twice as far from its top [pixels]."""
 NEAR = 1.0
 """Lines are cut where they come closer to the plane of the camera than this [m]."""
 
@@ -48,26 +49,33 @@ def still_view(scene: Scene, layout: Layout, *, frame: int = 0) -> Figure | None
     whatever the conditions that are scored. ``layout`` has the reach that sensors have in those.
     None where Embree is missing.
     """
-    radius, center = size_of(scene, layout), scene.voxels.center
-    down = np.arctan2(UP, BACK - BEYOND)
-    at = center + radius * np.array([0.0, -BACK, UP])
-    pose = np.array([*at, 0.0, -down, np.pi / 2])
-    focal, middle = FOCAL * WIDTH, (WIDTH / 2, HEIGHT / 2)
-    spec = CameraSpec("still", WIDTH, HEIGHT, focal, middle, 1.0, 10 * radius, 1.0)
+    eye = _eye_on(scene, layout)
+    (focal, _, middle), (_, _, row), _ = eye.intrinsic
+    spec = CameraSpec("still", WIDTH, HEIGHT, focal, (middle, row), 1.0, 1000.0)
     try:
         around = surroundings_of(scene, layout, FAIR, Recording(), 0)
     except InspeError:
         return None
-    camera = simulated_sensor(spec, pose, around)
+    camera = simulated_sensor(spec, eye.pose, around)
     picture = camera.record(around.actors(frame), np.random.default_rng(0))
     assert isinstance(picture, Image)
-    return _marked(picture, scene, layout, _Eye(pose, picture.intrinsic))
+    return _marked(picture, scene, layout, eye)
 
 
-def size_of(scene: Scene, layout: Layout) -> float:
-    """Half of what the picture has to show across [m]: the region of interest, and all sensors."""
-    away = np.asarray(layout.poses, float)[:, :3] - scene.voxels.center
-    return float(max(scene.voxels.radius, *np.hypot(*away[:, :2].T), *(HIGH * away[:, 2])))
+def _eye_on(scene: Scene, layout: Layout) -> _Eye:
+    """The camera, as near as it can be to show the region of interest and all sensors in it."""
+    at, size = np.asarray(layout.poses, float)[:, :3], scene.voxels.radius
+    down = np.arctan2(UP, BACK - BEYOND)
+    focal = FOCAL * WIDTH
+    intrinsic = np.array([[focal, 0.0, WIDTH / 2], [0.0, focal, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    while True:
+        place = scene.voxels.center + size * np.array([0.0, -BACK, UP])
+        eye = _Eye(np.array([*place, 0.0, -down, np.pi / 2]), intrinsic)
+        column, row, depth = pixels(eye, at).T
+        across = abs(column - WIDTH / 2) < WIDTH / 2 - RIM
+        if (across & (row > 2 * RIM) & (row < HEIGHT - RIM) & (depth > NEAR)).all():
+            return eye
+        size *= 1.05
 
 
 def _marked(picture: Image, scene: Scene, layout: Layout, eye: _Eye) -> Figure:

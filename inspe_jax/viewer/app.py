@@ -41,6 +41,8 @@ TYPED = 0.7
 """A typed number is applied after this time without another key [s], or before another action."""
 COMPILES = 3.0
 """A search that said so this long ago still compiles [s]."""
+NAMED = 2.0
+"""The same for a name [s]: one pauses between words."""
 SEARCH_COMPILES = 40.0
 """Rough time that compiling a search takes [s]."""
 
@@ -158,14 +160,14 @@ class Viewer(FileActions):
         """Compare with the present layout from now on."""
 
         def job() -> None:
-            self.display.set_reference()
+            self.display.set_reference(self.layout)
             self.display.notify("A is set", "changes are shown against this layout now", None)
 
         self._unless_searching(job)
 
     def swap_reference(self) -> None:
         """Exchange the layout for the one that it is compared with."""
-        self._change(lambda: self.session.take(self.display.set_reference()))
+        self._change(lambda: self.session.take(self.display.set_reference(self.layout)))
 
     def swap(self, s: int, name: str) -> None:
         """Exchange a sensor's device."""
@@ -184,7 +186,7 @@ class Viewer(FileActions):
     def rename(self, s: int, name: str) -> None:
         """Give a sensor another name, once nothing more is typed."""
         change = partial(self.session.rename, s, name)
-        self._typing["name"].start(TYPED, lambda: self._change(change))
+        self._typing["name"].start(NAMED, lambda: self._change(change))
 
     def duplicate(self, s: int) -> None:
         """Add a copy of a sensor to its unit."""
@@ -386,7 +388,8 @@ class Viewer(FileActions):
 
     def _show(self) -> None:
         self._selected = min(self._selected, len(self.layout) - 1)
-        self.display.draw(self.layout, self.session.faults(), self.session.notes)
+        faults = self.session.faults()
+        self.display.draw(self.layout, faults, self.session.notes, selected=self._selected)
         self._show_controls()
         self._show_file()
         self.scorer.score(self.layout, whole=True)
@@ -401,6 +404,7 @@ class Viewer(FileActions):
             self.panel.list_sensors([sensor.name for sensor in layout.sensors], s)
             self.panel.offer_device(sensor.spec.name)
             set_value(self.panel.name, sensor.name)
+            self.panel.show_conditions(self.case.conditions)
             for key, value in numbers.items():
                 set_value(self.panel.pose[key], round(float(value), DIGITS[key]))
 

@@ -1,7 +1,8 @@
 """What browsers see: a layout in three dimensions, its voxels, and its scores beside them.
 
 Scores and voxels of a new layout take a while. Until they are there, those of the layout before
-are shown faded, and the page says what is being done. Every method runs on the queue's thread.
+are shown faded, and the page says what is being done. Every public method runs on the queue's
+thread.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ import viser
 from jaxtyping import Float, UInt
 
 from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.scene3d import Scene3D, look_from
@@ -63,6 +65,7 @@ class Display:
         # The newest scores, and those of the reference, by number of frames.
         self._newest: dict[int, ScoredLayout] = {}
         self._references: dict[int, Scores] = {}
+        self._referred_in = case.conditions
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._found: tuple[Layout, str, Float[Any, " L"]] | None = None
         self._drawn_frame, self._faded, self._label = -1, False, ""
@@ -91,11 +94,21 @@ class Display:
         self._case = self.sensor_view.case = case
         self._found = None
 
-    def set_reference(self) -> Layout:
-        """Compare with the shown layout from now on; gives the reference before."""
-        before, self.reference = self.reference, self.shown
-        shown = (found for found in self._newest.values() if found.layout is self.shown)
-        self._references = {one.frames: one.scores for one in shown if one.scores is not None}
+    def set_reference(self, layout: Layout) -> Layout:
+        """Compare with this layout from now on, as it is scored; gives the reference before.
+
+        Raises InspeError as long as the layout has no scores of all frames.
+        """
+        scored = {
+            frames: found.scores
+            for frames, found in self._newest.items()
+            if found.layout is layout and self._is_here(found)
+        }
+        if scored.get(self._frames) is None:
+            raise InspeError("A can be set or swapped once all frames are scored")
+        before, self.reference = self.reference, layout
+        self._references = {n: scores for n, scores in scored.items() if scores is not None}
+        self._referred_in = self._case.conditions
         self._show_scores()
         return before
 
@@ -106,12 +119,15 @@ class Display:
         notes: Sequence[str] = (),
         *,
         held: bool = False,
+        selected: int | None = None,
     ) -> None:
         """Show a layout, the rules of mounting that it breaks, and notes on the last change.
 
-        ``held``: a sensor of it is being moved at the moment.
+        ``held``: a sensor of it is being moved at the moment. ``selected``: the place of the
+        selected sensor, if it may have changed.
         """
         self.shown, self._faults, self._notes, self._held = layout, faults, notes, held
+        self._selected = self._selected if selected is None else selected
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
         bodies, numbers = self.scene3d.draw_layout(seen, broken)
@@ -176,8 +192,9 @@ class Display:
         if scored.scores is not None and scored.frames == self._frames:
             self.blind_spots.show(scored.layout, scored.scores)
         self._newest[scored.frames] = scored
-        if scored.layout is self.reference and scored.scores is not None:
-            self._references.setdefault(scored.frames, scored.scores)
+        scores, record = scored.scores, self._referred_in.record
+        if scored.layout is self.reference and scores and scores.conditions.record == record:
+            self._references[scored.frames] = scores
         self._show_scores()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -203,7 +220,10 @@ class Display:
 
     def _click_number(self, u: int) -> None:
         """Of the sensors on a unit, the one after the selected one, round and round."""
-        members = [members for members in self.shown.members() if members][u]
+        units = [members for members in self.shown.members() if members]
+        if u >= len(units):  # removed since
+            return
+        members = units[u]
         after = [s for s in members if s > self._selected] if self._selected in members else []
         self._clicked((after or list(members))[0])
 
@@ -211,9 +231,13 @@ class Display:
     def _current(self) -> bool:
         """Whether the newest scores are of the shown layout, in the conditions that are shown."""
         found = self.scored
-        if found is None or found.layout is not self.shown:
-            return False
-        return found.scores is None or found.scores.conditions == self._case.conditions
+        return found is not None and found.layout is self.shown and self._is_here(found)
+
+    def _is_here(self, found: ScoredLayout) -> bool:
+        """Whether scores are those in the conditions that are shown. Records are compared, as they
+        have intensities to some digits."""
+        scores, record = found.scores, self._case.conditions.record
+        return scores is None or scores.conditions.record == record
 
     def _look(self) -> None:
         """Look through the selected sensor in the frame that is shown."""

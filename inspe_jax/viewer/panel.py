@@ -98,7 +98,7 @@ class Panel:
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
             self.light = gui.add_dropdown("Light", lights(), initial_value=around.light)
-            given = around.weather_text if around.unusual else around.weather
+            given = _weather(around)
             self.weather = gui.add_dropdown(
                 "Weather", list(dict.fromkeys((*weathers(), given))), initial_value=given
             )
@@ -128,8 +128,11 @@ class Panel:
             "Look at the whole intersection": viewer.look_at_all,
             "List the keys": _list_keys,
         }
-        for words, key, held, _ in KEYS:
-            self._bind_click(gui.add_command(words, hotkey=key, modifier=held), keys[words])
+        self.keys = {
+            words: gui.add_command(words, hotkey=key, modifier=held) for words, key, held, _ in KEYS
+        }
+        for words, command in self.keys.items():
+            self._bind_click(command, keys[words])
         self._bind(self.edit, lambda: self._edit(self.edit.value))
         compare = {"Set as A": viewer.set_reference, "Swap with A": viewer.swap_reference}
         self._bind(self.compare, lambda: compare[self.compare.value]())
@@ -233,6 +236,11 @@ class Panel:
         """The place of the sensor so many places after the chosen one, round and round."""
         return (self.chosen + step) % len(self.sensor.options)
 
+    def show_conditions(self, around: Conditions) -> None:
+        """Choose the light and the weather that there are."""
+        set_value(self.light, around.light)
+        set_value(self.weather, _weather(around))
+
     def list_sensors(self, names: Sequence[str], chosen: int) -> None:
         """List these sensors, numbered from 1, and choose the one at place ``chosen``."""
         options = tuple(f"{k + 1}  {name}" for k, name in enumerate(names))
@@ -289,6 +297,11 @@ class Panel:
 
         register = getattr(control, "on_click", None) or control.on_update
         register(called)
+
+
+def _weather(around: Conditions) -> str:
+    """The weather's name, with its intensity if that is not the usual one."""
+    return around.weather_text if around.unusual else around.weather
 
 
 def _list_keys(client: Any) -> None:

@@ -63,7 +63,7 @@ def score_panel(
 
     ``scored``: the newest scores, or None. Those of another layout are shown in grey.
     ``frames``: number of frames of the whole traffic.
-    ``outdated``: whether the scores are of other conditions, and so in grey too.
+    ``outdated``: whether the scores are of other conditions, or of another layout.
     ``reference``: the scores of the layout A that this one is compared with, on the same frames.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.

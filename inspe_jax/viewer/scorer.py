@@ -25,6 +25,8 @@ from inspe_jax.sensing.layout import Layout
 
 SHOWN = 20
 """Number of frames that are scored first, evenly spread over all."""
+LONGEST_REST = 0.3
+"""From one scoring to the next while a sensor is dragged, at most [s]: the first one compiles."""
 _JOBS = ("end", "few", "sight", "found", "whole")  # the first of them is done first
 
 
@@ -135,7 +137,7 @@ class Scorer:
                 begun = time.monotonic()
                 self._score(layout, job == "whole", since)
                 ended = time.monotonic()
-                resumed = ended + (ended - begun if job == "few" else 0.0)
+                resumed = ended + (min(ended - begun, LONGEST_REST) if job == "few" else 0.0)
 
     def _score(self, layout: Layout, whole: bool, since: float) -> None:
         scene, scores, wrong = self.case.scene if whole else self.few, None, ""

@@ -103,13 +103,15 @@ class LayoutSession:
         self.move(s, pose)
 
     def rename(self, s: int, name: str) -> None:
-        """Give sensor ``s`` another name.
+        """Give sensor ``s`` another name; an empty one changes nothing.
 
-        Raises InspeError if it is empty or too long, or another sensor has it.
+        Raises InspeError if it is too long, or another sensor has it.
         """
         name, sensors = name.strip(), list(self.layout.sensors)
-        if not 0 < len(name) <= LONGEST_NAME:
-            raise InspeError(f"a sensor's name has 1 to {LONGEST_NAME} characters, not {len(name)}")
+        if name in ("", sensors[s].name):
+            return
+        if len(name) > LONGEST_NAME:
+            raise InspeError(f"a sensor's name has {LONGEST_NAME} characters at most")
         if any(name == other.name for k, other in enumerate(sensors) if k != s):
             raise InspeError(f"another sensor is named '{name}': give each its own name")
         sensors[s] = replace(sensors[s], name=name)
@@ -144,6 +146,7 @@ class LayoutSession:
     def duplicate(self, s: int) -> int:
         """Add a copy of sensor ``s`` to its unit, turned to its left; returns its number."""
         old = self.layout
+        self._check_there(s)
         sensor, poses = old.sensors[s], np.asarray(old.poses, float)
         # A sensor that looks all round is not turned.
         wide = sensor.spec.field_of_view[0] % (2 * np.pi)
@@ -164,6 +167,7 @@ class LayoutSession:
         Raises InspeError if it is the last sensor.
         """
         old = self.layout
+        self._check_there(s)
         if len(old) == 1:
             raise InspeError("the last sensor cannot be removed: a layout has at least one")
         keep = [k for k in range(len(old)) if k != s]
@@ -232,6 +236,10 @@ class LayoutSession:
         ):
             self._space = kept = Space(self.scene, wanted, self.constraints)
         return kept
+
+    def _check_there(self, s: int) -> None:
+        if s >= len(self.layout):  # removed since it was chosen
+            raise InspeError(f"there is no sensor {s + 1} any more")
 
     def inside(self, at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """The nearest point [m] within the region of interest."""

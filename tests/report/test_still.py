@@ -6,7 +6,7 @@ from worlds import CAMERA, LIDAR, place_sensors, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report import still
-from inspe_jax.report.still import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, size_of, still_view
+from inspe_jax.report.still import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, still_view
 
 RADIUS = 14.0
 
@@ -24,13 +24,10 @@ def layout():
     )
 
 
-def seen_at(scene, layout, point):
+def seen_at(scene, point, size=RADIUS):
     """Column and row by hand: the camera looks north and down."""
-    away = (
-        np.asarray(point)
-        - scene.voxels.center
-        - size_of(scene, layout) * np.array([0.0, -BACK, UP])
-    )
+    eye = scene.voxels.center + size * np.array([0.0, -BACK, UP])
+    away = np.asarray(point) - eye
     down = np.arctan2(UP, BACK - BEYOND)
     ahead = np.array([0.0, np.cos(down), -np.sin(down)])
     above = np.array([0.0, np.sin(down), np.cos(down)])
@@ -39,12 +36,21 @@ def seen_at(scene, layout, point):
 
 
 def test_numbers_stand_at_the_highest_sensor_of_each_unit(scene, layout):
+    size = (still._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
+    assert size > RADIUS  # a sensor of 6 m would stick out at the top
     (ax,) = still_view(scene, layout).axes
     assert [mark.get_text() for mark in ax.texts] == ["1", "2"]
     for mark, pose in zip(ax.texts, layout.poses, strict=True):
-        np.testing.assert_allclose(mark.xy, seen_at(scene, layout, pose[:3]), atol=1e-3)
-        assert 0 < mark.xy[0] < WIDTH
-        assert 0 < mark.xy[1] < HEIGHT
+        np.testing.assert_allclose(mark.xy, seen_at(scene, pose[:3], size), atol=1e-3)
+
+
+@pytest.mark.parametrize("azimuth", [10, 90, 190, 250, 270, 290, 330])
+def test_every_sensor_is_in_the_picture(scene, azimuth):
+    x, y = RADIUS * np.array([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+    (ax,) = still_view(scene, place_sensors((LIDAR, [x, y, 9.0, 0, 0, 0]))).axes
+    column, row = ax.texts[0].xy
+    assert 0 < column < WIDTH
+    assert 0 < row < HEIGHT
 
 
 def test_a_road_user_is_where_it_should_be_in_the_picture(scene, layout):
@@ -57,16 +63,17 @@ def test_a_road_user_is_where_it_should_be_in_the_picture(scene, layout):
     changed = np.abs(picture(car) - picture(scene)).max(-1) > 60  # its body, beyond the noise
     rows, columns = np.nonzero(changed)
     level = scene.intersection.ground(at[None])[0]
-    column, row = seen_at(scene, layout, [*at, level + 0.75])
-    metre = seen_at(scene, layout, [*at + [1.0, 0.0], level + 0.75])[0] - column
+    size = (still._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
+    column, row = seen_at(scene, [*at, level + 0.75], size)
+    metre = seen_at(scene, [*at + [1.0, 0.0], level + 0.75], size)[0] - column
     assert changed.sum() > metre**2
     assert abs(np.median(columns) - column) < metre
     assert abs(np.median(rows) - row) < metre
 
 
-def test_without_embree_there_is_none(scene, layout, monkeypatch):
+def test_without_embree_there_is_none(layout, monkeypatch):
     def none(*_):
         raise InspeError("recording needs Embree")
 
     monkeypatch.setattr(still, "surroundings_of", none)
-    assert still_view(scene, layout) is None
+    assert still_view(world(radius=RADIUS, voxel=1.0, frames=1, count=0), layout) is None

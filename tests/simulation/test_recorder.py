@@ -20,6 +20,7 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Unit
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.backends import recorder_of
@@ -290,6 +291,12 @@ def test_only_kerbs_and_poles_stand_within_the_radius():
         # None stands between two points inside the radius.
         assert np.hypot(*(at - static_world.center)[:, :2].T).min() > 40
         assert set(np.unique(static_world.material)) == set(range(7))
+
+
+def test_a_unit_without_sensors_has_no_mast(scene, corners):
+    spare = replace(corners, units=(*corners.units, Unit("spare", (14.0, 0.0, 0.0))))
+    with_spare, without = (EmbeddedRecorder(scene, of).surroundings for of in (spare, corners))
+    np.testing.assert_array_equal(with_spare.static_world.triangles, without.static_world.triangles)
 
 
 def test_units_over_the_road_have_no_mast(scene):

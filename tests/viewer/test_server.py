@@ -609,6 +609,24 @@ def test_names_in_the_title_are_text(scene, layout, tmp_path):
         found.close()
 
 
+def test_a_key_is_heard_over_the_socket_but_not_during_a_search(viewer):
+    still_works(viewer)
+    changed = viewer.layout
+    key = dict(type="CommandTriggerMessage", uuid=viewer.panel.keys["Undo"]._impl.uuid)
+    with socket_of(viewer.url) as page:
+        enter(page)
+        wait_until(lambda: viewer.server.get_clients())
+        viewer._searching = True
+        send(page, **key)
+        set_value(page, viewer.panel.frame, 1)  # what is sent after it has been handled
+        wait_until(lambda: viewer.panel.frame.value == 1)
+        viewer.queue.submit(lambda: setattr(viewer, "_searching", False))
+        assert viewer.layout is changed
+        wait_until(lambda: not viewer._searching)
+        send(page, **key)
+        wait_until(lambda: viewer.layout is not changed)
+
+
 def test_a_key_that_no_page_offers_does_nothing(viewer):
     before = viewer.layout
     with socket_of(viewer.url) as page:

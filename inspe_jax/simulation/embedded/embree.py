@@ -64,6 +64,11 @@ class Caster:
         return self._scene.run(start, to, dists=reach, query="OCCLUDED") >= 0
 
 
+def check_embree() -> None:
+    """Raise InspeError where Embree is missing."""
+    _library()
+
+
 def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Origins, directions and reaches, one for each ray, in the form that Embree needs."""
     start, to = np.broadcast_arrays(origins, directions)

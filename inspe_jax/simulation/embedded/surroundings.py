@@ -8,7 +8,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import TrafficFrames
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.embree import Caster, check_embree
 from inspe_jax.simulation.embedded.headlights import GroundMap
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, boxes_of
 from inspe_jax.simulation.embedded.shading import Shading
@@ -59,6 +59,7 @@ def surroundings_of(
 
     Raises InspeError where Embree is missing.
     """
+    check_embree()
     parked, statics = parked_vehicles(scene)
     place = scene.intersection, scene.voxels.radius
     static_world = build_static_world(*place, _masts(layout, mastless), statics)
@@ -76,12 +77,11 @@ def surroundings_of(
 
 
 def _masts(layout: Layout, mastless: int | None) -> np.ndarray:
-    """Foot (x, y, z) and height of each unit's mast, (U, 4) [m]."""
+    """Foot (x, y, z) and height of the mast of each unit that carries sensors, (M, 4) [m]."""
     poses = np.asarray(layout.poses, float)
-    heights = [min(poses[s, 2] for s in members) - BELOW for members in layout.members()]
     masts = [
-        (*unit.base, max(height - unit.base[2], 0.5))
-        for u, (unit, height) in enumerate(zip(layout.units, heights, strict=True))
-        if u != mastless
+        (*unit.base, max(poses[list(members), 2].min() - BELOW - unit.base[2], 0.5))
+        for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
+        if members and u != mastless
     ]
     return np.array(masts, float).reshape(-1, 4)

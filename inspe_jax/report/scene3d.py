@@ -443,11 +443,3 @@ def quaternion(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
 def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """The rotation matrix of w, x, y, z."""
     return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
-
-
-def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
-    """Point a camera at the whole scene from the south and from above; ``back`` scales its
-    distance."""
-    radius = scene.voxels.radius
-    camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
-    camera.look_at = (0.0, -0.08 * radius, 0.0)

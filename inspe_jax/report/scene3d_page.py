@@ -1,6 +1,8 @@
-"""A scene in three dimensions as a page that needs no server."""
+"""A scene in three dimensions as a page that needs no server; and where a page looks from."""
 
-from inspe_jax.report.scene3d import Scene3D, look_from
+from typing import Any
+
+from inspe_jax.report.scene3d import Scene3D
 from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.viewshed import Visibility, sight_in
@@ -23,3 +25,11 @@ def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: in
     finally:
         with quiet():
             server.stop()
+
+
+def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
+    """Point a camera at the whole scene from the south and from above; ``back`` scales its
+    distance."""
+    radius = scene.voxels.radius
+    camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
+    camera.look_at = (0.0, -0.08 * radius, 0.0)

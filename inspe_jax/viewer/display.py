@@ -16,7 +16,8 @@ from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.scene3d import Scene3D, look_from
+from inspe_jax.report.scene3d import Scene3D
+from inspe_jax.report.scene3d_page import look_from
 from inspe_jax.report.targets import CHANCES, banded
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout

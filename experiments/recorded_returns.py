@@ -23,7 +23,6 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
 from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.embedded.road_users import FrameActors
 
 DEVICES = ("velodyne-vlp-16", "paper-lidar-32", "ouster-os1-128")
 WEATHER = ("clear", "rain:10", "rain:50", "fog:200", "fog:50")
@@ -66,7 +65,7 @@ def recorded(scene: Scene) -> Iterator[Found]:
             for t in range(scene.traffic.frame_count):
                 frame = recorder.frame(t)
                 scans.append(frame.stations[0].scans[0])
-                actors = FrameActors(frame.boxes, recorder.surroundings.static_world.center)
+                actors = recorder.surroundings.actors(t)
                 returns = lidar.cast(actors, recorder.surroundings.recording.turn)
                 hits.append(returns.distance[returns.box >= 0])
             far = np.concatenate([np.linalg.norm(scan.points[:, :3], axis=1) for scan in scans])

@@ -102,7 +102,7 @@ def installation_schedule(
                 roll=float(np.degrees(poses[s, 3])) + 0.0,
                 offset=float(np.hypot(*away[s])),
                 offset_azimuth=float(arms[s]) % 360,
-                price=_price(known, name, prices),
+                price=price_of(known, name, prices),
             )
             for s in members
         )
@@ -127,7 +127,7 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
         at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
         title, maker = (known[name].title, known[name].maker) if name in known else ("", "")
         units = tuple(unit for unit, _ in groupby(at))
-        rows.append(MaterialRow(name, title, maker, count, _price(known, name, prices), units))
+        rows.append(MaterialRow(name, title, maker, count, price_of(known, name, prices), units))
     return tuple(rows)
 
 
@@ -145,8 +145,11 @@ def sensors_in_words(layout: Layout) -> str:
     return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
 
 
-def _price(known: Mapping[str, Device], name: str, prices: Mapping[str, float]) -> float | None:
-    return prices.get(name, known[name].price_usd if name in known else None)
+def price_of(
+    known: Mapping[str, Device], name: str, prices: Mapping[str, float] | None = None
+) -> float | None:
+    """What a device costs [US dollars]: by ``prices``, or the catalogue's; None if unknown."""
+    return (prices or {}).get(name, known[name].price_usd if name in known else None)
 
 
 def _azimuths(place: Intersection, points: np.ndarray, yaw: np.ndarray) -> np.ndarray:

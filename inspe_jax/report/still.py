@@ -19,7 +19,6 @@ from inspe_jax.simulation.embedded.sensors import simulated_sensor
 from inspe_jax.simulation.embedded.surroundings import surroundings_of
 from inspe_jax.simulation.frame import Image
 from inspe_jax.simulation.projection import pixels
-from inspe_jax.simulation.recorder import Recording
 
 WIDTH, HEIGHT, DOTS = 1200, 660, 170
 """Of the picture [pixels], and how many of them an inch has."""
@@ -27,8 +26,7 @@ FOCAL = 0.72
 """Focal length of the camera, in widths of the picture."""
 BACK, UP, BEYOND = 1.25, 0.95, 0.12
 """Where the camera is, south of the middle and above it, and where it looks, south of the middle:
-in radii of the region of interest, or more where a sensor would be
-outside of the picture."""
+in radii of the region of interest, or more where a sensor would be outside of the picture."""
 RIM = 20
 """Every sensor is so far inside the picture, and twice as far from its top [pixels]."""
 NEAR = 1.0
@@ -53,7 +51,7 @@ def still_view(scene: Scene, layout: Layout, *, frame: int = 0) -> Figure | None
     (focal, _, middle), (_, _, row), _ = eye.intrinsic
     spec = CameraSpec("still", WIDTH, HEIGHT, focal, (middle, row), 1.0, 1000.0)
     try:
-        around = surroundings_of(scene, layout, FAIR, Recording(), 0)
+        around = surroundings_of(scene, layout, FAIR)
     except InspeError:
         return None
     camera = simulated_sensor(spec, eye.pose, around)
@@ -63,7 +61,7 @@ def still_view(scene: Scene, layout: Layout, *, frame: int = 0) -> Figure | None
 
 
 def _eye_on(scene: Scene, layout: Layout) -> _Eye:
-    """The camera, as near as it can be to show the region of interest and all sensors in it."""
+    """The camera, farther off than :data:`BACK` and :data:`UP` say if a sensor would be outside."""
     at, size = np.asarray(layout.poses, float)[:, :3], scene.voxels.radius
     down = np.arctan2(UP, BACK - BEYOND)
     focal = FOCAL * WIDTH

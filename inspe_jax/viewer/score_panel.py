@@ -10,6 +10,7 @@ from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
 from inspe_jax.report.page import template
 from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
+from inspe_jax.report.schedule import price_of
 from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, SURROGATE
@@ -113,7 +114,7 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selected: int) -> 
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
     known, rows = devices(), []
     for number, (sensor, loss) in enumerate(zip(layout.sensors, lost, strict=True), 1):
-        price = known[sensor.spec.name].price_usd if sensor.spec.name in known else None
+        price = price_of(known, sensor.spec.name)
         rows.append(
             dict(
                 number=number,

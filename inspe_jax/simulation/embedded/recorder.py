@@ -34,15 +34,14 @@ class EmbeddedRecorder:
         seed: int = 0,
         appearance_seed: int = 0,
     ) -> None:
-        recording = recording or Recording()
-        recording.check()
         self.scene, self.seed = scene, seed
-        self.layout = layout = conditions.layout(layout)
-        given = scene, layout, conditions, recording, appearance_seed
-        self.surroundings = surroundings_of(*given)
+        self.surroundings = surroundings_of(scene, layout, conditions, recording, appearance_seed)
+        self.layout = conditions.layout(layout)
         self.sensors = [
             simulated_sensor(sensor.spec, pose, self.surroundings)
-            for sensor, pose in zip(layout.sensors, np.asarray(layout.poses, float), strict=True)
+            for sensor, pose in zip(
+                self.layout.sensors, np.asarray(layout.poses, float), strict=True
+            )
         ]
 
     def frame(self, t: int) -> Frame:
@@ -72,14 +71,11 @@ class LiveSensor:
         conditions: Conditions = FAIR,
         recording: Recording | None = None,
         seed: int = 0,
-        appearance_seed: int = 0,
     ) -> None:
-        recording = recording or Recording()
-        recording.check()
-        layout = conditions.layout(layout)
-        self.spec, self._own = layout.sensors[s].spec, np.array(layout.poses[s], float)
-        self._unit, self._s, self._seed = layout.sensors[s].unit, s, seed
-        self._given = scene, layout, conditions, recording, appearance_seed
+        sensor = layout.sensors[s]
+        self.spec, self._own = conditions.spec(sensor.spec), np.array(layout.poses[s], float)
+        self._unit, self._s, self._seed = sensor.unit, s, seed
+        self._given = scene, layout, conditions, recording
         self._still = surroundings_of(*self._given)
         self._held: Surroundings | None = None
         self._frame: tuple[int, FrameActors] | None = None

@@ -49,16 +49,18 @@ def surroundings_of(
     scene: Scene,
     layout: Layout,
     conditions: Conditions,
-    recording: Recording,
-    appearance_seed: int,
+    recording: Recording | None = None,
+    appearance_seed: int = 0,
     *,
     mastless: int | None = None,
 ) -> Surroundings:
     """The surroundings of a layout's sensors in a scene: with a mast for each unit, except for the
     unit ``mastless``.
 
-    Raises InspeError where Embree is missing.
+    Raises InspeError where the recording is not valid, or Embree is missing.
     """
+    recording = recording or Recording()
+    recording.check()
     check_embree()
     parked, statics = parked_vehicles(scene)
     place = scene.intersection, scene.voxels.radius

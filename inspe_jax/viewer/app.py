@@ -39,10 +39,10 @@ PLAYED = 0.25
 """Least time between two frames that are played [s]."""
 TYPED = 0.7
 """A typed number is applied after this time without another key [s], or before another action."""
-COMPILES = 3.0
-"""A search that said so this long ago still compiles [s]."""
 NAMED = 2.0
 """The same for a name [s]: one pauses between words."""
+COMPILES = 3.0
+"""A search that said so this long ago still compiles [s]."""
 SEARCH_COMPILES = 40.0
 """Rough time that compiling a search takes [s]."""
 
@@ -84,10 +84,8 @@ class Viewer(FileActions):
         self._searching, self._best = False, layout
         self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
         self.queue = JobQueue(self._failed)
-        self._typing, self._playing = (
-            {key: DelayedAction() for key in (*POSE, "name")},
-            DelayedAction(),
-        )
+        self._typing = {key: DelayedAction() for key in (*POSE, "name")}
+        self._playing = DelayedAction()
         self.access = AccessRules("127.0.0.1") if access is None else access
         self.server = serve(self.access, port, self._head())
         self.port = self.server.get_port()
@@ -371,12 +369,16 @@ class Viewer(FileActions):
 
     def _change(self, change: Callable[[], Any]) -> None:
         def job() -> None:
+            before = self.layout
             try:
                 change()
             except Exception:
                 self._show_controls()  # as they were
                 raise
-            self._after_change()
+            if self.layout is before:
+                self._show_controls()
+            else:
+                self._after_change()
 
         self._unless_searching(job)
 

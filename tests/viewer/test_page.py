@@ -539,7 +539,13 @@ def test_on_a_telephone_the_panel_is_a_bar_with_the_score_until_it_is_tapped(chr
     score = settled(page)
     bar = page.get_by_text(f"{score:.4f} layout at test crossing")
     bar.wait_for()
-    wait_until(page, lambda: bar.bounding_box()["y"] > 750)
+
+    def top(of):
+        """Its place from the top; nowhere while the page draws it anew."""
+        box = of.bounding_box()
+        return np.nan if box is None else box["y"]
+
+    wait_until(page, lambda: top(bar) > 750)
     bar.click()
-    wait_until(page, lambda: 300 < page.locator("[data-score]").bounding_box()["y"] < 600)
+    wait_until(page, lambda: 300 < top(page.locator("[data-score]")) < 600)
     page.close()

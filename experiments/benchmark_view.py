@@ -13,9 +13,8 @@ Scores: sensors are dragged as a browser drags them, by events of the handle: a 
 every 50 ms, an end. Timed from the end to the scores on the page's panel, of 20 frames and of all,
 with mounting, the shown frame's voxels and all that is drawn.
 
-Recordings: a camera and a LiDAR are dragged in a circle for some seconds, with an event every
-50 ms, while scores follow. Timed from each recording of what the sensor sees, as it is put on the
-page, to the next.
+Recordings: a camera and a LiDAR are dragged in a circle, with an event every 50 ms, while scores
+follow. Timed from each recording of what the sensor sees, as it is put on the page, to the next.
 
 Answers: another sensor is chosen, which is what can be done at any time, at rest, while all frames
 are scored over and over, and while a search runs, from its button on, with all that it compiles.
@@ -64,6 +63,8 @@ PAUSE = (0.3, 1.0)
 LONG = 600.0
 """What a search is given, which is stopped before [s]."""
 BROWSERS = ("no browser", "a browser, nothing in 3-D", "a browser, 3-D in software")
+WAITED = 60.0
+"""For a recording, at most [s]."""
 RECORDINGS = {"camera": "next picture, dragged", "lidar": "next points, dragged"}
 SCORES = {"few": "20 frames", "all": "all frames"}
 ANSWERS = ("at rest", "while it scores", "while it searches")
@@ -120,15 +121,17 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
     return {"few": heard[False], "all": heard[True]}
 
 
-def recordings(viewer: Viewer, s: int, seconds: float) -> Iterator[float]:
-    """Drag a sensor in a circle; seconds from one recording of what it sees to the next."""
+def recordings(viewer: Viewer, s: int, count: int) -> Iterator[float]:
+    """Drag a sensor in a circle; seconds from each of ``count`` recordings of it to the next."""
     viewer.select(s)
     pose = np.array(viewer.layout.poses[s], float)
     turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
     viewer._on_drag(HandleDrag("start", at, turn))
     began, seen, last = time.monotonic(), viewer.display.sensor_view.seen, None
-    moved = began
-    while (now := time.monotonic()) < began + seconds:
+    moved, done = began, 0
+    while done < count:
+        now = time.monotonic()
+        assert now < (last or began) + WAITED, "no recording came: can this sensor be recorded?"
         if now >= moved:
             moved += EVERY
             aside = np.array([np.cos(now - began), np.sin(now - began), 0.0])
@@ -137,6 +140,7 @@ def recordings(viewer: Viewer, s: int, seconds: float) -> Iterator[float]:
             seen = viewer.display.sensor_view.seen
             if last is not None:
                 yield now - last
+                done += 1
             last = now
         time.sleep(0.002)
     viewer._on_drag(HandleDrag("end", at, turn))
@@ -243,7 +247,7 @@ def measured(
             yield dict(timed=name, after=time.monotonic() - began, seconds=found[key])
     for kind, name in RECORDINGS.items():
         s = [sensor.spec.kind for sensor in viewer.layout.sensors].index(kind)
-        for seconds in recordings(viewer, s, counts["drags"] / 3):
+        for seconds in recordings(viewer, s, 2 * counts["drags"]):
             yield dict(timed=name, after=time.monotonic() - began, seconds=seconds)
     time.sleep(2.0)  # until all is drawn
     states: list[AbstractContextManager[Ready]]

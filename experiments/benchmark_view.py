@@ -33,6 +33,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -48,8 +49,10 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.bindings import set_value
+from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.handle import HandleDrag
-from inspe_jax.viewer.panel import POSE, set_value
+from inspe_jax.viewer.sensor_controls import POSE
 
 console = Console()
 
@@ -92,21 +95,27 @@ LOOK = """wanted => {
 """In the page: from the next click on an option to the picture in which these numbers stand."""
 
 
+def view_of(viewer: Viewer) -> BrowserView:
+    """What the only browser has of its own."""
+    (view,) = viewer.views.values()
+    return view
+
+
 def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
     """Drag one sensor some metres and turn it; seconds to the scores of few and of all frames."""
     heard: dict[bool, float] = {}
-    told = viewer.panel.headline
+    told, view = viewer.panel.headline, view_of(viewer)
 
-    viewer.select(s)
+    view.select(s)
     pose = np.array(viewer.layout.poses[s], float)
     turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
     away = np.append(rng.uniform(-3, 3, 2), rng.uniform(-1, 1))
-    viewer._on_drag(HandleDrag("start", at, turn))
+    view.on_drag(HandleDrag("start", at, turn))
     for k in range(1, STEPS + 1):
-        viewer._on_drag(HandleDrag("update", at + away * k / STEPS, turn))
+        view.on_drag(HandleDrag("update", at + away * k / STEPS, turn))
         time.sleep(EVERY)
     before, began = viewer.layout, time.monotonic()
-    viewer._on_drag(HandleDrag("end", at + away, turn))
+    view.on_drag(HandleDrag("end", at + away, turn))
     while len(heard) < 2:
         time.sleep(0.002)
         scored = viewer.display.scored
@@ -123,11 +132,12 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
 
 def recordings(viewer: Viewer, s: int, count: int) -> Iterator[float]:
     """Drag a sensor in a circle; seconds from each of ``count`` recordings of it to the next."""
-    viewer.select(s)
+    view = view_of(viewer)
+    view.select(s)
     pose = np.array(viewer.layout.poses[s], float)
     turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
-    viewer._on_drag(HandleDrag("start", at, turn))
-    began, seen, last = time.monotonic(), viewer.display.sensor_view.seen, None
+    view.on_drag(HandleDrag("start", at, turn))
+    began, seen, last = time.monotonic(), view.sensor_view.seen, None
     moved, done = began, 0
     while done < count:
         now = time.monotonic()
@@ -135,15 +145,15 @@ def recordings(viewer: Viewer, s: int, count: int) -> Iterator[float]:
         if now >= moved:
             moved += EVERY
             aside = np.array([np.cos(now - began), np.sin(now - began), 0.0])
-            viewer._on_drag(HandleDrag("update", at + aside, turn))
-        if viewer.display.sensor_view.seen not in (None, seen):
-            seen = viewer.display.sensor_view.seen
+            view.on_drag(HandleDrag("update", at + aside, turn))
+        if view.sensor_view.seen not in (None, seen):
+            seen = view.sensor_view.seen
             if last is not None:
                 yield now - last
                 done += 1
             last = now
         time.sleep(0.002)
-    viewer._on_drag(HandleDrag("end", at, turn))
+    view.on_drag(HandleDrag("end", at, turn))
 
 
 def on_server(viewer: Viewer, s: int) -> float:
@@ -151,7 +161,7 @@ def on_server(viewer: Viewer, s: int) -> float:
     done: Queue[float] = Queue()
 
     def event() -> None:
-        viewer.select(s)
+        view_of(viewer).select(s)
         viewer.queue.submit(lambda: done.put(time.monotonic()))
 
     began = time.monotonic()
@@ -177,7 +187,7 @@ def answers(
     """Choose one sensor after another, of another unit each time, whenever it is ready."""
     for _ in range(count):
         time.sleep(rng.uniform(*PAUSE))
-        s = (viewer._selected + 5) % len(viewer.layout)
+        s = (view_of(viewer).selected + 5) % len(viewer.layout)
         ready()
         yield on_server(viewer, s) if tab is None else in_page(tab, viewer, s)
 
@@ -214,19 +224,19 @@ def searching(viewer: Viewer, tab: Any) -> Iterator[Ready]:
     """A search runs, begun as by its button; gives what makes sure that it still does."""
 
     def check() -> None:
-        assert viewer._searching
+        assert viewer.searching
 
     set_value(viewer.panel.seconds, LONG)
     if tab is None:
         viewer.optimise()
     else:
         tab.get_by_role("button", name="Optimise from here").click()
-    wait_until(lambda: viewer._searching)
+    wait_until(lambda: viewer.searching)
     try:
         yield check
     finally:
         viewer.stop()
-        wait_until(lambda: not viewer._searching)
+        wait_until(lambda: not viewer.searching)
 
 
 def wait_until(true: Callable[[], bool]) -> None:
@@ -276,7 +286,7 @@ def stopped(
                     viewer.stop()
                 else:
                     tab.get_by_role("button", name="Stop").click()
-                wait_until(lambda: not viewer._searching)
+                wait_until(lambda: not viewer.searching)
             yield dict(timed=name, after=pressed - began, seconds=time.monotonic() - pressed)
 
 
@@ -349,7 +359,10 @@ def main() -> None:
                         *(f"  {words}" for words in said[:: max(1, len(said) // 8)]), sep="\n"
                     )
                 looking, drawn = browser != BROWSERS[0], browser == BROWSERS[2]
+                if not looking:  # the page's own panel and scene stand for a browser's
+                    viewer.queue.submit(partial(viewer.open_view, -1, viewer.server))
                 with browser_on(viewer.url, drawn=drawn) if looking else nullcontext() as tab:
+                    wait_until(partial(bool, viewer.views))
                     for timed in (measured, stopped):
                         for row in timed(viewer, tab, counts, rng):
                             rows.append({"browser": browser, **row})

@@ -6,7 +6,7 @@ graphics cards work in single precision.
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -54,10 +54,8 @@ BALL = 0.6
 is clear of the sensors."""
 CROWN = 0.5
 """Opacity of the crowns of trees."""
-POINT_COLOR, POINT_SIZE = "#b5009b", 0.14
-"""Of a LiDAR's points: a colour that nothing else has, and their size [m]."""
-THIN, WIDE = 0.12, 0.4
-"""Width of the outlines of what sensors look at, and of that of the selected one [m]."""
+THIN = 0.12
+"""Width of the outlines of what sensors look at [m]."""
 LIFT = 0.05
 """Height of lines above the ground [m]."""
 
@@ -66,6 +64,13 @@ _FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
 )
+
+
+class Outline(NamedTuple):
+    """Line segments (N, 2, 3) about the scene's centre [m], and their colour."""
+
+    points: Float[np.ndarray, "N 2 3"]
+    color: str
 
 
 class Scene3D:
@@ -190,20 +195,6 @@ class Scene3D:
             own = layer.values == kind
             self._squares(f"columns/{words}", own, color, LIFT / 2, FAINT if faint else None)
 
-    def draw_points(self, points: Float[np.ndarray, "N 3"] | None) -> None:
-        """Draw a LiDAR's points, given in the world [m], in place of those before; or none."""
-        cloud = self.drawn.get("points")
-        if points is None or not len(points):
-            self._forget("points")
-            return
-        at = (points - self.shift).astype(np.float32)
-        if cloud is None:
-            self.drawn["points"] = self.api.add_point_cloud(
-                "points", at, rgb(POINT_COLOR), point_size=POINT_SIZE, point_shading="flat"
-            )
-        else:
-            cloud.points = at
-
     def draw_letters(self, places: dict[str, tuple[float, float]]) -> None:
         """Draw a letter at each place [m] of the ground, in place of those before."""
         for name in [name for name in self.drawn if name.startswith("letters/")]:
@@ -244,10 +235,9 @@ class Scene3D:
                 self._at[k] = poses[k].copy()
         return new, self._number(layout, poses, wrong)
 
-    def highlight(self, selected: int) -> None:
-        """Draw the outline of what one sensor looks at wider than those of the others."""
-        for k in self._looks:
-            self.drawn[f"sensors/{k + 1}/view"].thickness = WIDE if k == selected else THIN
+    def outline(self, k: int) -> Outline:
+        """The outline of what the sensor at place ``k`` looks at, as it is drawn."""
+        return Outline(self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1])
 
     def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
         name = f"sensors/{k + 1}"

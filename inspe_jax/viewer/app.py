@@ -1,14 +1,15 @@
 """The page: the scene in three dimensions, a handle on its sensors, and scores that follow.
 
 The session changes the layout, the scorer scores it, the display shows it. All browsers see the
-same page. What they ask for runs in turn on one thread, that of the job queue.
+same layout, and each selects sensors of its own. What they ask for runs in turn on one thread, that
+of the job queue.
 """
 
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,12 @@ from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.bindings import set_value
+from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
 from inspe_jax.viewer.file_actions import FileActions
-from inspe_jax.viewer.handle import Handle, HandleDrag
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
-from inspe_jax.viewer.panel import DIGITS, POSE, Panel, set_value
+from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchCallbacks, SearchEnding, Searcher
 from inspe_jax.viewer.session import LayoutSession
@@ -37,10 +39,6 @@ from inspe_jax.viewer.store import LayoutStore
 
 PLAYED = 0.25
 """Least time between two frames that are played [s]."""
-TYPED = 0.7
-"""A typed number is applied after this time without another key [s], or before another action."""
-NAMED = 2.0
-"""The same for a name [s]: one pauses between words."""
 COMPILES = 3.0
 """A search that said so this long ago still compiles [s]."""
 SEARCH_COMPILES = 40.0
@@ -51,6 +49,7 @@ class Viewer(FileActions):
     """A layout on a scene, served to browsers.
 
     ``url`` and ``port`` are the page's address, ``other_urls`` its addresses for other machines.
+    ``views`` are what each browser has of its own, by its number.
     """
 
     def __init__(
@@ -78,20 +77,17 @@ class Viewer(FileActions):
         self.store = LayoutStore(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
         self.session = LayoutSession(case.scene, layout)
-        self._selected = 0
-        # While the handle is dragged: sensor, layout at the start, whether it was moved.
-        self._dragging: tuple[int, Layout, bool] | None = None
-        self._searching, self._best = False, layout
+        self.views: dict[int, BrowserView] = {}
+        self.searching, self._best = False, layout
         self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
         self.queue = JobQueue(self._failed)
-        self._typing = {key: DelayedAction() for key in (*POSE, "name")}
         self._playing = DelayedAction()
         self.access = AccessRules("127.0.0.1") if access is None else access
         self.server = serve(self.access, port, self._head())
         self.port = self.server.get_port()
         self.url, *self.other_urls = self.access.urls(self.port)
         self.panel = Panel(self.server.gui, self, self.frames, case.conditions)
-        self.display = Display(self.server, case, layout, self.panel, self.queue, self.select)
+        self.display = Display(self.server, case, layout, self.panel, self.queue, self.views)
         self.scene3d = self.display.scene3d
         heard = self._on_scores, self._on_sight, self._on_found
         self.scorer = Scorer(case, weights, *heard, **self.further)
@@ -102,10 +98,13 @@ class Viewer(FileActions):
             SearchCallbacks(self._on_progress, self._on_better, self._on_compiling, self._on_end),
             detection,
         )
-        self.handle = Handle(self.server.scene, self._on_drag)
         self.panel.offer_earlier(self.store.earlier)
         self.queue.submit(lambda: self.display.draw_users(0))
-        self.queue.submit(self._show)
+        self.queue.submit(self.show)
+        # viser warns of what is shown to a browser that is just leaving.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
+        self.server.on_client_connect(self._on_connect)
+        self.server.on_client_disconnect(self._on_disconnect)
 
     @property
     def layout(self) -> Layout:
@@ -119,31 +118,60 @@ class Viewer(FileActions):
         self.searcher.close()
         self.scorer.close()
         self.store.close()
+        for view in list(self.views.values()):
+            view.close()
         self.display.close()
         self.queue.close()
         with quiet():
             self.server.stop()
 
-    # ── What a browser asks for; ``s`` is the place of a sensor in the layout ──
+    # ── Browsers come and go ──
+
+    async def _on_connect(self, client: Any) -> None:
+        def job() -> None:
+            self.open_view(client.client_id, client)
+            if client.client_id not in self.server.get_clients():  # it has left meanwhile
+                self._close_view(client)
+
+        self.queue.submit(job)
+
+    async def _on_disconnect(self, client: Any) -> None:
+        self._close_view(client)
+
+    def _close_view(self, client: Any) -> None:
+        view = self.views.pop(client.client_id, None)
+        if view is not None:
+            self.queue.submit(view.close)
+
+    def open_view(self, number: int, client: Any) -> BrowserView:
+        """Show a browser a selection of its own; on the thread of the queue."""
+        view = self.views[number] = BrowserView(client, self)
+        view.show()
+        self.display.show_selection(view)
+        return view
+
+    def step(self, client: Any, by: int) -> None:
+        """Let a browser select the sensor so many places after its selected one."""
+        view = self.views.get(client.client_id)
+        if view is not None:
+            view.step(by)
+
+    def remove_chosen(self, client: Any) -> None:
+        """Remove what a browser has selected."""
+        view = self.views.get(client.client_id)
+        if view is not None:
+            view.remove_chosen()
+
+    # ── What any browser asks for ──
 
     def settle(self) -> None:
         """Apply the numbers that are typed, before another action."""
-        for waiting in self._typing.values():
-            waiting.run_now()
+        for view in list(self.views.values()):
+            view.settle()
 
     def restore(self) -> None:
         """Show the controls as they were: a browser has set one to an impossible value."""
         self.queue.submit(self._show_controls)
-
-    def select(self, s: int) -> None:
-        """Select another sensor."""
-        self.settle()
-
-        def job() -> None:
-            self._selected = min(s, len(self.layout) - 1)
-            self._show_controls()
-
-        self.queue.submit(job)
 
     def undo_or_redo(self, which: str) -> None:
         """Undo the last change, or redo it; ``which`` is "Undo" or "Redo"."""
@@ -152,7 +180,7 @@ class Viewer(FileActions):
             if not {"Undo": self.session.undo, "Redo": self.session.redo}[which]():
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
 
-        self._change(job)
+        self.change(job)
 
     def set_reference(self) -> None:
         """Compare with the present layout from now on."""
@@ -165,47 +193,7 @@ class Viewer(FileActions):
 
     def swap_reference(self) -> None:
         """Exchange the layout for the one that it is compared with."""
-        self._change(lambda: self.session.take(self.display.set_reference(self.layout)))
-
-    def swap(self, s: int, name: str) -> None:
-        """Exchange a sensor's device."""
-        self._change(lambda: self.session.swap(s, name))
-
-    def type_number(self, s: int, key: str, value: float) -> None:
-        """Set a number of a sensor's pose, once nothing more is typed."""
-
-        def change() -> None:
-            self.session.set_number(s, key, value)
-            if self.session.notes:  # the sensor cannot be mounted there
-                self.display.notify("Mounted nearby", "; ".join(self.session.notes), "orange")
-
-        self._typing[key].start(TYPED, lambda: self._change(change))
-
-    def rename(self, s: int, name: str) -> None:
-        """Give a sensor another name, once nothing more is typed."""
-        change = partial(self.session.rename, s, name)
-        self._typing["name"].start(NAMED, lambda: self._change(change))
-
-    def duplicate(self, s: int) -> None:
-        """Add a copy of a sensor to its unit."""
-
-        def job() -> None:
-            self._selected = self.session.duplicate(s)
-
-        self._change(job)
-
-    def remove(self, s: int) -> None:
-        """Remove a sensor."""
-        self._change(lambda: self.session.remove(s))
-
-    def add(self, name: str, client: Any) -> None:
-        """Add a sensor, mounted as near as possible to the point that the browser looks at."""
-        at = np.array(client.camera.look_at, float)[:2] + self.scene3d.shift[:2]
-
-        def job() -> None:
-            self._selected = self.session.add(name, self.session.inside(at))
-
-        self._change(job)
+        self.change(lambda: self.session.take(self.display.set_reference(self.layout)))
 
     def select_frame(self) -> None:
         """Show the slider's frame."""
@@ -228,7 +216,7 @@ class Viewer(FileActions):
             self.case = replace(self.case, conditions=around)
             self.scorer.case = self.searcher.case = self.case
             self.display.set_case(self.case)
-            self._show()
+            self.show()
 
         self._unless_searching(job)
 
@@ -241,13 +229,13 @@ class Viewer(FileActions):
         method, seconds = self.panel.method.value, float(self.panel.seconds.value)
 
         def job() -> None:
-            if self._searching:
+            if self.searching:
                 return
-            self._searching, self._best = True, self.layout
+            self.searching, self._best = True, self.layout
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
             self.panel.course.content = "starting …"
-            self._show_handle()
+            self._show_controls()
             self.searcher.start(self.layout, method, seconds)
 
         self.queue.submit(job)
@@ -255,42 +243,6 @@ class Viewer(FileActions):
     def stop(self) -> None:
         """Stop the search with its best layout so far."""
         self.queue.submit(self.searcher.stop)
-
-    # ── The handle ──
-
-    def _on_drag(self, drag: HandleDrag) -> None:
-        if drag.phase == "start":
-            self.settle()
-        key = "drag" if drag.phase == "update" else None
-        self.queue.submit(lambda: self._drag(drag), key=key)
-
-    def _drag(self, drag: HandleDrag) -> None:
-        """Let the sensor follow that the handle was on when it was gripped.
-
-        During the drag its new place is drawn and scored; at the end the layout changes.
-        """
-        if drag.phase == "start":
-            self._dragging = self._selected, self.layout, False
-        if self._dragging is None or self._searching:
-            return
-        s, of, moved = self._dragging
-        if of is not self.layout:  # another browser has changed it
-            self._dragging = None
-            self._show()
-            return
-        if drag.phase == "update":
-            self._dragging = s, of, True
-            where, _ = self.session.moved(s, self._dragged_pose(s, drag))
-            self.display.draw(where, held=True)
-            self.scorer.score(where, whole=False)
-        elif drag.phase == "end":
-            self._dragging = None
-            if moved:  # and not only clicked
-                self.session.move(s, self._dragged_pose(s, drag))
-                self._after_change()
-
-    def _dragged_pose(self, s: int, drag: HandleDrag) -> Float[np.ndarray, "6"]:
-        return drag.on(np.array(self.layout.poses[s], float), self.scene3d.shift)
 
     # ── Callbacks of the scorer and the search, from their threads ──
 
@@ -315,7 +267,7 @@ class Viewer(FileActions):
 
     def _on_progress(self, done: float, best: float) -> None:
         def job() -> None:
-            if not self._searching:
+            if not self.searching:
                 return
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
@@ -327,7 +279,7 @@ class Viewer(FileActions):
 
     def _on_compiling(self, seconds: float) -> None:
         def job() -> None:
-            if self._searching:
+            if self.searching:
                 what = f"search by {self.panel.method.value}"
                 self._waiting = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
                 self._compiles = time.monotonic()
@@ -338,18 +290,17 @@ class Viewer(FileActions):
 
     def _on_better(self, layout: Layout, score: float) -> None:
         def job() -> None:
-            if not self._searching:
+            if not self.searching:
                 return
             self._best = layout
-            self.display.draw(layout, held=True)
-            self.scorer.score(layout, whole=False)
+            self.show_held(layout)
             self.store.keep(layout)  # in case the page is lost
 
         self.queue.submit(job, key="better")
 
     def _on_end(self, ending: SearchEnding) -> None:
         def job() -> None:
-            self._searching = False
+            self.searching = False
             self.panel.searching(False)
             if ending.layout is None or (ending.gain <= 0 and not ending.failed):
                 self.display.notify("Search", ending.words, "red" if ending.failed else None)
@@ -357,7 +308,7 @@ class Viewer(FileActions):
                 self.session.take(ending.layout, ending.notes)
                 color = "red" if ending.failed else "green" if ending.gain > 0 else None
                 self.display.notify("Search", f"{ending.gain:+.4f}: {ending.words}", color)
-            self._after_change()
+            self.after_change()
 
         self.queue.submit(job)
 
@@ -365,9 +316,11 @@ class Viewer(FileActions):
 
     def _unless_searching(self, job: Callable[[], Any]) -> None:
         """Submit an action, except during a search: the page then shows the search's layout."""
-        self.queue.submit(lambda: None if self._searching else job())
+        self.queue.submit(lambda: None if self.searching else job())
 
-    def _change(self, change: Callable[[], Any]) -> None:
+    def change(self, change: Callable[[], Any]) -> None:
+        """Change the layout, unless a search runs; then show it, keep it and have it scored."""
+
         def job() -> None:
             before = self.layout
             try:
@@ -378,46 +331,36 @@ class Viewer(FileActions):
             if self.layout is before:
                 self._show_controls()
             else:
-                self._after_change()
+                self.after_change()
 
         self._unless_searching(job)
 
-    def _after_change(self) -> None:
+    def after_change(self) -> None:
+        """Keep the layout, show it and have it scored."""
         try:
             self.store.keep(self.layout)
         finally:
-            self._show()
+            self.show()
 
-    def _show(self) -> None:
-        self._selected = min(self._selected, len(self.layout) - 1)
+    def show(self) -> None:
+        """Show the layout as it is now, and have it scored."""
+        for view in list(self.views.values()):
+            view.follow()
         faults = self.session.faults()
-        self.display.draw(self.layout, faults, self.session.notes, selected=self._selected)
+        self.display.draw(self.layout, faults, self.session.notes)
         self._show_controls()
         self._show_file()
         self.scorer.score(self.layout, whole=True)
 
+    def show_held(self, layout: Layout) -> None:
+        """Show a layout in which a sensor is being moved, and have some frames of it scored."""
+        self.display.draw(layout, held=True)
+        self.scorer.score(layout, whole=False)
+
     def _show_controls(self) -> None:
-        s, layout = self._selected, self.layout
-        sensor, pose = layout.sensors[s], np.asarray(layout.poses[s], float)
-        pitch, yaw = np.degrees(pose[4:6])
-        numbers = dict(x=pose[0], y=pose[1], height=self.session.height(s), yaw=yaw, pitch=pitch)
-
-        def show() -> None:
-            self.panel.list_sensors([sensor.name for sensor in layout.sensors], s)
-            self.panel.offer_device(sensor.spec.name)
-            set_value(self.panel.name, sensor.name)
-            self.panel.show_conditions(self.case.conditions)
-            for key, value in numbers.items():
-                set_value(self.panel.pose[key], round(float(value), DIGITS[key]))
-
-        # On the event loop, so that it cannot come between a typed number and its reader.
-        self.server.get_event_loop().call_soon_threadsafe(show)
-        self._show_handle()
-
-    def _show_handle(self) -> None:
-        pose = np.asarray(self.layout.poses[self._selected], float)
-        self.handle.show(pose, self.scene3d.shift, visible=not self._searching)
-        self.display.select(self._selected)
+        self.panel.show_conditions(self.case.conditions)
+        for view in list(self.views.values()):
+            view.show()
 
     def _show_file(self) -> None:
         self.panel.file.content = self.store.words(self.layout)

@@ -5,7 +5,7 @@ are shown faded, and the page says what is being done. Every public method runs 
 thread.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,11 +22,11 @@ from inspe_jax.report.targets import CHANCES, banded
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
+from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
-from inspe_jax.viewer.score_panel import score_panel, sensor_table
+from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
-from inspe_jax.viewer.sensor_view import Look, SensorView
 
 BACK = 1.25
 """How far the camera is at first, in the usual distance."""
@@ -52,15 +52,15 @@ class Display:
         opened: Layout,
         panel: Panel,
         queue: JobQueue,
-        clicked: Callable[[int], None],
+        views: Mapping[int, BrowserView],
     ) -> None:
-        """Draw the scene. ``clicked`` is called with the number of a sensor that is clicked."""
+        """Draw the scene. ``views`` are those of the browsers that look, by their identity."""
         self.shown = self.reference = opened
         self.scored: ScoredLayout | None = None
         self._server, self._case = server, case
-        self._panel, self._queue, self._clicked = panel, queue, clicked
+        self._panel, self._queue, self._views = panel, queue, views
         self._frames = case.scene.traffic.frame_count
-        self._selected, self._held = 0, False
+        self._held = False
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
         # The newest scores, and those of the reference, by number of frames.
@@ -72,9 +72,6 @@ class Display:
         self._drawn_frame, self._faded, self._label = -1, False, ""
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
-        self.sensor_view = SensorView(
-            server.gui, panel.sensor_view, case, queue.failed, self._show_points
-        )
         self.scene3d = Scene3D(server.scene, case.scene)
         self.blind_spots = BlindSpotPanel(
             server.gui, panel.blind_spots, case.scene, queue, self.scene3d.draw_letters
@@ -92,8 +89,9 @@ class Display:
 
     def set_case(self, case: Case) -> None:
         """Show layouts in other conditions from now on."""
-        self._case = self.sensor_view.case = case
-        self._found = None
+        self._case, self._found = case, None
+        for view in list(self._views.values()):
+            view.sensor_view.case = case
 
     def set_reference(self, layout: Layout) -> Layout:
         """Compare with this layout from now on, as it is scored; gives the reference before.
@@ -120,39 +118,38 @@ class Display:
         notes: Sequence[str] = (),
         *,
         held: bool = False,
-        selected: int | None = None,
     ) -> None:
         """Show a layout, the rules of mounting that it breaks, and notes on the last change.
 
-        ``held``: a sensor of it is being moved at the moment. ``selected``: the place of the
-        selected sensor, if it may have changed.
+        ``held``: a sensor of it is being moved at the moment.
         """
         self.shown, self._faults, self._notes, self._held = layout, faults, notes, held
-        self._selected = self._selected if selected is None else selected
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
         bodies, numbers = self.scene3d.draw_layout(seen, broken)
         for s, body in bodies.items():
-            self._bind(body, partial(self._clicked, s))
+            self._bind(body, partial(BrowserView.select, s=s), partial(BrowserView.toggle, s=s))
         for u, ball in numbers.items():
-            self._bind(ball, partial(self._click_number, u))
-        self._look()
+            one = partial(BrowserView.click_number, u=u)
+            self._bind(ball, one, partial(one, several=True))
+        for view in list(self._views.values()):
+            view.outline()
+            self._look(view)
         self._show_scores()
         self._wait()
 
-    def select(self, s: int) -> None:
-        """Show that a sensor is selected, and what it sees."""
-        self._selected = s
-        self.scene3d.highlight(s)
-        self._look()
-        self._show_scores()
+    def show_selection(self, view: BrowserView) -> None:
+        """Show a browser what its selected sensors see, and which they are."""
+        self._look(view)
+        self._show_table(view)
 
     def draw_users(self, frame: int) -> None:
         """Show the road users of a frame."""
         if frame != self._drawn_frame:
             self.scene3d.draw_users(frame)
             self._drawn_frame = frame
-            self._look()
+            for view in list(self._views.values()):
+                self._look(view)
 
     def draw_voxels(self) -> None:
         """Show the kinds of voxels that are ticked, in the frame that is shown.
@@ -211,22 +208,20 @@ class Display:
     def close(self) -> None:
         """Cancel the action that waits, and finish what is being drawn."""
         self._waiting.cancel()
-        self.sensor_view.close()
         self.blind_spots.close()
 
-    def _bind(self, body: Any, then: Callable[[], None]) -> None:
-        @body.on_click
-        async def _(_: Any) -> None:
-            then()
+    def _bind(
+        self, body: Any, one: Callable[[BrowserView], None], several: Callable[[BrowserView], None]
+    ) -> None:
+        """Ask this of the view of a browser that clicks on a body, or clicks with Shift."""
+        for ask, held in ((one, None), (several, "shift"), (several, "cmd/ctrl")):
 
-    def _click_number(self, u: int) -> None:
-        """Of the sensors on a unit, the one after the selected one, round and round."""
-        units = [members for members in self.shown.members() if members]
-        if u >= len(units):  # removed since
-            return
-        members = units[u]
-        after = [s for s in members if s > self._selected] if self._selected in members else []
-        self._clicked((after or list(members))[0])
+            async def clicked(event: Any, ask: Callable[[BrowserView], None] = ask) -> None:
+                view = self._views.get(event.client_id)
+                if view is not None:
+                    ask(view)
+
+            body.on_click(modifier=held)(clicked)
 
     @property
     def _current(self) -> bool:
@@ -240,13 +235,12 @@ class Display:
         scores, record = found.scores, self._case.conditions.record
         return scores is None or scores.conditions.record == record
 
-    def _look(self) -> None:
-        """Look through the selected sensor in the frame that is shown."""
-        s, t = min(self._selected, len(self.shown) - 1), max(self._drawn_frame, 0)
-        self.sensor_view.look(Look(self.shown, s, t, self._held))
+    def _look(self, view: BrowserView) -> None:
+        """Look through a browser's selected sensor in the frame that is shown."""
+        view.look(self.shown, max(self._drawn_frame, 0), held=self._held)
 
-    def _show_points(self, points: Float[Any, "N 3"] | None) -> None:
-        self._queue.submit(lambda: self.scene3d.draw_points(points), key="points")
+    def _show_table(self, view: BrowserView) -> None:
+        view.show_table(self.shown, self.scored if self._current else None)
 
     def _wait(self) -> None:
         """Until the shown layout has scores, fade the old ones and say what is being done."""
@@ -264,9 +258,8 @@ class Display:
 
     def _show_scores(self) -> None:
         scored = self.scored
-        self._panel.table.content = sensor_table(
-            self.shown, scored if self._current else None, self._selected
-        )
+        for view in list(self._views.values()):
+            self._show_table(view)
         page = score_panel(
             self.shown,
             scored,

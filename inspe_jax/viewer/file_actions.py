@@ -25,10 +25,10 @@ class FileActions:
     queue: JobQueue
     panel: Panel
     display: Display
-    _searching: bool
+    searching: bool
     layout: Any
     _unless_searching: Callable[[Callable[[], Any]], None]
-    _change: Callable[[Callable[[], Any]], None]
+    change: Callable[[Callable[[], Any]], None]
     _show_file: Callable[[], None]
     _failed: Callable[[Exception], None]
 
@@ -65,7 +65,7 @@ class FileActions:
             self.panel.withdraw(number)
             self.display.notify("Opened", earlier.path.name, None)
 
-        self._change(change)
+        self.change(change)
 
     def download(self, client: Any) -> None:
         """Send a browser the layout, as it would be saved."""
@@ -75,7 +75,7 @@ class FileActions:
         """Write a report beside the layout's file, and send it to a browser; one at a time."""
 
         def ended(page: Path, wrong: Exception | None) -> None:
-            self.panel.report.disabled = self._searching
+            self.panel.report.disabled = self.searching
             if wrong is None:
                 self.display.notify("Report", f"wrote {page}", "green")
                 send(client, page.name, page.read_text(encoding="utf-8"))

@@ -42,7 +42,7 @@ class HandleDrag:
 
 
 class Handle:
-    """A gizmo that all browsers see; ``dragged`` is called on the server's event loop."""
+    """A gizmo that one browser sees; ``dragged`` is called on the server's event loop."""
 
     def __init__(self, api: viser.SceneApi, dragged: Callable[[HandleDrag], None]) -> None:
         self.gizmo = gizmo = api.add_transform_controls(

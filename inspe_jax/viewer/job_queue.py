@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 
-Action = Callable[[], None]
+Action = Callable[[], object]
 
 
 class JobQueue:

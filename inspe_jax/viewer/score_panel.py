@@ -104,11 +104,11 @@ def score_panel(
     return ScorePanel(headline, details)
 
 
-def sensor_table(layout: Layout, scored: ScoredLayout | None, selected: int) -> str:
-    """The sensors of a layout as HTML, the ``selected`` one bold: name, what it costs, and what
-    P_sm loses without it.
+def sensor_table(layout: Layout, scored: ScoredLayout | None, chosen: Sequence[int]) -> str:
+    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it.
 
-    ``scored`` are the layout's scores, None as long as there are none.
+    ``scored`` are the layout's scores, None as long as there are none. The sensors at the places
+    ``chosen`` are ticked, the last of them is bold.
     """
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
@@ -121,10 +121,12 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selected: int) -> 
                 name=sensor.name,
                 price="" if price is None else f"{price:,.0f}",
                 lost="" if loss is None else f"{loss:.4f}",
-                selected=number == selected + 1,
+                ticked=number - 1 in chosen,
+                bold=number - 1 in chosen[-1:],
             )
         )
-    return _TABLE.render(rows=rows, priced=any(row["price"] for row in rows))
+    priced = any(row["price"] for row in rows)
+    return _TABLE.render(rows=rows, priced=priced, together=len(chosen))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 Every change gives the nearest layout that can be mounted. Nothing here knows of browsers.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -59,35 +60,43 @@ class LayoutSession:
 
     # ── Changes ──
 
-    def moved(self, s: int, pose: Float[np.ndarray, "6"]) -> MountedLayout:
+    def moved(
+        self, s: int, pose: Float[np.ndarray, "6"], along: Sequence[int] = ()
+    ) -> MountedLayout:
         """The layout with sensor ``s`` let go at a world pose; the session does not change.
 
         A pose outside of the region of interest is moved to its rim.
         The sensor's unit moves with it in plan, since it stands on one foot. The unit's other
         sensors keep their heights above the ground. Height and direction change for sensor ``s``
-        alone. The result is the nearest layout that can be mounted.
+        alone, and by as much for the sensors ``along``, whose units move as far in plan. The
+        result is the nearest layout that can be mounted.
         """
         old, pose = self.layout, np.array(pose, float)
         pose[:2] = self.inside(pose[:2])
-        unit = old.sensors[s].unit
-        members, poses = list(old.members()[unit]), np.array(old.poses, float)
-        stood, shift = np.array(old.units[unit].base[:2]), pose[:2] - poses[s, :2]
-        foot = stood + shift
-        ground = self._ground(foot)
-        poses[s, 2:] = pose[2:]
-        poses[members, :2] += shift
-        poses[members, 2] += ground - self._ground(stood)
-        units = list(old.units)
-        units[unit] = replace(units[unit], base=(*foot.tolist(), ground))
+        poses, units = np.array(old.poses, float), list(old.units)
+        was = poses[s].copy()
+        for unit in {old.sensors[k].unit for k in (s, *along)}:
+            members, foot = list(old.members()[unit]), np.array(units[unit].base[:2])
+            shift = pose[:2] - was[:2]
+            if unit != old.sensors[s].unit:
+                shift = self.inside(foot + shift) - foot
+            ground = self._ground(foot + shift)
+            poses[members, :2] += shift
+            poses[members, 2] += ground - self._ground(foot)
+            units[unit] = replace(units[unit], base=(*(foot + shift).tolist(), ground))
+        together = list({s, *along})
+        poses[together, 2] += pose[2] - was[2]
+        poses[together, 3:] += (pose[3:] - was[3:] + np.pi) % (2 * np.pi) - np.pi
+        poses[s, 3:] = pose[3:]
         return self._mounted(replace(old, poses=poses, units=tuple(units)))
 
-    def move(self, s: int, pose: Float[np.ndarray, "6"]) -> None:
-        """Move sensor ``s`` to a world pose: see :meth:`moved`."""
-        self.take(*self.moved(s, pose))
+    def move(self, s: int, pose: Float[np.ndarray, "6"], along: Sequence[int] = ()) -> None:
+        """Move sensor ``s`` to a world pose, and others along: see :meth:`moved`."""
+        self.take(*self.moved(s, pose, along))
 
-    def set_number(self, s: int, key: str, value: float) -> None:
+    def set_number(self, s: int, key: str, value: float, along: Sequence[int] = ()) -> None:
         """Set a number of a sensor's pose: "x" or "y" in the world [m], "height" above the ground
-        [m], "yaw" or "pitch" [degrees].
+        [m], "yaw" or "pitch" [degrees]. The sensors ``along`` change by as much.
 
         Raises InspeError if it is not finite.
         """
@@ -100,7 +109,7 @@ class LayoutSession:
             pose["xy".index(key)] = value
         else:
             pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
-        self.move(s, pose)
+        self.move(s, pose, along)
 
     def rename(self, s: int, name: str) -> None:
         """Give sensor ``s`` another name; an empty one changes nothing.
@@ -119,8 +128,14 @@ class LayoutSession:
 
     def height(self, s: int) -> float:
         """Height of sensor ``s`` above the ground at its unit's foot [m]."""
-        unit = self.layout.units[self.layout.sensors[s].unit]
-        return float(self.layout.poses[s, 2]) - self._ground(np.array(unit.base[:2]))
+        return self.numbers(self.layout, s)["height"]
+
+    def numbers(self, layout: Layout, s: int) -> dict[str, float]:
+        """The numbers of a sensor's pose, as :meth:`set_number` has them."""
+        x, y, z, _, pitch, yaw = np.asarray(layout.poses[s], float).tolist()
+        foot = np.array(layout.units[layout.sensors[s].unit].base[:2])
+        turns = dict(yaw=math.degrees(yaw), pitch=math.degrees(pitch))
+        return dict(x=x, y=y, height=z - self._ground(foot), **turns)
 
     def add(self, name: str, at: Float[np.ndarray, "2"]) -> int:
         """Add a sensor of a device, on a unit of its own at ``at`` [m]; returns its number.
@@ -161,16 +176,17 @@ class LayoutSession:
         self.take(*self._mounted(wanted))
         return after
 
-    def remove(self, s: int) -> None:
-        """Remove a sensor, and its unit if that carries no other.
+    def remove(self, *which: int) -> None:
+        """Remove sensors, and units that carry no other.
 
-        Raises InspeError if it is the last sensor.
+        Raises InspeError if no sensor would be left.
         """
         old = self.layout
-        self._check_there(s)
-        if len(old) == 1:
+        for s in which:
+            self._check_there(s)
+        keep = [k for k in range(len(old)) if k not in which]
+        if not keep:
             raise InspeError("the last sensor cannot be removed: a layout has at least one")
-        keep = [k for k in range(len(old)) if k != s]
         used = sorted({old.sensors[k].unit for k in keep})
         sensors = tuple(replace(old.sensors[k], unit=used.index(old.sensors[k].unit)) for k in keep)
         poses = np.asarray(old.poses, float)[keep]

@@ -24,10 +24,10 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.recorder import Recording
-from inspe_jax.viewer import app
+from inspe_jax.viewer import browser_view
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import LENGTH
-from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.sensor_view import image_scale
 
 pytestmark = pytest.mark.browser
@@ -67,6 +67,12 @@ def tab(chromium, viewer):
     yield found
     found.close()
     assert wrong == []
+
+
+def view_of(viewer):
+    """What the only browser has of its own."""
+    (view,) = viewer.views.values()
+    return view
 
 
 def score_of(tab):
@@ -110,7 +116,7 @@ def drag(tab, viewer, begin, end):
         tab.mouse.down()
         for _ in range(10):
             tab.wait_for_timeout(100)
-            if viewer._dragging is not None:
+            if view_of(viewer).dragging is not None:
                 break
         else:
             tab.mouse.up()
@@ -125,7 +131,7 @@ def drag(tab, viewer, begin, end):
 
 def grip(viewer, axis, share):
     """A point of an arrow of the handle: the sensor's place and so far along it."""
-    handle, (client,) = viewer.handle.gizmo, viewer.server.get_clients().values()
+    handle, (client,) = view_of(viewer).handle.gizmo, viewer.server.get_clients().values()
     camera = client.camera
     ahead = turn_of(camera.wxyz)[:, 2] @ (np.array(handle.position) - np.array(camera.position))
     metre = camera.image_height / 2 / np.tan(camera.fov / 2) / ahead  # [pixel]
@@ -171,10 +177,14 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
     first = score_of(tab)
     place = np.array(viewer.layout.poses[1, :3])
     tab.mouse.click(*on_screen(viewer, place))
-    wait_until(tab, lambda: np.allclose(viewer.handle.gizmo.position, place - viewer.scene3d.shift))
-    wait_until(tab, lambda: viewer.panel.chosen == 1)  # the list follows the handle
-    views = [viewer.scene3d.drawn[f"sensors/{k}/view"] for k in (1, 2)]
-    wait_until(tab, lambda: views[1].thickness > views[0].thickness)  # and so does its outline
+    wait_until(
+        tab,
+        lambda: np.allclose(view_of(viewer).handle.gizmo.position, place - viewer.scene3d.shift),
+    )
+    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)  # the list follows the handle
+    drawn = viewer.scene3d.drawn["sensors/2/view"].points
+    (outline,) = view_of(viewer).selection3d.outlines
+    wait_until(tab, lambda: np.array_equal(outline.points, drawn))  # and so does its outline
     begin = grip(viewer, 1, 0.95)  # the arrow to its left, which is north
     drag(tab, viewer, on_screen(viewer, begin), on_screen(viewer, begin + [0, 5.0, 0]))
     settled(tab, first)
@@ -188,7 +198,7 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
 
 def test_a_pose_is_typed(tab, viewer, layout, monkeypatch):
     """Digit by digit, of which the first alone would be another number; nothing else changes."""
-    monkeypatch.setattr(app, "TYPED", 4.0)  # on a busy machine keys come slowly
+    monkeypatch.setattr(browser_view, "TYPED", 4.0)  # on a busy machine keys come slowly
     first = score_of(tab)
     tab.get_by_label("yaw [°]").click()
     tab.keyboard.press("Control+A")
@@ -205,12 +215,12 @@ def test_a_pose_is_typed(tab, viewer, layout, monkeypatch):
 def test_sensors_are_copied_removed_exchanged_and_added(tab, viewer):
     press(tab, "Duplicate")
     tab.get_by_text("3 sensors on 2 units").wait_for(timeout=WAIT)
-    assert viewer.panel.chosen == 1
+    assert view_of(viewer).controls.chosen == 1
     press(tab, "Remove")
     tab.get_by_text("2 sensors on 2 units").wait_for(timeout=WAIT)
     press(tab, "Add")
     tab.get_by_text("3 sensors on 3 units").wait_for(timeout=WAIT)
-    assert viewer.layout.sensors[2].spec.name == viewer.panel.new.value
+    assert viewer.layout.sensors[2].spec.name == view_of(viewer).controls.new.value
     assert viewer.session.faults() == []
 
 
@@ -287,7 +297,7 @@ def test_what_is_seen_hides_no_blind_spot(tab, viewer):
         wait_until(tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
 
     first = score_of(tab)
-    viewer.remove(1)  # the LiDAR, which has all in view
+    view_of(viewer).remove(1)  # the LiDAR, which has all in view
     settled(tab, first)
     without = dark()
     assert without > 10_000
@@ -383,7 +393,7 @@ def test_what_is_typed_is_saved_and_searched_from(tab, viewer, layout):
     press(tab, "Optimise from here")
     wait_until(tab, lambda: viewer.searcher.running)
     press(tab, "Stop")
-    wait_until(tab, lambda: not viewer._searching)
+    wait_until(tab, lambda: not viewer.searching)
 
     def is_typed():
         return np.degrees(viewer.layout.poses[0, 4]) == pytest.approx(-9.5)
@@ -490,11 +500,11 @@ def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     tab.keyboard.press("Control+Shift+z")
     assert settled(tab, first) == second
     tab.keyboard.press("n")
-    wait_until(tab, lambda: viewer.panel.chosen == 1)
+    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)
     tab.keyboard.press("n")
-    wait_until(tab, lambda: viewer.panel.chosen == 0)
+    wait_until(tab, lambda: view_of(viewer).controls.chosen == 0)
     tab.keyboard.press("Shift+n")
-    wait_until(tab, lambda: viewer.panel.chosen == 1)
+    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)
     tab.keyboard.press("Delete")
     tab.get_by_text("1 sensors on 1 units").wait_for(timeout=WAIT)
     assert viewer.layout.sensors == layout.sensors[:1]
@@ -526,11 +536,46 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab):
     assert 0 < score < undo < 160 < report < 900
 
 
+def test_rows_of_the_sensors_are_clicked_one_or_several(tab, viewer, layout):
+    first = score_of(tab)
+    rows = tab.locator("[data-sensor]")
+    assert rows.count() == 2
+    rows.nth(1).click()
+    wait_until(tab, lambda: view_of(viewer).chosen == (1,))
+    rows.nth(0).click(modifiers=["Shift"])
+    wait_until(tab, lambda: view_of(viewer).chosen == (1, 0))
+    tab.get_by_text("2 sensors are selected").wait_for()
+    tab.get_by_label("height [m]").fill("8")  # from 6 m, and the other from 5 m
+    tab.keyboard.press("Enter")
+    settled(tab, first)
+    heights = np.array(viewer.layout.poses)[:, 2] - np.array(layout.poses)[:, 2]
+    np.testing.assert_allclose(heights, [2.0, 2.0], atol=1e-6)
+    rows.nth(1).locator("[data-box]").click()
+    wait_until(tab, lambda: view_of(viewer).chosen == (0,))
+    rows.nth(1).press("Enter")
+    wait_until(tab, lambda: view_of(viewer).chosen == (1,))
+    for name in ("Select", "Select together"):  # what a row presses is not in sight
+        assert not tab.get_by_text(name, exact=True).is_visible()
+
+
+def test_two_browsers_hold_sensors_of_their_own(chromium, tab, viewer):
+    other = chromium.new_page(viewport={"width": 1440, "height": 900})
+    other.goto(viewer.url)
+    settled(other)
+    other.locator("[data-sensor]").nth(1).click()
+    one, two = (page.get_by_label("Sensor", exact=True) for page in (tab, other))
+    wait_until(tab, lambda: two.input_value().startswith("2"))
+    assert one.input_value().startswith("1")
+    other.close()
+    wait_until(tab, lambda: len(viewer.views) == 1)
+    assert one.input_value().startswith("1")
+
+
 def test_a_number_is_clicked(tab, viewer):
     """In the picture: that of the LiDAR."""
     at = np.array(viewer.scene3d.drawn["numbers/2"].position) + viewer.scene3d.shift
     tab.mouse.click(*on_screen(viewer, at + [0, 0, 0.3]))
-    wait_until(tab, lambda: viewer.panel.chosen == 1)
+    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)
 
 
 def test_on_a_telephone_the_panel_is_a_bar_with_the_score_until_it_is_tapped(chromium, viewer):

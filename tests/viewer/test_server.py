@@ -50,7 +50,7 @@ def scene():
 def _at_once(monkeypatch):
     """What is typed counts as soon as it comes, and every refusal has its line: the tests come
     faster than people do. `test_viewer` has how long more typing is waited for."""
-    monkeypatch.setattr("inspe_jax.viewer.app.TYPED", 0.01)
+    monkeypatch.setattr("inspe_jax.viewer.browser_view.TYPED", 0.01)
     monkeypatch.setattr("inspe_jax.report.server.WHILE", 0.0)
 
 
@@ -73,7 +73,7 @@ def served(scene, layout, tmp_path_factory):
 @pytest.fixture
 def viewer(served):
     """A page that others have used, and nobody looks at now."""
-    wait_until(lambda: not served.server.get_clients())
+    wait_until(lambda: not served.server.get_clients() and not served.views)
     return served
 
 
@@ -84,14 +84,22 @@ def wait_until(true, seconds=60):
         time.sleep(0.02)
 
 
+def controls_of(viewer):
+    """The controls that the only page has of its own, once it is let in."""
+    wait_until(
+        lambda: len(viewer.views) == 1 and set(viewer.views) == set(viewer.server.get_clients())
+    )
+    (view,) = viewer.views.values()
+    return view.controls
+
+
 def still_works(viewer):
     """A page that is let in can do something, and it is done."""
     before = viewer.layout
     yaw = 12.5 if np.degrees(before.poses[0, 5]) < 12 else -12.5
     with socket_of(viewer.url) as page:
         enter(page)
-        wait_until(lambda: viewer.server.get_clients())
-        set_value(page, viewer.panel.pose["yaw"], yaw)
+        set_value(page, controls_of(viewer).pose["yaw"], yaw)
         wait_until(lambda: viewer.layout is not before)
         assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(yaw)
         assert np.isfinite(viewer.layout.poses).all()
@@ -291,7 +299,7 @@ def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
             send(page, **CAMERA | dict(position=[0.0, number, 0.0]))
         enter(page)
         wait_until(lambda: fresh.server.get_clients())
-        for control in fresh.panel.pose.values():
+        for control in controls_of(fresh).pose.values():
             set_value(page, control, number)
         set_value(page, fresh.panel.seconds, number)
         pull(page, None, "Start")
@@ -299,7 +307,7 @@ def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
             pull(page, [0.0, number, 5.0])
             pull(page, [number] * 3)
         pull(page, None, "End")
-        set_value(page, fresh.panel.pose["pitch"], -7.0)
+        set_value(page, controls_of(fresh).pose["pitch"], -7.0)
         wait_until(lambda: fresh.layout is not layout)
         (client,) = fresh.server.get_clients().values()
         assert np.isfinite(client.camera.position).all()
@@ -314,21 +322,20 @@ def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
 
 def test_a_typed_number_is_read_before_the_controls_are_shown_anew(fresh, layout, monkeypatch):
     """Even if that is asked for when the number has come, and nobody has read it yet."""
-    number = fresh.panel.pose["pitch"]._impl
-    told = number.sync_cb
+    asked = []
 
-    def meanwhile(*what):
-        told(*what)
-        thread = threading.Thread(target=fresh._show_controls)
-        thread.start()
-        thread.join()
+    def meanwhile(*_):
+        asked.append(threading.Thread(target=fresh._show_controls))
+        asked[-1].start()
+        asked[-1].join()
 
-    monkeypatch.setattr(number, "sync_cb", meanwhile)
     with socket_of(fresh.url) as page:
         enter(page)
-        wait_until(lambda: fresh.server.get_clients())
-        set_value(page, fresh.panel.pose["pitch"], -7.0)
+        # viser calls this once a value is there, before what is bound to its control.
+        monkeypatch.setattr(controls_of(fresh).pose["pitch"]._impl, "sync_cb", meanwhile)
+        set_value(page, controls_of(fresh).pose["pitch"], -7.0)
         wait_until(lambda: fresh.layout is not layout)
+    assert asked
     assert np.degrees(fresh.layout.poses[0, 4]) == pytest.approx(-7.0)
 
 
@@ -342,7 +349,7 @@ def test_what_a_window_without_a_size_sends_is_dropped(fresh, layout, caplog, ca
         pull(page, None, "Start")
         pull(page, [0.0, 0.0, 5.0], wxyz=[0.0] * 4)
         pull(page, None, "End")
-        set_value(page, fresh.panel.pose["pitch"], -7.0)
+        set_value(page, controls_of(fresh).pose["pitch"], -7.0)
         wait_until(lambda: fresh.layout is not layout)
     assert fresh.layout.poses[0, 2] == layout.poses[0, 2]
     assert len(caplog.messages) == 3
@@ -354,7 +361,7 @@ def test_numbers_that_are_far_off_are_brought_back(fresh, scene, number):
     with socket_of(fresh.url) as page:
         enter(page)
         wait_until(lambda: fresh.server.get_clients())
-        for control in fresh.panel.pose.values():
+        for control in controls_of(fresh).pose.values():
             before = fresh.layout
             set_value(page, control, number)
             fresh.settle()
@@ -427,7 +434,7 @@ def test_of_200_connections_few_are_let_in_and_the_page_goes_on(fresh, caplog):
         assert len(held) == BROWSERS - 1
         assert refused == 200 - len(held)
         before = fresh.layout
-        set_value(page, fresh.panel.pose["yaw"], 33.0)
+        set_value(page, controls_of(fresh).pose["yaw"], 33.0)
         wait_until(lambda: fresh.layout is not before)
     for made in held:
         made.__exit__(None, None, None)
@@ -482,17 +489,19 @@ def test_values_that_are_no_option_ask_for_nothing(fresh, layout, capfd):
     with socket_of(fresh.url) as page:
         enter(page)
         wait_until(lambda: fresh.server.get_clients())
-        for control in (panel.sensor, panel.device, panel.new, panel.method, panel.edit):
+        own = controls_of(fresh)
+        groups = own.rows, own.boxes, own.existing
+        for control in (own.sensor, own.device, own.new, *groups, panel.method, panel.edit):
             set_value(page, control, "-3  nobody")
         set_value(page, panel.frame, -5)
         set_value(page, panel.frame, 10_000)
-        set_value(page, panel.pose["yaw"], "north")
-        set_value(page, panel.pose["yaw"], 5.0)
+        set_value(page, own.pose["yaw"], "north")
+        set_value(page, own.pose["yaw"], 5.0)
         wait_until(lambda: fresh.layout is not layout)
-    wait_until(lambda: panel.sensor.value in panel.sensor.options)
-    assert panel.chosen == 0
+        wait_until(lambda: own.sensor.value in own.sensor.options)
+    assert own.chosen == 0
     assert panel.method.value in panel.method.options
-    assert panel.new.value in panel.new.options
+    assert own.new.value in own.new.options
     assert 0 <= fresh.panel.shown_frame < fresh.frames
     assert "Traceback" not in capfd.readouterr().err
 
@@ -616,13 +625,13 @@ def test_a_key_is_heard_over_the_socket_but_not_during_a_search(viewer):
     with socket_of(viewer.url) as page:
         enter(page)
         wait_until(lambda: viewer.server.get_clients())
-        viewer._searching = True
+        viewer.searching = True
         send(page, **key)
         set_value(page, viewer.panel.frame, 1)  # what is sent after it has been handled
         wait_until(lambda: viewer.panel.frame.value == 1)
-        viewer.queue.submit(lambda: setattr(viewer, "_searching", False))
+        viewer.queue.submit(lambda: setattr(viewer, "searching", False))
         assert viewer.layout is changed
-        wait_until(lambda: not viewer._searching)
+        wait_until(lambda: not viewer.searching)
         send(page, **key)
         wait_until(lambda: viewer.layout is not changed)
 

@@ -78,6 +78,51 @@ def test_height_and_direction_are_a_sensor_s_own(session):
     assert session.height(0) == pytest.approx(7.5, abs=1e-6)
 
 
+def test_sensors_go_along_with_another(session):
+    """One on its own unit and one on another: as far in plan, up, and round, each on its own."""
+    before = np.array(session.layout.poses)
+    session.move(0, pose_of(session, 0) + [0.5, 1.0, 1.5, 0, -0.1, 0.4], along=(2, 1))
+    went = np.array(session.layout.poses) - before
+    np.testing.assert_allclose(went[:2], [[0.5, 1.0, 1.5, 0, -0.1, 0.4]] * 2, atol=1e-6)
+    np.testing.assert_allclose(went[2, :3], [0.5, 1.0, 1.5], atol=1e-6)
+    assert session.layout.units[1].base[:2] == pytest.approx((-8.5, -8.0))
+    assert_mounted(session)
+    assert session.undo()
+    np.testing.assert_array_equal(session.layout.poses, before)
+
+
+def test_a_number_changes_by_as_much_for_those_along(session):
+    before = np.array(session.layout.poses)
+    session.set_number(0, "yaw", 170.0, along=(1,))  # from -131.8 degrees: the short way round
+    turned = np.degrees(np.array(session.layout.poses)[:, 5] - before[:, 5])
+    change = 170.0 - np.degrees(before[0, 5])
+    assert (turned[0] - change) % 360 == pytest.approx(0, abs=1e-4)
+    assert turned[1] == pytest.approx(change - 360, abs=1e-4)
+    session.set_number(2, "height", 7.0, along=(1,))
+    went = np.array(session.layout.poses)[:, 2] - before[:, 2]
+    np.testing.assert_allclose(went, [0, 2.0, 2.0], atol=1e-6)
+
+
+def test_those_along_stay_within_the_region(session):
+    far = pose_of(session, 2) + [22.0, 22.0, 0, 0, 0, 0]
+    session.move(2, far, along=(0,))
+    center = session.scene.voxels.center[:2]
+    away = np.hypot(*(np.array(session.layout.poses)[:, :2] - center).T)
+    assert (away <= session.scene.voxels.radius + 1.0).all()  # the other camera is beside its foot
+    assert_mounted(session)
+
+
+def test_several_sensors_are_removed_at_once(session):
+    with pytest.raises(InspeError, match="at least one"):
+        session.remove(0, 1, 2)
+    assert len(session.layout) == 3
+    session.remove(2, 0)
+    assert [sensor.name for sensor in session.layout.sensors] == ["b"]
+    assert [unit.name for unit in session.layout.units] == ["north"]
+    assert session.undo()
+    assert not session.undo()
+
+
 def test_what_is_let_go_on_the_road_snaps_to_the_sidewalk(session):
     session.move(0, np.array([5.0, 12.0, 6.0, 0, -0.3, -2.3]))
     assert session.layout.poses[0, 0] == pytest.approx(7.3, abs=2e-3)  # 0.3 m from the kerb

@@ -13,6 +13,8 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from page_socket import enter, socket_of
+from page_socket import set_value as send_value
 from PIL import Image as Pillow
 from scipy.spatial.transform import Rotation
 from worlds import world
@@ -37,8 +39,8 @@ from inspe_jax.simulation.frame import Image
 from inspe_jax.simulation.recorder import Recording
 from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import HandleDrag
-from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.sensor_view import image_scale
 
@@ -56,8 +58,17 @@ def viewer(scene, layout, tmp_path):
     found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     found.told = []
     found.display.notify = lambda *words: found.told.append(words)
+    found.view = opened(found)
     yield found
     found.close()
+
+
+def opened(viewer):
+    """The view of a browser that is not there: it has the server's panel and scene."""
+    views = []
+    viewer.queue.submit(lambda: views.append(viewer.open_view(-1, viewer.server)))
+    done(viewer)
+    return views[0]
 
 
 def done(viewer, true=lambda: True, seconds=120):
@@ -81,11 +92,13 @@ def about(axis, degrees):
 
 
 def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
-    at = np.array(viewer.layout.poses[viewer._selected, :3]) - viewer.scene3d.shift
+    at = np.array(viewer.layout.poses[viewer.view.selected, :3]) - viewer.scene3d.shift
     turn = about(UP, 0) if turn is None else turn
     for phase in phases:
         to = at if phase == "start" else at + shift
-        viewer.queue.submit(lambda phase=phase, to=to: viewer._drag(HandleDrag(phase, to, turn)))
+        viewer.queue.submit(
+            lambda phase=phase, to=to: viewer.view.drag(HandleDrag(phase, to, turn))
+        )
     done(viewer)
 
 
@@ -111,17 +124,17 @@ def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     """Another browser takes another sensor in hand meanwhile, or changes the layout."""
     at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift + [0, 0, 1.0]
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
-    viewer.select(1)
-    viewer.queue.submit(lambda: viewer._drag(HandleDrag("end", at, about(UP, 0))))
+    viewer.view.select(1)
+    viewer.queue.submit(lambda: viewer.view.drag(HandleDrag("end", at, about(UP, 0))))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
     np.testing.assert_allclose(viewer.layout.poses[1], layout.poses[1], atol=1e-6)
 
-    viewer.select(0)
+    viewer.view.select(0)
     done(viewer)
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
-    viewer.remove(1)
-    viewer.queue.submit(lambda: viewer._drag(HandleDrag("end", at + [0, 0, 3.0], about(UP, 0))))
+    viewer.view.remove(1)
+    viewer.queue.submit(lambda: viewer.view.drag(HandleDrag("end", at + [0, 0, 3.0], about(UP, 0))))
     done(viewer)
     assert len(viewer.layout) == 1
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
@@ -154,11 +167,11 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     better = replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0])
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
-    done(viewer, lambda: viewer._searching)
+    done(viewer, lambda: viewer.searching)
     viewer._on_better(better, 0.9)
     viewer._on_end(SearchEnding(better, 0.1, "too large", failed=True))
     done(viewer, lambda: viewer.told)
-    assert not viewer._searching
+    assert not viewer.searching
     assert viewer.layout is better
     assert any("too large" in words and color == "red" for _, words, color in viewer.told)
     np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
@@ -191,10 +204,10 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
     set_value(viewer.panel.method, "random")
     viewer.optimise()
     done(viewer, lambda: viewer._best is not layout)
-    for control in (viewer.panel.save, viewer.panel.report, viewer.panel.add):
+    for control in (viewer.panel.save, viewer.panel.report, viewer.view.controls.add):
         assert control.disabled
     viewer.save()
-    viewer.remove(0)
+    viewer.view.remove(0)
     viewer.undo_or_redo("Undo")
     pull(viewer, (0, 0, 1.0))
     assert viewer.layout is layout
@@ -203,7 +216,7 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
     assert (kept.poses != layout.poses).any()
     viewer.stop()
     done(viewer, lambda: not viewer.panel.save.disabled)
-    assert not viewer._searching
+    assert not viewer.searching
     assert len(viewer.layout) == 2
 
 
@@ -251,7 +264,7 @@ def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, 
     assert "pedestrian found ≥ 95 %" in viewer.panel.scores.content
     assert "never in view" not in viewer.panel.scores.content
     before = drawn
-    viewer.type_number(0, "yaw", 60.0)
+    viewer.view.type_number(0, "yaw", 60.0)
     viewer.settle()
     done(
         viewer, lambda: squares() and {w: len(m.faces) // 2 for w, m in squares().items()} != before
@@ -264,9 +277,9 @@ def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, 
 
 
 def test_numbers_typed_one_after_another_all_count(viewer, layout):
-    viewer.type_number(0, "height", 1.0)  # on the way to 10
-    viewer.type_number(0, "height", 10.0)
-    viewer.type_number(0, "yaw", -90.0)
+    viewer.view.type_number(0, "height", 1.0)  # on the way to 10
+    viewer.view.type_number(0, "height", 10.0)
+    viewer.view.type_number(0, "yaw", -90.0)
     done(viewer, lambda: viewer.session._past[1:])
     assert len(viewer.session._past) == 2
     wanted = np.array(layout.poses)
@@ -276,7 +289,7 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
 
 def test_a_place_typed_far_outside_is_brought_to_the_rim(viewer, scene, layout, monkeypatch):
     monkeypatch.setattr(viewer.session, "_mounted", lambda wanted: (wanted, ()))
-    viewer.type_number(0, "x", 1e4)
+    viewer.view.type_number(0, "x", 1e4)
     done(viewer, lambda: viewer.layout is not layout)
     away = viewer.layout.poses[0, :2] - scene.voxels.center[:2]
     assert np.hypot(*away) == pytest.approx(scene.voxels.radius)
@@ -289,10 +302,11 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
     """Nobody waits the moment for which more may be typed: the button's click is what counts."""
     monkeypatch.setattr(viewer.searcher, "start", lambda *told: begun.append(told))
     begun = []
-    set_value(viewer.panel.pose["yaw"], -90.0)
-    viewer.type_number(0, "yaw", -90.0)
+    set_value(viewer.view.controls.pose["yaw"], -90.0)
+    viewer.view.type_number(0, "yaw", -90.0)
     viewer.settle()  # what the panel does before each of them
-    getattr(viewer, then)(*[1][: then in ("duplicate", "select")])
+    own = then in ("duplicate", "select")
+    getattr(viewer.view if own else viewer, then)(*[1][:own])
     done(viewer)
     assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
     if then == "save":
@@ -304,11 +318,13 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
 @pytest.mark.parametrize("control", ["save", "report", "optimise", "existing", "add", "sensor"])
 def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, monkeypatch):
     """What a browser's press calls, of each control of the panel."""
-    for name in ("optimise", "write_report", "duplicate", "remove", "select", "add"):
+    for name in ("duplicate", "remove", "select", "add"):
+        monkeypatch.setattr(viewer.view, name, lambda *_: None)
+    for name in ("optimise", "write_report", "save"):
         monkeypatch.setattr(viewer, name, lambda *_: None)
-    monkeypatch.setattr(viewer, "save", lambda: None)
-    viewer.type_number(0, "yaw", -90.0)
-    state = getattr(viewer.panel, control)._impl
+    viewer.view.type_number(0, "yaw", -90.0)
+    own = hasattr(viewer.view.controls, control)
+    state = getattr(viewer.view.controls if own else viewer.panel, control)._impl
     for called in state.update_cb:
         client = SimpleNamespace(camera=None, send_file_download=lambda *_: None)
         asyncio.run(called(SimpleNamespace(client=client)))
@@ -318,17 +334,18 @@ def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, m
 
 def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
     at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift
-    viewer.type_number(0, "yaw", -90.0)
-    viewer._on_drag(HandleDrag("start", at, about(UP, 0)))
+    viewer.view.type_number(0, "yaw", -90.0)
+    viewer.view.on_drag(HandleDrag("start", at, about(UP, 0)))
     for phase in ("update", "end"):
-        viewer._on_drag(HandleDrag(phase, at + [0, 0, 1.0], about(UP, 0)))
+        viewer.view.on_drag(HandleDrag(phase, at + [0, 0, 1.0], about(UP, 0)))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
-    viewer.type_number(0, "height", 4.0)
-    viewer.display._clicked(1)
+    viewer.view.type_number(0, "height", 4.0)
+    (clicked, *_) = viewer.scene3d.drawn["sensors/2/device"]._impl.click_cb
+    asyncio.run(clicked.callback(SimpleNamespace(client_id=-1)))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(4.0)
-    assert viewer._selected == 1
+    assert viewer.view.selected == 1
 
 
 def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout, tmp_path):
@@ -336,12 +353,12 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
     save_layout(replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0]), path)
     viewer = Viewer(Case(scene), layout, path, port=0)
     try:
-        viewer._searching = True
+        viewer.searching = True
         viewer.open_earlier(0)
         done(viewer)
         assert viewer.layout is layout
         assert viewer.panel.earlier.visible
-        viewer._searching = False
+        viewer.searching = False
         viewer.open_earlier(0)
         done(viewer)
         assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
@@ -353,7 +370,8 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
 
 def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):
     viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
-    viewer.type_number(0, "yaw", -90.0)
+    viewer.view = opened(viewer)
+    viewer.view.type_number(0, "yaw", -90.0)
     viewer.close()
     kept = load_layout(viewer.store.unsaved)
     assert np.degrees(kept.poses[0, 5]) == pytest.approx(-90.0)
@@ -361,11 +379,13 @@ def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):
 
 def test_a_new_sensor_stands_where_one_looks(viewer, scene):
     client = SimpleNamespace(camera=SimpleNamespace(look_at=np.array([9.0, -9.0, 0.0])))
-    viewer.add("paper-lidar-32", client)
+    viewer.view.client = client
+    viewer.view.add("paper-lidar-32")
     done(viewer, lambda: len(viewer.layout) == 3)
     np.testing.assert_allclose(viewer.layout.poses[2, :2], [9.0, -9.0], atol=1e-2)
     away = SimpleNamespace(camera=SimpleNamespace(look_at=np.array([900.0, 0.0, 0.0])))
-    viewer.add("paper-lidar-32", away)
+    viewer.view.client = away
+    viewer.view.add("paper-lidar-32")
     done(viewer, lambda: len(viewer.layout) == 4)
     assert np.hypot(*viewer.layout.poses[3, :2]) <= scene.voxels.radius + 1e-3
 
@@ -389,16 +409,99 @@ def test_a_unit_without_sensors_has_no_number(viewer, layout):
 
 
 def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
-    viewer.duplicate(0)
+    viewer.view.duplicate(0)
     done(viewer)
     assert [sensor.unit for sensor in viewer.layout.sensors] == [0, 0, 1]
     chosen = []
     for number in (0, 0, 0, 1, 1, 0):
         ball = viewer.scene3d.drawn[f"numbers/{number + 1}/ball"]
-        asyncio.run(ball._impl.click_cb[0].callback(None))
+        asyncio.run(ball._impl.click_cb[0].callback(SimpleNamespace(client_id=-1)))
         done(viewer)
-        chosen.append(viewer._selected)
+        chosen.append(viewer.view.selected)
     assert chosen == [0, 1, 0, 2, 2, 0]
+
+
+def test_with_shift_the_numbers_of_a_unit_select_all_its_sensors(viewer):
+    viewer.view.duplicate(0)
+    done(viewer)
+    chosen = []
+    for number in (1, 0, 0, 1):
+        clicks = viewer.scene3d.drawn[f"numbers/{number + 1}/ball"]._impl.click_cb
+        shifted = next(entry for entry in clicks if "shift" in str(entry.modifier))
+        asyncio.run(shifted.callback(SimpleNamespace(client_id=-1)))
+        done(viewer)
+        chosen.append(viewer.view.chosen)
+    assert chosen == [(1, 2), (2, 0, 1), (2,), (2,)]
+
+
+def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, layout):
+    view, before = viewer.view, np.array(layout.poses)
+    view.toggle(1)
+    done(viewer)
+    assert view.chosen == (0, 1)
+    assert viewer.view.controls.chosen == 1  # the last one has the handle
+    assert "2 sensors are selected" in view.controls.table.content
+    assert view.controls.table.content.count("☑") == 2
+    for outline, k in zip(view.selection3d.outlines, (1, 2), strict=True):
+        drawn = viewer.scene3d.drawn[f"sensors/{k}/view"]
+        np.testing.assert_array_equal(outline.points, drawn.points)
+        assert outline.visible
+    at = before[1, :3] - viewer.scene3d.shift
+    for phase in ("start", "update", "end"):
+        shift = [0.0, 0.0, 0.0] if phase == "start" else [0.3, 0.4, 1.0]
+        event = HandleDrag(phase, at + shift, np.eye(3))
+        viewer.queue.submit(lambda event=event: view.drag(event))
+    done(viewer)
+    went = np.array(viewer.layout.poses) - before
+    np.testing.assert_allclose(went[:, :3], [[0.3, 0.4, 1.0]] * 2, atol=1e-6)
+    view.type_number(1, "height", 5.0)  # of the selected one, from 6 m: down, both
+    viewer.settle()
+    done(viewer)
+    went = np.array(viewer.layout.poses) - before
+    np.testing.assert_allclose(went[:, 2], [0.0, 0.0], atol=1e-6)
+    view.remove_chosen()
+    done(viewer, lambda: viewer.told)
+    assert "at least one" in viewer.told[-1][1]
+    view.toggle(1)
+    done(viewer)
+    assert view.chosen == (0,)
+    view.toggle(0)  # the last one stays
+    done(viewer)
+    assert view.chosen == (0,)
+    assert not view.selection3d.outlines[1].visible
+
+
+def test_each_browser_selects_its_own_sensors_of_everybodys_layout(viewer, layout):
+    """Over two sockets: one selects, the other's stays; one removes, both follow."""
+
+    def ready():
+        return [n for n in viewer.views if n >= 0]
+
+    with socket_of(viewer.url) as one, socket_of(viewer.url) as other:
+        enter(one)
+        done(viewer, lambda: len(ready()) == 1)
+        (first,) = ready()
+        enter(other)
+        done(viewer, lambda: len(ready()) == 2)
+        (second,) = set(ready()) - {first}
+        a, b = viewer.views[first], viewer.views[second]
+        send_value(one, a.controls.sensor, a.controls.sensor.options[1])
+        done(viewer, lambda: a.chosen == (1,))
+        assert b.chosen == viewer.view.chosen == (0,)
+        assert b.controls.sensor.value == b.controls.sensor.options[0]
+        send_value(one, b.controls.pose["yaw"], 33.0)  # what it was never shown
+        send_value(other, b.controls.pose["yaw"], 12.5)
+        done(viewer, lambda: viewer.layout is not layout)
+        yaws = np.degrees(np.asarray(viewer.layout.poses)[:, 5])
+        np.testing.assert_allclose(yaws, [12.5, np.degrees(layout.poses[1, 5])], atol=1e-4)
+        send_value(other, b.controls.existing, "Duplicate")
+        done(viewer, lambda: len(viewer.layout) == 3)
+        assert b.chosen == (1,)  # the copy
+        assert a.chosen == (2,)  # the sensor that it had before, which is third now
+        send_value(other, b.controls.existing, "Remove")
+        done(viewer, lambda: len(viewer.layout) == 2)
+        assert a.chosen == b.chosen == (1,)
+    done(viewer, lambda: not ready())
 
 
 def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, scene, layout):
@@ -434,7 +537,7 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
 
 def test_a_name_that_is_emptied_or_typed_again_changes_nothing(viewer, layout):
     for name in ("", "  ", layout.sensors[0].name):
-        viewer.rename(0, name)
+        viewer.view.rename(0, name)
         viewer.settle()
         done(viewer)
     assert viewer.layout.sensors == layout.sensors
@@ -443,9 +546,9 @@ def test_a_name_that_is_emptied_or_typed_again_changes_nothing(viewer, layout):
 
 
 def test_a_sensor_that_is_gone_is_not_removed_again(viewer):
-    viewer.remove(1)
-    viewer.remove(1)  # a second press, before the page shows the first
-    viewer.duplicate(1)
+    viewer.view.remove(1)
+    viewer.view.remove(1)  # a second press, before the page shows the first
+    viewer.view.duplicate(1)
     done(viewer)
     assert len(viewer.layout) == 1
     assert [words for _, words, _ in viewer.told] == 2 * ["there is no sensor 2 any more"]
@@ -521,7 +624,7 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
 
 
 def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):
-    viewer.type_number(0, "height", 60.0)
+    viewer.view.type_number(0, "height", 60.0)
     viewer.settle()
     done(viewer, lambda: viewer.told)
     title, words, _ = viewer.told[-1]
@@ -532,7 +635,7 @@ def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):
 
 def test_what_is_beyond_a_sensors_reach_in_the_dark_is_said(viewer, scene):
     pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
-    view = viewer.display.sensor_view
+    view = viewer.view.sensor_view
     done(viewer, lambda: "px/m" in view.picture.content)
     spec = viewer.layout.sensors[0].spec
     far = [box for box in scene.traffic.center[0] if np.hypot(*(box[:2] - [9.0, 9.0])) > 9.5]
@@ -542,7 +645,7 @@ def test_what_is_beyond_a_sensors_reach_in_the_dark_is_said(viewer, scene):
     viewer.panel.light.value, viewer.panel.weather.value = "night", "fog"
     viewer.case = replace(viewer.case, conditions=Conditions.of("night", "fog:50"))
     viewer.queue.submit(lambda: viewer.display.set_case(viewer.case))
-    viewer.queue.submit(lambda: viewer.display.select(0))
+    viewer.queue.submit(lambda: viewer.display.show_selection(viewer.view))
     done(viewer, lambda: "beyond its reach" in view.picture.content)
 
 
@@ -575,7 +678,7 @@ def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, sce
     for letter, spot, button in zip(LETTERS, panel.spots, panel.buttons, strict=False):
         assert button.label == f"{letter}  {spot.name}: {spot.unseen:.0%} unseen"
     before = panel.picture.content
-    viewer.remove(1)
+    viewer.view.remove(1)
     done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
     done(viewer, lambda: panel.picture.content != before)
     done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
@@ -616,7 +719,7 @@ def same(seen, wanted):
 
 def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(viewer, scene):
     pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
-    view = viewer.display.sensor_view
+    view = viewer.view.sensor_view
     first = recorded(scene, viewer.layout, 0, 0)
     done(viewer, lambda: same(view.seen, first))
     pull(viewer, (0.7, 0, 0.5), phases=("start", "update"))
@@ -633,17 +736,17 @@ def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(vie
     assert f"{listed} of {len(wanted.pixels)} road users are in the picture" in view.picture.content
     assert "px/m" in view.picture.content
 
-    viewer.select(1)  # the LiDAR, in another frame
+    viewer.view.select(1)  # the LiDAR, in another frame
     set_value(viewer.panel.frame, 2)
     viewer.select_frame()
     scan = recorded(scene, viewer.layout, 1, 2)
     done(viewer, lambda: same(view.seen, scan))
-    done(viewer, lambda: "points" in viewer.scene3d.drawn)
-    drawn = viewer.scene3d.drawn["points"].points + viewer.scene3d.shift
+    done(viewer, lambda: viewer.view.selection3d.points is not None)
+    drawn = viewer.view.selection3d.points.points + viewer.scene3d.shift
     np.testing.assert_allclose(drawn, world_points(scan).T, atol=0.02)  # float16 within 32 m
     assert f"{len(scan.points):,} points" in view.picture.content
-    viewer.select(0)
-    done(viewer, lambda: "points" not in viewer.scene3d.drawn)
+    viewer.view.select(0)
+    done(viewer, lambda: viewer.view.selection3d.points is None)
 
 
 def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
@@ -666,7 +769,7 @@ def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
     assert viewer.searcher.case.conditions == night
     if importlib.util.find_spec("embreex"):
         wanted = recorded(scene, layout, 0, 0, night)
-        done(viewer, lambda: same(viewer.display.sensor_view.seen, wanted))
+        done(viewer, lambda: same(viewer.view.sensor_view.seen, wanted))
 
 
 def test_scores_of_other_conditions_are_not_taken_for_those_asked_for(viewer, scene, layout):
@@ -683,7 +786,7 @@ def test_scores_of_other_conditions_are_not_taken_for_those_asked_for(viewer, sc
 
 
 def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch):
-    view = viewer.display.sensor_view
+    view = viewer.view.sensor_view
     done(viewer, lambda: view.picture.content)
     set_value(view.on, False)
     set_value(viewer.panel.frame, 1)
@@ -695,41 +798,41 @@ def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch
 
     monkeypatch.setattr(sensor_view, "LiveSensor", none)
     set_value(view.on, True)
-    viewer.select(1)
+    viewer.view.select(1)
     done(viewer, lambda: "recording needs Embree: pip install it" in view.picture.content)
     assert not viewer.told
 
 
 def test_a_table_lists_the_sensors_with_what_each_adds_and_costs(viewer, scene, layout):
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
-    viewer.select(1)
-    done(viewer, lambda: "font-weight:700" in viewer.panel.table.content.split("<tr")[3])
+    viewer.view.select(1)
+    done(viewer, lambda: "font-weight:700" in viewer.view.controls.table.content.split("<tr")[3])
     for row in evaluate(scene, layout).contributions:
-        assert row.sensor in viewer.panel.table.content
-        assert f"{row.surrogate:.4f}" in viewer.panel.table.content
-    viewer.swap(1, "velodyne-vlp-16")
+        assert row.sensor in viewer.view.controls.table.content
+        assert f"{row.surrogate:.4f}" in viewer.view.controls.table.content
+    viewer.view.swap(1, "velodyne-vlp-16")
     price = devices()["velodyne-vlp-16"].price_usd
-    done(viewer, lambda: f"{price:,.0f}" in viewer.panel.table.content)
+    done(viewer, lambda: f"{price:,.0f}" in viewer.view.controls.table.content)
 
 
 def test_a_sensor_gets_another_name(viewer, layout):
-    viewer.select(1)
-    viewer.rename(1, "north")  # on the way
-    viewer.rename(1, " <b>north west</b> ")
+    viewer.view.select(1)
+    viewer.view.rename(1, "north")  # on the way
+    viewer.view.rename(1, " <b>north west</b> ")
     viewer.settle()
     done(viewer)
     assert viewer.layout.sensors[1].name == "<b>north west</b>"
-    assert "&lt;b&gt;north west&lt;/b&gt;" in viewer.panel.table.content
-    assert "<b>" not in viewer.panel.table.content
+    assert "&lt;b&gt;north west&lt;/b&gt;" in viewer.view.controls.table.content
+    assert "<b>" not in viewer.view.controls.table.content
     for name, wrong in (
         (layout.sensors[0].name, "another sensor is named"),
         ("x" * 61, "60 characters at most"),
     ):
-        viewer.rename(1, name)
+        viewer.view.rename(1, name)
         viewer.settle()
         done(viewer)
         assert wrong in viewer.told[-1][1]
         assert viewer.layout.sensors[1].name == "<b>north west</b>"
-        done(viewer, lambda: viewer.panel.name.value == "<b>north west</b>")
+        done(viewer, lambda: viewer.view.controls.name.value == "<b>north west</b>")
     viewer.undo_or_redo("Undo")
     done(viewer, lambda: viewer.layout is layout)

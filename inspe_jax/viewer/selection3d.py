@@ -1,0 +1,56 @@
+"""What one browser sees of its selected sensors in three dimensions."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from inspe_jax.report.scene3d import Outline, rgb
+
+WIDE = 0.4
+"""Width of the outline of what a selected sensor looks at [m]."""
+POINT_COLOR, POINT_SIZE = "#b5009b", 0.14
+"""Of a LiDAR's points: a colour that nothing else has, and their size [m]."""
+
+
+class Selection3D:
+    """Outlines of what the selected sensors look at, wider than others, and a LiDAR's points."""
+
+    def __init__(self, api: viser.SceneApi, shift: Float[np.ndarray, "3"]) -> None:
+        """``shift`` is the scene's centre [m]."""
+        self._api, self._shift = api, shift
+        self.outlines: list[Any] = []
+        self.points: Any = None
+
+    def outline(self, outlines: Sequence[Outline]) -> None:
+        """Draw these outlines in place of those before."""
+        for k, found in enumerate(outlines):
+            if k == len(self.outlines):
+                nowhere = np.zeros((1, 2, 3), np.float32)
+                self.outlines.append(
+                    self._api.add_line_segments(
+                        f"selected/{k + 1}", nowhere, rgb(found.color), thickness=WIDE
+                    )
+                )
+            line = self.outlines[k]
+            line.points, line.colors = found.points, np.array(rgb(found.color), np.uint8)
+            line.visible = True
+        for line in self.outlines[len(outlines) :]:
+            line.visible = False
+
+    def draw_points(self, points: Float[np.ndarray, "N 3"] | None) -> None:
+        """Draw a LiDAR's points, given in the world [m], in place of those before; or none."""
+        if points is None or not len(points):
+            if self.points is not None:
+                self.points.remove()
+            self.points = None
+            return
+        at = (points - self._shift).astype(np.float32)
+        if self.points is None:
+            self.points = self._api.add_point_cloud(
+                "points", at, rgb(POINT_COLOR), point_size=POINT_SIZE, point_shading="flat"
+            )
+        else:
+            self.points.points = at

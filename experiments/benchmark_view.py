@@ -36,6 +36,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from queue import Queue
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -187,7 +188,7 @@ def answers(
     """Choose one sensor after another, of another unit each time, whenever it is ready."""
     for _ in range(count):
         time.sleep(rng.uniform(*PAUSE))
-        s = (view_of(viewer).selected + 5) % len(viewer.layout)
+        s = (view_of(viewer).in_hand + 5) % len(viewer.layout)
         ready()
         yield on_server(viewer, s) if tab is None else in_page(tab, viewer, s)
 
@@ -360,7 +361,10 @@ def main() -> None:
                     )
                 looking, drawn = browser != BROWSERS[0], browser == BROWSERS[2]
                 if not looking:  # the page's own panel and scene stand for a browser's
-                    viewer.queue.submit(partial(viewer.open_view, -1, viewer.server))
+                    own = SimpleNamespace(
+                        client_id=-1, gui=viewer.server.gui, scene=viewer.server.scene
+                    )
+                    viewer.queue.submit(partial(viewer.open_view, own))
                 with browser_on(viewer.url, drawn=drawn) if looking else nullcontext() as tab:
                     wait_until(partial(bool, viewer.views))
                     for timed in (measured, stopped):

@@ -58,11 +58,12 @@ def set_value(socket, control, value):
     send(socket, type="GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
 
 
-def pull(socket, position, phase="Update", wxyz=(1.0, 0.0, 0.0, 0.0)):
-    """What a browser sends when somebody moves the handle."""
+def pull(socket, owner, position, phase="Update", wxyz=(1.0, 0.0, 0.0, 0.0)):
+    """What a browser sends when somebody moves the handle of the client ``owner``."""
     where = dict(position=position, wxyz=list(wxyz)) if phase == "Update" else {}
     kind = "" if phase == "Update" else "Drag"
-    send(socket, type=f"TransformControls{kind}{phase}Message", name="/handle", **where)
+    kind = f"TransformControls{kind}{phase}Message"
+    send(socket, type=kind, name="/handle", owner=str(owner), **where)
 
 
 def ended_by(socket):

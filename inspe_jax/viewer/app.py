@@ -49,7 +49,7 @@ class Viewer(FileActions):
     """A layout on a scene, served to browsers.
 
     ``url`` and ``port`` are the page's address, ``other_urls`` its addresses for other machines.
-    ``views`` are what each browser has of its own, by its number.
+    ``views`` are what each browser has of its own, by the ids of its clients.
     """
 
     def __init__(
@@ -103,8 +103,8 @@ class Viewer(FileActions):
         self.queue.submit(self.show)
         # viser warns of what is shown to a browser that is just leaving.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
-        self.server.on_client_connect(self._on_connect)
         self.server.on_client_disconnect(self._on_disconnect)
+        self.server.on_client_connect(self._on_connect)
 
     @property
     def layout(self) -> Layout:
@@ -118,10 +118,10 @@ class Viewer(FileActions):
         self.searcher.close()
         self.scorer.close()
         self.store.close()
-        for view in list(self.views.values()):
-            view.close()
         self.display.close()
         self.queue.close()
+        for view in list(self.views.values()):
+            view.close(wait=True)
         with quiet():
             self.server.stop()
 
@@ -129,7 +129,7 @@ class Viewer(FileActions):
 
     async def _on_connect(self, client: Any) -> None:
         def job() -> None:
-            self.open_view(client.client_id, client)
+            self.open_view(client)
             if client.client_id not in self.server.get_clients():  # it has left meanwhile
                 self._close_view(client)
 
@@ -139,28 +139,31 @@ class Viewer(FileActions):
         self._close_view(client)
 
     def _close_view(self, client: Any) -> None:
-        view = self.views.pop(client.client_id, None)
+        """Keep what a browser has typed and dragged, and let go of its view."""
+        view = self.views.get(client.client_id)
         if view is not None:
-            self.queue.submit(view.close)
+            view.settle()
+            self.views.pop(client.client_id, None)
+            self.queue.submit(lambda: view.close(wait=False))
 
-    def open_view(self, number: int, client: Any) -> BrowserView:
+    def open_view(self, client: Any) -> BrowserView:
         """Show a browser a selection of its own; on the thread of the queue."""
-        view = self.views[number] = BrowserView(client, self)
+        view = self.views[client.client_id] = BrowserView(client, self)
         view.show()
         self.display.show_selection(view)
         return view
 
     def step(self, client: Any, by: int) -> None:
-        """Let a browser select the sensor so many places after its selected one."""
+        """Let a browser select the sensor so many places after the one in its hand."""
         view = self.views.get(client.client_id)
         if view is not None:
             view.step(by)
 
-    def remove_chosen(self, client: Any) -> None:
+    def remove_selection(self, client: Any) -> None:
         """Remove what a browser has selected."""
         view = self.views.get(client.client_id)
         if view is not None:
-            view.remove_chosen()
+            view.remove()
 
     # ── What any browser asks for ──
 
@@ -235,7 +238,11 @@ class Viewer(FileActions):
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
             self.panel.course.content = "starting …"
-            self._show_controls()
+            dropped = [view.drop_outdated() for view in list(self.views.values())]
+            if any(dropped):
+                self.show()  # and not what was being dragged
+            else:
+                self._show_controls()
             self.searcher.start(self.layout, method, seconds)
 
         self.queue.submit(job)

@@ -4,11 +4,17 @@ from collections.abc import Callable
 from typing import Any
 
 
-def bind(viewer: Any, control: Any, ask: Callable[[Any], object], *, settle: bool = True) -> None:
+def bind(
+    control: Any,
+    ask: Callable[[Any], object],
+    *,
+    refuse: Callable[[], None],
+    settle: Callable[[], None] | None = None,
+) -> None:
     """Call ``ask`` with the browser that uses a control, on the event loop, so that order is kept.
 
-    ``control`` is a button, a command with a key, or has a value. A value that is not an option
-    is refused. With ``settle``, typed numbers are applied before.
+    ``control`` is a button, a command with a key, or has a value. For a value that is not an
+    option, ``refuse`` is called instead. ``settle`` is called before, to apply typed numbers.
     """
 
     async def called(event: Any) -> None:
@@ -16,10 +22,10 @@ def bind(viewer: Any, control: Any, ask: Callable[[Any], object], *, settle: boo
             return
         options = getattr(control, "options", None)
         if options is not None and control.value not in options:
-            viewer.restore()
+            refuse()
             return
-        if settle:
-            viewer.settle()
+        if settle is not None:
+            settle()
         ask(event.client)
 
     kinds = (getattr(control, name, None) for name in ("on_click", "on_trigger", "on_update"))
@@ -27,17 +33,10 @@ def bind(viewer: Any, control: Any, ask: Callable[[Any], object], *, settle: boo
     register(called)
 
 
-def bind_choice(viewer: Any, control: Any) -> None:
-    """Refuse a value that is not an option, of a control that nothing follows until a button is
-    pressed: the first option is chosen then."""
-
-    async def called(event: Any) -> None:
-        if event.client is not None:
-            if control.value not in control.options:
-                set_value(control, control.options[0])
-            viewer.settle()
-
-    control.on_update(called)
+def bind_choice(control: Any) -> None:
+    """Choose the first option in place of a value that is none, in a list that nothing follows
+    until a button is pressed."""
+    bind(control, lambda _: None, refuse=lambda: set_value(control, control.options[0]))
 
 
 def set_value(control: Any, value: Any) -> None:

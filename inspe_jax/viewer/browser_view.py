@@ -2,7 +2,6 @@
 numbers, and what they see. The layout is everybody's."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,22 +25,22 @@ NAMED = 2.0
 class Gripped(NamedTuple):
     """While the handle is dragged: sensors, the layout at the start, whether they were moved."""
 
-    chosen: tuple[int, ...]
+    selection: tuple[int, ...]
     layout: Layout
     moved: bool = False
 
 
 class BrowserView:
-    """One browser's selected sensors.
+    """What one browser has of its own: a selection, a handle, controls, and a recording.
 
-    ``chosen`` are their places in the layout; the last of them has the handle, and the others move
-    along with it.
+    ``selection`` are the places of the selected sensors in the layout. The last of them is
+    ``in_hand``: it has the handle, and the others move along with it.
     """
 
     def __init__(self, client: Any, viewer: Any) -> None:
         """``client`` has a panel and a scene of its own, ``viewer`` what all browsers share."""
         self.client, self._viewer = client, viewer
-        self.chosen: tuple[int, ...] = (0,)
+        self.selection: tuple[int, ...] = (0,)
         self.dragging: Gripped | None = None
         self._layout: Layout = viewer.layout  # that the places are of
         self._typing = {key: DelayedAction() for key in (*POSE, "name")}
@@ -57,16 +56,15 @@ class BrowserView:
         )
 
     @property
-    def selected(self) -> int:
+    def in_hand(self) -> int:
         """The place of the sensor that has the handle."""
-        return self.chosen[-1]
+        return self.selection[-1]
 
-    def close(self) -> None:
-        """Apply what is typed, and finish what is being recorded."""
-        self.settle()
-        self.sensor_view.close()
+    def close(self, *, wait: bool) -> None:
+        """Record nothing more; with ``wait``, come back when the last recording has ended."""
+        self.sensor_view.close(wait=wait)
 
-    # ── What the browser asks for; ``s`` is the place of a sensor in the layout ──
+    # ── What the browser asks for. Places are those in the layout when it is done ──
 
     def settle(self) -> None:
         """Apply the numbers that are typed, before another action."""
@@ -75,63 +73,65 @@ class BrowserView:
 
     def select(self, s: int) -> None:
         """Select another sensor, and no other."""
-        self._choose(lambda: (s,))
+        self._select(lambda: (s,))
 
     def toggle(self, s: int) -> None:
         """Select a sensor together with others, or no longer; the last one stays selected."""
-        self._choose(
-            lambda: (
-                (*self.chosen, s)
-                if s not in self.chosen
-                else tuple(k for k in self.chosen if k != s) or self.chosen
-            )
-        )
+
+        def found() -> tuple[int, ...]:
+            others = tuple(k for k in self.selection if k != s)
+            return others if s in self.selection else (*others, s)
+
+        self._select(found)
 
     def step(self, by: int) -> None:
-        """Select the sensor so many places after the selected one, round and round."""
-        self.select((self.controls.chosen + by) % self.controls.count)
+        """Select the sensor so many places after the one in hand, round and round."""
+        self._select(lambda: ((self.in_hand + by) % len(self._viewer.layout),))
 
     def click_number(self, u: int, *, several: bool = False) -> None:
-        """Of the sensors on a unit, select the one after the selected one, round and round; with
+        """Of the sensors on a unit, select the one after the one in hand, round and round; with
         ``several``, all of them, or none, together with others."""
 
         def found() -> tuple[int, ...]:
             units = [members for members in self._viewer.layout.members() if members]
             if u >= len(units):  # removed since
-                return self.chosen
+                return ()
             members = tuple(units[u])
             if several:
-                others = tuple(k for k in self.chosen if k not in members)
-                there = set(members) <= set(self.chosen)
-                return (others or self.chosen) if there else (*others, *members)
-            after = [s for s in members if s > self.selected] if self.selected in members else []
+                others = tuple(k for k in self.selection if k not in members)
+                return others if set(members) <= set(self.selection) else (*others, *members)
+            after = [s for s in members if s > self.in_hand] if self.in_hand in members else []
             return ((*after, *members)[0],)
 
-        self._choose(found)
+        self._select(found)
 
-    def swap(self, s: int, name: str) -> None:
-        """Exchange a sensor's device."""
-        self._viewer.change(partial(self._viewer.session.swap, s, name))
+    def swap(self, name: str) -> None:
+        """Exchange the device of the sensor in hand."""
+        self._viewer.change(lambda: self._viewer.session.swap(self.in_hand, name))
 
-    def type_number(self, s: int, key: str, value: float) -> None:
-        """Set a number of a sensor's pose, once nothing more is typed."""
+    def type_number(self, key: str, value: float) -> None:
+        """Set a number of the pose of the sensor in hand, once nothing more is typed; that of the
+        others changes by as much."""
 
         def change() -> None:
-            session = self._viewer.session
-            session.set_number(s, key, value, self._along(s))
+            session, (*along, s) = self._viewer.session, self.selection
+            session.set_number(s, key, value, along)
             if session.notes:  # the sensor cannot be mounted there
                 self._viewer.display.notify("Mounted nearby", "; ".join(session.notes), "orange")
 
         self._typing[key].start(TYPED, lambda: self._viewer.change(change))
 
-    def rename(self, s: int, name: str) -> None:
-        """Give a sensor another name, once nothing more is typed."""
-        change = partial(self._viewer.session.rename, s, name)
+    def rename(self, name: str) -> None:
+        """Give the sensor in hand another name, once nothing more is typed."""
+
+        def change() -> None:
+            self._viewer.session.rename(self.in_hand, name)
+
         self._typing["name"].start(NAMED, lambda: self._viewer.change(change))
 
-    def duplicate(self, s: int) -> None:
-        """Add a copy of a sensor to its unit, and select it."""
-        self._add(lambda: self._viewer.session.duplicate(s))
+    def duplicate(self) -> None:
+        """Add a copy of the sensor in hand to its unit, and select it."""
+        self._add(lambda: self._viewer.session.duplicate(self.in_hand))
 
     def add(self, name: str) -> None:
         """Add a sensor, mounted as near as possible to the point that the browser looks at."""
@@ -139,13 +139,9 @@ class BrowserView:
         at = np.array(self.client.camera.look_at, float)[:2] + shift[:2]
         self._add(lambda: session.add(name, session.inside(at)))
 
-    def remove(self, s: int) -> None:
-        """Remove a sensor, and those that are selected together with it."""
-        self._viewer.change(lambda: self._viewer.session.remove(s, *self._along(s)))
-
-    def remove_chosen(self) -> None:
+    def remove(self) -> None:
         """Remove what is selected."""
-        self.remove(self.controls.chosen)
+        self._viewer.change(lambda: self._viewer.session.remove(*self.selection))
 
     # ── The handle ──
 
@@ -163,85 +159,104 @@ class BrowserView:
         """
         viewer = self._viewer
         if drag.phase == "start":
-            self.dragging = Gripped(self.chosen, viewer.layout)
-        if self.dragging is None or viewer.searching:
+            if not viewer.searching:
+                self.dragging = Gripped(self.selection, viewer.layout)
             return
-        (*along, s), of, moved = self.dragging
-        if of is not viewer.layout:  # another browser has changed it
+        self.drop_outdated()
+        gripped = self.dragging
+        if drag.phase == "end":
             self.dragging = None
-            viewer.show()
+        if gripped is None:
+            if drag.phase == "end":
+                self.show()  # the handle back on its sensor
             return
+        (*along, s), of, moved = gripped
         pose = drag.on(np.array(of.poses[s], float), viewer.scene3d.shift)
         if drag.phase == "update":
-            self.dragging = self.dragging._replace(moved=True)
+            self.dragging = gripped._replace(moved=True)
             where, _ = viewer.session.moved(s, pose, along)
             viewer.show_held(where)
-            if s == self.selected:
-                self._show_numbers(where)
-        elif drag.phase == "end":
-            self.dragging = None
-            if moved:  # and not only clicked
-                viewer.session.move(s, pose, along)
-                viewer.after_change()
+            self._show_numbers(where)
+        elif moved:  # and not only clicked
+            viewer.session.move(s, pose, along)
+            viewer.after_change()
 
     # ── What is shown; on the thread of the queue ──
 
     def follow(self) -> None:
         """Have the same sensors selected in the layout as it is now."""
         before, self._layout = self._layout, self._viewer.layout
-        names = [sensor.name for sensor in self._layout.sensors]
-        if len(before) != len(names):
-            kept = (before.sensors[k].name for k in self.chosen)
-            last = (min(self.selected, len(names) - 1),)
-            self.chosen = tuple(names.index(name) for name in kept if name in names) or last
+        old, new = ([sensor.name for sensor in of.sensors] for of in (before, self._layout))
+        if old == new:
+            return
+        # Of as many sensors, one whose name is gone has another name.
+        places = {s: new.index(name) for s, name in enumerate(old) if name in new}
+        if len(old) == len(new):
+            places = {s: places.get(s, s) for s in range(len(old))}
+        kept = tuple(places[s] for s in self.selection if s in places)
+        self.selection = tuple(dict.fromkeys(kept)) or (min(self.in_hand, len(new) - 1),)
+
+    def drop_outdated(self) -> bool:
+        """End a drag of a layout that another browser has changed, or that is searched from;
+        returns whether there was one."""
+        viewer, gripped = self._viewer, self.dragging
+        if gripped is None or (gripped.layout is viewer.layout and not viewer.searching):
+            return False
+        self.dragging = None
+        if not viewer.searching:
+            viewer.show()
+        return True
 
     def show(self) -> None:
-        """Show what is selected of the layout as it is now."""
+        """Show what is selected of the layout as it is now, except for what is being dragged."""
         self.follow()
-        s, layout = self.selected, self._layout
+        s, layout, searching = self.in_hand, self._layout, self._viewer.searching
         sensor, pose = layout.sensors[s], np.asarray(layout.poses[s], float)
-        searching = self._viewer.searching
 
-        def show() -> None:
+        def set_controls() -> None:
             controls = self.controls
             controls.list_sensors([sensor.name for sensor in layout.sensors], s)
             controls.offer_device(sensor.spec.name)
             controls.searching(searching)
             set_value(controls.name, sensor.name)
 
-        self._on_loop(show)
-        self._show_numbers(layout)
-        self.handle.show(pose, self._viewer.scene3d.shift, visible=not searching)
-        self.outline()
+        self._on_loop(set_controls)
+        if self.dragging is None:
+            self._show_numbers(layout)
+            self.handle.show(pose, self._viewer.scene3d.shift, visible=not searching)
+        self.show_outlines()
 
-    def outline(self) -> None:
+    def show_outlines(self) -> None:
         """Draw the outlines of what is selected as wide as they should be."""
         scene3d = self._viewer.scene3d
-        self.selection3d.outline([scene3d.outline(k) for k in self.chosen])
+        self.selection3d.draw_outlines([scene3d.outline(k) for k in self.selection])
 
-    def look(self, layout: Layout, frame: int, *, held: bool) -> None:
-        """Look through the selected sensor of a layout, in a frame.
+    def look(self, layout: Layout, frame: int) -> None:
+        """Look through the sensor in hand of a layout, in a frame.
 
-        While another browser drags its own sensors, this one's view waits for where they end.
+        While another browser drags its own sensors, this one looks at the layout as it was before.
         """
+        held = self.dragging is not None
         others = (view for view in list(self._viewer.views.values()) if view is not self)
-        if held and self.dragging is None and any(view.dragging for view in others):
-            return
-        s = min(self.selected, len(layout) - 1)
+        if not held and any(view.dragging for view in others):
+            layout = self._viewer.layout
+        s = min(self.in_hand, len(layout) - 1)
         self.sensor_view.look(Look(layout, s, frame, held))
 
     def show_table(self, layout: Layout, scored: ScoredLayout | None) -> None:
         """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
-        self.controls.show_table(layout, scored, self.chosen)
+        self.controls.show_table(layout, scored, self.selection)
 
-    def _choose(self, found: Callable[[], tuple[int, ...]]) -> None:
-        """Select the sensors at the places that ``found`` gives, as far as they are there."""
+    def _select(self, found: Callable[[], tuple[int, ...]]) -> None:
+        """Select the sensors at the places that ``found`` gives, as far as they are there; not in
+        the midst of a drag."""
         self.settle()
 
         def job() -> None:
-            last = len(self._viewer.layout) - 1
             self.follow()
-            self.chosen = tuple(dict.fromkeys(min(s, last) for s in found()))
+            if self.dragging is None:
+                there = (s for s in found() if s < len(self._viewer.layout))
+                self.selection = tuple(dict.fromkeys(there)) or self.selection
             self.show()
             self._viewer.display.show_selection(self)
 
@@ -253,23 +268,19 @@ class BrowserView:
         def job() -> None:
             s = add()
             self.follow()
-            self.chosen = (s,)
+            self.selection = (s,)
 
         self._viewer.change(job)
 
-    def _along(self, s: int) -> tuple[int, ...]:
-        """The sensors that are selected together with one."""
-        return tuple(k for k in self.chosen if k != s) if s == self.selected else ()
-
     def _show_numbers(self, layout: Layout) -> None:
-        """Show the numbers of the selected sensor's pose."""
-        numbers = self._viewer.session.numbers(layout, self.selected)
+        """Show the numbers of the pose of the sensor in hand."""
+        numbers = self._viewer.session.numbers(layout, self.in_hand)
 
-        def show() -> None:
+        def set_controls() -> None:
             for key, value in numbers.items():
                 set_value(self.controls.pose[key], round(value, DIGITS[key]))
 
-        self._on_loop(show)
+        self._on_loop(set_controls)
 
     def _on_loop(self, show: Callable[[], None]) -> None:
         """Set controls on the event loop, so that it cannot come between a typed number and its

@@ -54,7 +54,7 @@ class Display:
         queue: JobQueue,
         views: Mapping[int, BrowserView],
     ) -> None:
-        """Draw the scene. ``views`` are those of the browsers that look, by their identity."""
+        """Draw the scene. ``views`` are those of the browsers that look, by ids of clients."""
         self.shown = self.reference = opened
         self.scored: ScoredLayout | None = None
         self._server, self._case = server, case
@@ -133,7 +133,7 @@ class Display:
             one = partial(BrowserView.click_number, u=u)
             self._bind(ball, one, partial(one, several=True))
         for view in list(self._views.values()):
-            view.outline()
+            view.show_outlines()
             self._look(view)
         self._show_scores()
         self._wait()
@@ -237,7 +237,7 @@ class Display:
 
     def _look(self, view: BrowserView) -> None:
         """Look through a browser's selected sensor in the frame that is shown."""
-        view.look(self.shown, max(self._drawn_frame, 0), held=self._held)
+        view.look(self.shown, max(self._drawn_frame, 0))
 
     def _show_table(self, view: BrowserView) -> None:
         view.show_table(self.shown, self.scored if self._current else None)

@@ -37,11 +37,12 @@ class JobQueue:
                 self._thread.submit(self._run, key)
             self._newest[key] = action
 
-    def close(self) -> None:
-        """Run the actions that wait, and end the thread."""
+    def close(self, *, wait: bool = True) -> None:
+        """Run the actions that wait, and end the thread. Without ``wait``, drop them, and come
+        back at once."""
         with self._lock:
             self._closed = True
-        self._thread.shutdown()
+        self._thread.shutdown(wait=wait, cancel_futures=not wait)
 
     def _run(self, key: Hashable) -> None:
         with self._lock:

@@ -24,22 +24,29 @@ GROUND: dict[str, str | None] = {REGIONS: None} | {f"finding a {name}": name for
 
 
 class Key(NamedTuple):
-    """A key of the page: what it does in ``words``, the ``key``, what is ``held`` with it, both in
-    ``text``, and what it asks of the viewer on behalf of a browser."""
+    """A key of the page: what it does in ``words``, the ``key``, the ``modifier`` held with it,
+    both in ``text``, what it asks of the viewer on behalf of a browser, and whether it ``changes``
+    the layout or saves it."""
 
     words: str
     key: Any
-    held: Any
+    modifier: Any
     text: str
     ask: Callable[[Any, Any], object]
+    changes: bool = False
 
 
 KEYS = (
-    Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda viewer, _: viewer.undo_or_redo("Undo")),
+    Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda viewer, _: viewer.undo_or_redo("Undo"), True),
     Key(
-        "Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z", lambda viewer, _: viewer.undo_or_redo("Redo")
+        "Redo",
+        "Z",
+        "cmd/ctrl+shift",
+        "Ctrl+Shift+Z",
+        lambda viewer, _: viewer.undo_or_redo("Redo"),
+        True,
     ),
-    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda viewer, _: viewer.save()),
+    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda viewer, _: viewer.save(), True),
     Key("Select the next sensor", "N", None, "N", lambda viewer, client: viewer.step(client, 1)),
     Key(
         "Select the sensor before",
@@ -53,7 +60,8 @@ KEYS = (
         "delete",
         None,
         "Delete",
-        lambda viewer, client: viewer.remove_chosen(client),
+        lambda viewer, client: viewer.remove_selection(client),
+        True,
     ),
     Key(
         "Look at the whole intersection",
@@ -121,26 +129,33 @@ class Panel:
             self.report = gui.add_button("Write report", hint="And offer it for download here")
 
         self.keys = {
-            key.words: gui.add_command(key.words, hotkey=key.key, modifier=key.held) for key in KEYS
+            key.words: gui.add_command(key.words, hotkey=key.key, modifier=key.modifier)
+            for key in KEYS
         }
+
+        def looks(control: Any, ask: Callable[[], object]) -> None:
+            bind(control, lambda _: ask(), refuse=viewer.restore)
+
         for key in KEYS:
-            bind(viewer, self.keys[key.words], partial(key.ask, viewer))
-        bind(viewer, self.edit, lambda _: self._edit(self.edit.value))
+            settle = viewer.settle if key.changes else None
+            command, ask = self.keys[key.words], partial(key.ask, viewer)
+            bind(command, ask, refuse=viewer.restore, settle=settle)
+        self._changes(self.edit, lambda _: self._edit(self.edit.value))
         compare = {"Set as A": viewer.set_reference, "Swap with A": viewer.swap_reference}
-        bind(viewer, self.compare, lambda _: compare[self.compare.value]())
-        bind_choice(viewer, self.method)
-        bind(viewer, self.optimise, lambda _: viewer.optimise())
-        bind(viewer, self.stop, lambda _: viewer.stop())
+        self._changes(self.compare, lambda _: compare[self.compare.value]())
+        bind_choice(self.method)
+        self._changes(self.optimise, lambda _: viewer.optimise())
+        looks(self.stop, viewer.stop)
         for control in (self.frame, self.play):
-            bind(viewer, control, lambda _: viewer.select_frame())
+            looks(control, viewer.select_frame)
         for choice in (self.light, self.weather):
-            bind(viewer, choice, lambda _: viewer.change_conditions())
-        bind(viewer, self.ground, lambda _: viewer.color_ground())
+            self._changes(choice, lambda _: viewer.change_conditions())
+        looks(self.ground, viewer.color_ground)
         for box in self.shown.values():
-            bind(viewer, box, lambda _: viewer.show_voxels())
-        bind(viewer, self.save, lambda _: viewer.save())
-        bind(viewer, self.download, viewer.download)
-        bind(viewer, self.report, viewer.write_report)
+            looks(box, viewer.show_voxels)
+        self._changes(self.save, lambda _: viewer.save())
+        self._changes(self.download, viewer.download)
+        self._changes(self.report, viewer.write_report)
 
     @property
     def sensor_orders(self) -> tuple[float, float, float]:
@@ -160,9 +175,9 @@ class Panel:
             )
             for number, one in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {one.path.name}"))
-                bind(self._viewer, self.offers[-1], partial(self._open_earlier, number))
+                self._changes(self.offers[-1], partial(self._open_earlier, number))
             leave = self._gui.add_button("Leave them", color="gray")
-            bind(self._viewer, leave, lambda _: self._leave())
+            self._changes(leave, lambda _: self._leave())
 
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""
@@ -189,7 +204,7 @@ class Panel:
                 (self._gui.add_button(f"Replace {name}", color="red"), self._viewer.replace),
                 (self._gui.add_button("Cancel", color="gray"), lambda: None),
             ):
-                bind(self._viewer, answer, partial(self._answer, then))
+                self._changes(answer, partial(self._answer, then))
 
     def _answer(self, then: Callable[[], None], _: Any) -> None:
         self._end_question()
@@ -209,6 +224,10 @@ class Panel:
     def shown_frame(self) -> int:
         """The slider's frame. With a single frame the slider still has two places."""
         return min(max(int(self.frame.value), 0), self._frames - 1)
+
+    def _changes(self, control: Any, ask: Callable[[Any], object]) -> None:
+        """Bind what changes the layout, saves it or begins something with it."""
+        bind(control, ask, refuse=self._viewer.restore, settle=self._viewer.settle)
 
     def _edit(self, what: str) -> None:
         if what == "Save":

@@ -104,11 +104,11 @@ def score_panel(
     return ScorePanel(headline, details)
 
 
-def sensor_table(layout: Layout, scored: ScoredLayout | None, chosen: Sequence[int]) -> str:
+def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]) -> str:
     """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it.
 
     ``scored`` are the layout's scores, None as long as there are none. The sensors at the places
-    ``chosen`` are ticked, the last of them is bold.
+    of the ``selection`` are ticked, the last of them is bold.
     """
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
@@ -121,12 +121,12 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, chosen: Sequence[i
                 name=sensor.name,
                 price="" if price is None else f"{price:,.0f}",
                 lost="" if loss is None else f"{loss:.4f}",
-                ticked=number - 1 in chosen,
-                bold=number - 1 in chosen[-1:],
+                ticked=number - 1 in selection,
+                bold=number - 1 in selection[-1:],
             )
         )
     priced = any(row["price"] for row in rows)
-    return _TABLE.render(rows=rows, priced=priced, together=len(chosen))
+    return _TABLE.render(rows=rows, priced=priced, together=len(selection))
 
 
 @dataclass(frozen=True)

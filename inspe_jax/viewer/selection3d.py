@@ -24,14 +24,14 @@ class Selection3D:
         self.outlines: list[Any] = []
         self.points: Any = None
 
-    def outline(self, outlines: Sequence[Outline]) -> None:
+    def draw_outlines(self, outlines: Sequence[Outline]) -> None:
         """Draw these outlines in place of those before."""
         for k, found in enumerate(outlines):
             if k == len(self.outlines):
-                nowhere = np.zeros((1, 2, 3), np.float32)
+                color = rgb(found.color)
                 self.outlines.append(
                     self._api.add_line_segments(
-                        f"selected/{k + 1}", nowhere, rgb(found.color), thickness=WIDE
+                        f"selected/{k + 1}", found.points, color, thickness=WIDE
                     )
                 )
             line = self.outlines[k]

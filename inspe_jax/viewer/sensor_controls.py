@@ -1,6 +1,7 @@
 """The controls of one browser's selected sensor: its device, its name, its pose; and the list."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import viser
@@ -43,7 +44,11 @@ class SensorControls:
                 key: gui.add_number(label, 0.0, step=round(0.1 ** DIGITS[key], DIGITS[key]))
                 for key, label in POSE.items()
             }
-            self.existing = gui.add_button_group("This one", ("Duplicate", "Remove"))
+            self.existing = gui.add_button_group(
+                "Selected",
+                ("Duplicate", "Remove"),
+                hint="Copy the sensor that has the handle; remove all that are selected",
+            )
             self.new = gui.add_dropdown("New device", known, hint="The device that Add mounts")
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
@@ -52,40 +57,34 @@ class SensorControls:
         with gui.add_folder("All sensors", order=orders[2]):
             self.table = gui.add_html("")
             # What a click on a row of the table presses; the page shows only the table.
-            self.rows = gui.add_button_group("Select", ("1",))
-            self.boxes = gui.add_button_group("Select together", ("1",))
+            self.row_buttons = gui.add_button_group("Select", ("1",))
+            self.toggle_buttons = gui.add_button_group("Select together", ("1",))
 
-        bind(viewer, self.sensor, lambda _: view.select(self.chosen))
-        bind(viewer, self.device, lambda _: view.swap(self.chosen, self.device.value))
-        bind(viewer, self.name, lambda _: view.rename(self.chosen, self.name.value), settle=False)
+        def selects(control: Any, ask: Callable[[], object]) -> None:
+            bind(control, lambda _: ask(), refuse=viewer.restore)
+
+        def changes(control: Any, ask: Callable[[], object]) -> None:
+            bind(control, lambda _: ask(), refuse=viewer.restore, settle=viewer.settle)
+
+        selects(self.sensor, lambda: view.select(self.sensor.options.index(self.sensor.value)))
+        selects(self.row_buttons, lambda: view.select(int(self.row_buttons.value) - 1))
+        selects(self.toggle_buttons, lambda: view.toggle(int(self.toggle_buttons.value) - 1))
+        selects(self.name, lambda: view.rename(self.name.value))
         for key, number in self.pose.items():
-            self._bind_number(viewer, view, key, number)
-        which = {"Duplicate": view.duplicate, "Remove": view.remove}
-        bind(viewer, self.existing, lambda _: which[self.existing.value](self.chosen))
-        bind_choice(viewer, self.new)
-        bind(viewer, self.add, lambda _: view.add(self.new.value))
-        bind(viewer, self.rows, lambda _: view.select(int(self.rows.value) - 1))
-        bind(viewer, self.boxes, lambda _: view.toggle(int(self.boxes.value) - 1))
+            selects(number, partial(self._typed, view, key))
+        changes(self.device, lambda: view.swap(self.device.value))
+        changes(self.existing, lambda: self._do(view, self.existing.value))
+        bind_choice(self.new)
+        changes(self.add, lambda: view.add(self.new.value))
 
-    @property
-    def chosen(self) -> int:
-        """The place in the layout of the sensor that the list has chosen; 0 if none is."""
-        value, options = self.sensor.value, self.sensor.options
-        return options.index(value) if value in options else 0
-
-    @property
-    def count(self) -> int:
-        """Number of sensors in the list."""
-        return len(self.sensor.options)
-
-    def list_sensors(self, names: Sequence[str], chosen: int) -> None:
-        """List these sensors, numbered from 1, and choose the one at place ``chosen``."""
+    def list_sensors(self, names: Sequence[str], in_hand: int) -> None:
+        """List these sensors, numbered from 1, and choose the one at place ``in_hand``."""
         options = tuple(f"{k + 1}  {name}" for k, name in enumerate(names))
         if options != tuple(self.sensor.options):
             self.sensor.options = options
             numbers = tuple(str(k + 1) for k in range(len(names)))
-            self.rows.options = self.boxes.options = numbers
-        set_value(self.sensor, options[chosen])
+            self.row_buttons.options = self.toggle_buttons.options = numbers
+        set_value(self.sensor, options[in_hand])
 
     def offer_device(self, name: str) -> None:
         """Choose a device in the list; add it if the catalogue does not have it."""
@@ -94,19 +93,22 @@ class SensorControls:
         set_value(self.device, name)
 
     def show_table(
-        self, layout: Layout, scored: ScoredLayout | None, chosen: Sequence[int]
+        self, layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]
     ) -> None:
-        """Show a row for each sensor, with what it adds to the scores."""
-        self.table.content = sensor_table(layout, scored, chosen)
+        """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
+        self.table.content = sensor_table(layout, scored, selection)
 
     def searching(self, on: bool) -> None:
-        """Disable changes while a search runs."""
+        """Leave only what selects, while a search runs."""
         self.existing.visible = not on
         for control in (self.device, self.new, self.name, *self.pose.values(), self.add):
             control.disabled = on
 
-    def _bind_number(self, viewer: Any, view: Any, key: str, number: Any) -> None:
-        def typed(_: Any) -> None:
-            view.type_number(self.chosen, key, float(number.value))
+    def _typed(self, view: Any, key: str) -> None:
+        view.type_number(key, float(self.pose[key].value))
 
-        bind(viewer, number, typed, settle=False)
+    def _do(self, view: Any, what: str) -> None:
+        if what == "Duplicate":
+            view.duplicate()
+        else:
+            view.remove()

@@ -41,7 +41,7 @@ _TEMPLATE = template("viewer", "sensor_view.html.j2")
 
 class Look(NamedTuple):
     """What is looked at: with sensor ``s`` of a layout, in frame ``t``. ``held``: it is moved at
-    the moment. Its unit then has no mast, and those of the others stay where they are."""
+    the moment. Its unit then has no mast, and those of the others are where they were before."""
 
     layout: Layout
     s: int
@@ -105,9 +105,9 @@ class SensorView:
         self._newest = self.case, at
         self._recording.submit(lambda: self._look(at), key="look")
 
-    def close(self) -> None:
-        """Finish what is being recorded."""
-        self._recording.close()
+    def close(self, *, wait: bool) -> None:
+        """Record nothing more; with ``wait``, come back when the last recording has ended."""
+        self._recording.close(wait=wait)
 
     def _look(self, at: Look) -> None:
         seen, page = None, ""
@@ -131,24 +131,13 @@ class SensorView:
         """The selected sensor: while it is held, in the surroundings that it was taken up in."""
         if self._live is not None:
             case, layout, s, sensor = self._live
-            there = layout is at.layout or (at.held and _same_masts(layout, at.layout, s))
+            there = layout is at.layout or (at.held and layout.sensors == at.layout.sensors)
             if there and case is self.case and s == at.s:
                 return sensor
         case, small = self.case, Recording(image_scale=image_scale(at.layout.sensors[at.s].spec))
         sensor = LiveSensor(case.scene, at.layout, at.s, case.conditions, small)
         self._live = case, at.layout, at.s, sensor
         return sensor
-
-
-def _same_masts(one: Layout, other: Layout, s: int) -> bool:
-    """Whether two layouts have the same sensors, and masts but for that of the unit of ``s``."""
-    if one.sensors != other.sensors:
-        return False
-    own = one.sensors[s].unit
-    still = [k for k, sensor in enumerate(one.sensors) if sensor.unit != own]
-    bases = [[unit.base for u, unit in enumerate(of.units) if u != own] for of in (one, other)]
-    before, after = (np.asarray(of.poses)[still, 2] for of in (one, other))
-    return bases[0] == bases[1] and np.array_equal(before, after)
 
 
 def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan, *, held: bool) -> str:

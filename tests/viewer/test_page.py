@@ -181,7 +181,7 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
         tab,
         lambda: np.allclose(view_of(viewer).handle.gizmo.position, place - viewer.scene3d.shift),
     )
-    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)  # the list follows the handle
+    wait_until(tab, lambda: view_of(viewer).in_hand == 1)  # the list follows the handle
     drawn = viewer.scene3d.drawn["sensors/2/view"].points
     (outline,) = view_of(viewer).selection3d.outlines
     wait_until(tab, lambda: np.array_equal(outline.points, drawn))  # and so does its outline
@@ -215,7 +215,7 @@ def test_a_pose_is_typed(tab, viewer, layout, monkeypatch):
 def test_sensors_are_copied_removed_exchanged_and_added(tab, viewer):
     press(tab, "Duplicate")
     tab.get_by_text("3 sensors on 2 units").wait_for(timeout=WAIT)
-    assert view_of(viewer).controls.chosen == 1
+    assert view_of(viewer).in_hand == 1
     press(tab, "Remove")
     tab.get_by_text("2 sensors on 2 units").wait_for(timeout=WAIT)
     press(tab, "Add")
@@ -297,7 +297,8 @@ def test_what_is_seen_hides_no_blind_spot(tab, viewer):
         wait_until(tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
 
     first = score_of(tab)
-    view_of(viewer).remove(1)  # the LiDAR, which has all in view
+    view_of(viewer).select(1)  # the LiDAR, which has all in view
+    view_of(viewer).remove()
     settled(tab, first)
     without = dark()
     assert without > 10_000
@@ -500,11 +501,11 @@ def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     tab.keyboard.press("Control+Shift+z")
     assert settled(tab, first) == second
     tab.keyboard.press("n")
-    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)
+    wait_until(tab, lambda: view_of(viewer).in_hand == 1)
     tab.keyboard.press("n")
-    wait_until(tab, lambda: view_of(viewer).controls.chosen == 0)
+    wait_until(tab, lambda: view_of(viewer).in_hand == 0)
     tab.keyboard.press("Shift+n")
-    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)
+    wait_until(tab, lambda: view_of(viewer).in_hand == 1)
     tab.keyboard.press("Delete")
     tab.get_by_text("1 sensors on 1 units").wait_for(timeout=WAIT)
     assert viewer.layout.sensors == layout.sensors[:1]
@@ -541,9 +542,9 @@ def test_rows_of_the_sensors_are_clicked_one_or_several(tab, viewer, layout):
     rows = tab.locator("[data-sensor]")
     assert rows.count() == 2
     rows.nth(1).click()
-    wait_until(tab, lambda: view_of(viewer).chosen == (1,))
+    wait_until(tab, lambda: view_of(viewer).selection == (1,))
     rows.nth(0).click(modifiers=["Shift"])
-    wait_until(tab, lambda: view_of(viewer).chosen == (1, 0))
+    wait_until(tab, lambda: view_of(viewer).selection == (1, 0))
     tab.get_by_text("2 sensors are selected").wait_for()
     tab.get_by_label("height [m]").fill("8")  # from 6 m, and the other from 5 m
     tab.keyboard.press("Enter")
@@ -551,9 +552,9 @@ def test_rows_of_the_sensors_are_clicked_one_or_several(tab, viewer, layout):
     heights = np.array(viewer.layout.poses)[:, 2] - np.array(layout.poses)[:, 2]
     np.testing.assert_allclose(heights, [2.0, 2.0], atol=1e-6)
     rows.nth(1).locator("[data-box]").click()
-    wait_until(tab, lambda: view_of(viewer).chosen == (0,))
+    wait_until(tab, lambda: view_of(viewer).selection == (0,))
     rows.nth(1).press("Enter")
-    wait_until(tab, lambda: view_of(viewer).chosen == (1,))
+    wait_until(tab, lambda: view_of(viewer).selection == (1,))
     for name in ("Select", "Select together"):  # what a row presses is not in sight
         assert not tab.get_by_text(name, exact=True).is_visible()
 
@@ -575,7 +576,7 @@ def test_a_number_is_clicked(tab, viewer):
     """In the picture: that of the LiDAR."""
     at = np.array(viewer.scene3d.drawn["numbers/2"].position) + viewer.scene3d.shift
     tab.mouse.click(*on_screen(viewer, at + [0, 0, 0.3]))
-    wait_until(tab, lambda: view_of(viewer).controls.chosen == 1)
+    wait_until(tab, lambda: view_of(viewer).in_hand == 1)
 
 
 def test_on_a_telephone_the_panel_is_a_bar_with_the_score_until_it_is_tapped(chromium, viewer):

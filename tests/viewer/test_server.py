@@ -37,6 +37,7 @@ from inspe_jax.report.server import (
     serve,
 )
 from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.searcher import SearchEnding
 
 EVIL = "http://evil.example"
 
@@ -84,13 +85,20 @@ def wait_until(true, seconds=60):
         time.sleep(0.02)
 
 
+def own_of(viewer):
+    """The id and the view of the only page, once it is let in."""
+
+    def there():
+        return len(viewer.views) == 1 and set(viewer.views) == set(viewer.server.get_clients())
+
+    wait_until(there)
+    ((client, view),) = viewer.views.items()
+    return client, view
+
+
 def controls_of(viewer):
-    """The controls that the only page has of its own, once it is let in."""
-    wait_until(
-        lambda: len(viewer.views) == 1 and set(viewer.views) == set(viewer.server.get_clients())
-    )
-    (view,) = viewer.views.values()
-    return view.controls
+    """The controls that it has of its own."""
+    return own_of(viewer)[1].controls
 
 
 def still_works(viewer):
@@ -302,11 +310,12 @@ def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
         for control in controls_of(fresh).pose.values():
             set_value(page, control, number)
         set_value(page, fresh.panel.seconds, number)
-        pull(page, None, "Start")
+        owner, _ = own_of(fresh)
+        pull(page, owner, None, "Start")
         if not isinstance(number, str):
-            pull(page, [0.0, number, 5.0])
-            pull(page, [number] * 3)
-        pull(page, None, "End")
+            pull(page, owner, [0.0, number, 5.0])
+            pull(page, owner, [number] * 3)
+        pull(page, owner, None, "End")
         set_value(page, controls_of(fresh).pose["pitch"], -7.0)
         wait_until(lambda: fresh.layout is not layout)
         (client,) = fresh.server.get_clients().values()
@@ -346,9 +355,10 @@ def test_what_a_window_without_a_size_sends_is_dropped(fresh, layout, caplog, ca
         send(page, **CAMERA | dict(wxyz=[0.0] * 4))
         enter(page)
         wait_until(lambda: fresh.server.get_clients())
-        pull(page, None, "Start")
-        pull(page, [0.0, 0.0, 5.0], wxyz=[0.0] * 4)
-        pull(page, None, "End")
+        owner, _ = own_of(fresh)
+        pull(page, owner, None, "Start")
+        pull(page, owner, [0.0, 0.0, 5.0], wxyz=[0.0] * 4)
+        pull(page, owner, None, "End")
         set_value(page, controls_of(fresh).pose["pitch"], -7.0)
         wait_until(lambda: fresh.layout is not layout)
     assert fresh.layout.poses[0, 2] == layout.poses[0, 2]
@@ -489,8 +499,9 @@ def test_values_that_are_no_option_ask_for_nothing(fresh, layout, capfd):
     with socket_of(fresh.url) as page:
         enter(page)
         wait_until(lambda: fresh.server.get_clients())
-        own = controls_of(fresh)
-        groups = own.rows, own.boxes, own.existing
+        _, view = own_of(fresh)
+        own = view.controls
+        groups = own.row_buttons, own.toggle_buttons, own.existing
         for control in (own.sensor, own.device, own.new, *groups, panel.method, panel.edit):
             set_value(page, control, "-3  nobody")
         set_value(page, panel.frame, -5)
@@ -499,7 +510,7 @@ def test_values_that_are_no_option_ask_for_nothing(fresh, layout, capfd):
         set_value(page, own.pose["yaw"], 5.0)
         wait_until(lambda: fresh.layout is not layout)
         wait_until(lambda: own.sensor.value in own.sensor.options)
-    assert own.chosen == 0
+    assert view.selection == (0,)
     assert panel.method.value in panel.method.options
     assert own.new.value in own.new.options
     assert 0 <= fresh.panel.shown_frame < fresh.frames
@@ -578,6 +589,104 @@ def test_a_page_of_another_origin_gets_nowhere(viewer):
         evil.shutdown()
         evil.server_close()
     assert viewer.layout is before
+
+
+# ── Browsers come and go ──
+
+
+def test_a_handle_is_pulled_by_its_own_browser_alone(viewer):
+    before = viewer.layout
+    up = np.array(before.poses[0, :3]) - viewer.scene3d.shift + [0, 0, 1.0]
+    with socket_of(viewer.url) as page, socket_of(viewer.url) as other:
+        enter(page)
+        owner, _ = own_of(viewer)
+        enter(other)
+        wait_until(lambda: len(viewer.views) == 2)
+        (foreign,) = set(viewer.views) - {owner}
+        for socket, of in ((other, owner), (page, foreign), (page, owner)):
+            moved = up if socket is page and of == owner else up + [0, 0, 1.0]
+            pull(socket, of, None, "Start")
+            pull(socket, of, moved.tolist())
+            pull(socket, of, None, "End")
+        wait_until(lambda: viewer.layout is not before)
+        went = viewer.layout.poses[0, 2] - before.poses[0, 2]
+        assert went == pytest.approx(1.0, abs=1e-3)
+        assert viewer.session._past[-1] is before
+
+
+def test_a_browser_that_leaves_in_mid_drag_lets_go_there(viewer):
+    before = viewer.layout
+    up = np.array(before.poses[0, :3]) - viewer.scene3d.shift + [0, 0, 0.5]
+    with socket_of(viewer.url) as page:
+        enter(page)
+        owner, view = own_of(viewer)
+        pull(page, owner, None, "Start")
+        pull(page, owner, up.tolist())
+        wait_until(lambda: viewer.display.shown is not before)
+        assert viewer.layout is before
+    wait_until(lambda: viewer.layout is not before and not viewer.views)
+    assert viewer.layout.poses[0, 2] - before.poses[0, 2] == pytest.approx(0.5, abs=1e-3)
+    wait_until(lambda: viewer.display.shown is viewer.layout)
+    wait_until(lambda: not any(t.is_alive() for t in view.sensor_view._recording._thread._threads))
+    still_works(viewer)
+
+
+def test_what_a_browser_has_typed_counts_when_it_leaves(viewer, monkeypatch):
+    """Before what others do after it has left."""
+    monkeypatch.setattr("inspe_jax.viewer.browser_view.TYPED", 600.0)
+    before = viewer.layout
+    yaw = 12.5 if np.degrees(before.poses[0, 5]) < 12 else -12.5
+    with socket_of(viewer.url) as page:
+        enter(page)
+        _, view = own_of(viewer)
+        set_value(page, view.controls.pose["yaw"], yaw)
+        wait_until(lambda: view._typing["yaw"]._action)
+        assert viewer.layout is before
+    wait_until(lambda: viewer.layout is not before)
+    assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(yaw)
+
+
+def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch):
+    monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
+    before = viewer.layout
+    with socket_of(viewer.url) as page:
+        enter(page)
+        owner, view = own_of(viewer)
+        at = np.array(view.handle.gizmo.position)
+        pull(page, owner, None, "Start")
+        pull(page, owner, (at + [0, 0, 1.0]).tolist())
+        wait_until(lambda: viewer.display.shown is not before)
+        viewer.optimise()
+        wait_until(lambda: viewer.display.shown is before)
+        assert view.dragging is None
+        pull(page, owner, (at + [0, 0, 2.0]).tolist())
+        pull(page, owner, None, "End")
+        wait_until(lambda: np.allclose(view.handle.gizmo.position, at))
+        viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+        wait_until(lambda: not viewer.searching)
+    assert viewer.layout is before
+    still_works(viewer)
+
+
+def test_what_another_browser_does_in_vain_leaves_a_drag_as_it_is(viewer):
+    before = viewer.layout
+    with socket_of(viewer.url) as page:
+        enter(page)
+        owner, view = own_of(viewer)
+        up = np.array(view.handle.gizmo.position) + [0, 0, 0.5]
+        pull(page, owner, None, "Start")
+        pull(page, owner, up.tolist())
+        wait_until(lambda: viewer.display.shown is not before)
+        viewer.restore()
+        view.select(1)
+        done = []
+        viewer.queue.submit(lambda: done.append(True))
+        wait_until(lambda: done)
+        np.testing.assert_allclose(view.handle.gizmo.position, up, atol=1e-5)
+        assert view.selection == (0,)
+        pull(page, owner, None, "End")
+        wait_until(lambda: viewer.layout is not before)
+    assert viewer.layout.poses[0, 2] - before.poses[0, 2] == pytest.approx(0.5, abs=1e-3)
 
 
 # ── The page's head ──

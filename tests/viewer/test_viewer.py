@@ -66,7 +66,8 @@ def viewer(scene, layout, tmp_path):
 def opened(viewer):
     """The view of a browser that is not there: it has the server's panel and scene."""
     views = []
-    viewer.queue.submit(lambda: views.append(viewer.open_view(-1, viewer.server)))
+    client = SimpleNamespace(client_id=-1, gui=viewer.server.gui, scene=viewer.server.scene)
+    viewer.queue.submit(lambda: views.append(viewer.open_view(client)))
     done(viewer)
     return views[0]
 
@@ -92,7 +93,7 @@ def about(axis, degrees):
 
 
 def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
-    at = np.array(viewer.layout.poses[viewer.view.selected, :3]) - viewer.scene3d.shift
+    at = np.array(viewer.layout.poses[viewer.view.in_hand, :3]) - viewer.scene3d.shift
     turn = about(UP, 0) if turn is None else turn
     for phase in phases:
         to = at if phase == "start" else at + shift
@@ -133,7 +134,7 @@ def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     viewer.view.select(0)
     done(viewer)
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
-    viewer.view.remove(1)
+    viewer.change(lambda: viewer.session.remove(1))
     viewer.queue.submit(lambda: viewer.view.drag(HandleDrag("end", at + [0, 0, 3.0], about(UP, 0))))
     done(viewer)
     assert len(viewer.layout) == 1
@@ -207,7 +208,7 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
     for control in (viewer.panel.save, viewer.panel.report, viewer.view.controls.add):
         assert control.disabled
     viewer.save()
-    viewer.view.remove(0)
+    viewer.view.remove()
     viewer.undo_or_redo("Undo")
     pull(viewer, (0, 0, 1.0))
     assert viewer.layout is layout
@@ -264,7 +265,7 @@ def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, 
     assert "pedestrian found ≥ 95 %" in viewer.panel.scores.content
     assert "never in view" not in viewer.panel.scores.content
     before = drawn
-    viewer.view.type_number(0, "yaw", 60.0)
+    viewer.view.type_number("yaw", 60.0)
     viewer.settle()
     done(
         viewer, lambda: squares() and {w: len(m.faces) // 2 for w, m in squares().items()} != before
@@ -277,9 +278,9 @@ def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, 
 
 
 def test_numbers_typed_one_after_another_all_count(viewer, layout):
-    viewer.view.type_number(0, "height", 1.0)  # on the way to 10
-    viewer.view.type_number(0, "height", 10.0)
-    viewer.view.type_number(0, "yaw", -90.0)
+    viewer.view.type_number("height", 1.0)  # on the way to 10
+    viewer.view.type_number("height", 10.0)
+    viewer.view.type_number("yaw", -90.0)
     done(viewer, lambda: viewer.session._past[1:])
     assert len(viewer.session._past) == 2
     wanted = np.array(layout.poses)
@@ -289,7 +290,7 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
 
 def test_a_place_typed_far_outside_is_brought_to_the_rim(viewer, scene, layout, monkeypatch):
     monkeypatch.setattr(viewer.session, "_mounted", lambda wanted: (wanted, ()))
-    viewer.view.type_number(0, "x", 1e4)
+    viewer.view.type_number("x", 1e4)
     done(viewer, lambda: viewer.layout is not layout)
     away = viewer.layout.poses[0, :2] - scene.voxels.center[:2]
     assert np.hypot(*away) == pytest.approx(scene.voxels.radius)
@@ -303,10 +304,10 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
     monkeypatch.setattr(viewer.searcher, "start", lambda *told: begun.append(told))
     begun = []
     set_value(viewer.view.controls.pose["yaw"], -90.0)
-    viewer.view.type_number(0, "yaw", -90.0)
+    viewer.view.type_number("yaw", -90.0)
     viewer.settle()  # what the panel does before each of them
     own = then in ("duplicate", "select")
-    getattr(viewer.view if own else viewer, then)(*[1][:own])
+    getattr(viewer.view if own else viewer, then)(*[1][: then == "select"])
     done(viewer)
     assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
     if then == "save":
@@ -315,14 +316,14 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
         assert np.degrees(begun[0][0].poses[0, 5]) == pytest.approx(-90.0)
 
 
-@pytest.mark.parametrize("control", ["save", "report", "optimise", "existing", "add", "sensor"])
+@pytest.mark.parametrize("control", ["save", "report", "optimise", "existing", "add", "device"])
 def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, monkeypatch):
     """What a browser's press calls, of each control of the panel."""
-    for name in ("duplicate", "remove", "select", "add"):
+    for name in ("duplicate", "remove", "select", "add", "swap"):
         monkeypatch.setattr(viewer.view, name, lambda *_: None)
-    for name in ("optimise", "write_report", "save"):
+    for name in ("optimise", "save"):
         monkeypatch.setattr(viewer, name, lambda *_: None)
-    viewer.view.type_number(0, "yaw", -90.0)
+    viewer.view.type_number("yaw", -90.0)
     own = hasattr(viewer.view.controls, control)
     state = getattr(viewer.view.controls if own else viewer.panel, control)._impl
     for called in state.update_cb:
@@ -334,18 +335,18 @@ def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, m
 
 def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
     at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift
-    viewer.view.type_number(0, "yaw", -90.0)
+    viewer.view.type_number("yaw", -90.0)
     viewer.view.on_drag(HandleDrag("start", at, about(UP, 0)))
     for phase in ("update", "end"):
         viewer.view.on_drag(HandleDrag(phase, at + [0, 0, 1.0], about(UP, 0)))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
-    viewer.view.type_number(0, "height", 4.0)
+    viewer.view.type_number("height", 4.0)
     (clicked, *_) = viewer.scene3d.drawn["sensors/2/device"]._impl.click_cb
     asyncio.run(clicked.callback(SimpleNamespace(client_id=-1)))
     done(viewer)
     assert viewer.layout.poses[0, 2] == pytest.approx(4.0)
-    assert viewer.view.selected == 1
+    assert viewer.view.in_hand == 1
 
 
 def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout, tmp_path):
@@ -371,7 +372,7 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
 def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):
     viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     viewer.view = opened(viewer)
-    viewer.view.type_number(0, "yaw", -90.0)
+    viewer.view.type_number("yaw", -90.0)
     viewer.close()
     kept = load_layout(viewer.store.unsaved)
     assert np.degrees(kept.poses[0, 5]) == pytest.approx(-90.0)
@@ -409,7 +410,7 @@ def test_a_unit_without_sensors_has_no_number(viewer, layout):
 
 
 def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
-    viewer.view.duplicate(0)
+    viewer.view.duplicate()
     done(viewer)
     assert [sensor.unit for sensor in viewer.layout.sensors] == [0, 0, 1]
     chosen = []
@@ -417,12 +418,12 @@ def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
         ball = viewer.scene3d.drawn[f"numbers/{number + 1}/ball"]
         asyncio.run(ball._impl.click_cb[0].callback(SimpleNamespace(client_id=-1)))
         done(viewer)
-        chosen.append(viewer.view.selected)
+        chosen.append(viewer.view.in_hand)
     assert chosen == [0, 1, 0, 2, 2, 0]
 
 
 def test_with_shift_the_numbers_of_a_unit_select_all_its_sensors(viewer):
-    viewer.view.duplicate(0)
+    viewer.view.duplicate()
     done(viewer)
     chosen = []
     for number in (1, 0, 0, 1):
@@ -430,7 +431,7 @@ def test_with_shift_the_numbers_of_a_unit_select_all_its_sensors(viewer):
         shifted = next(entry for entry in clicks if "shift" in str(entry.modifier))
         asyncio.run(shifted.callback(SimpleNamespace(client_id=-1)))
         done(viewer)
-        chosen.append(viewer.view.chosen)
+        chosen.append(viewer.view.selection)
     assert chosen == [(1, 2), (2, 0, 1), (2,), (2,)]
 
 
@@ -438,8 +439,8 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
     view, before = viewer.view, np.array(layout.poses)
     view.toggle(1)
     done(viewer)
-    assert view.chosen == (0, 1)
-    assert viewer.view.controls.chosen == 1  # the last one has the handle
+    assert view.selection == (0, 1)
+    assert viewer.view.in_hand == 1  # the last one has the handle
     assert "2 sensors are selected" in view.controls.table.content
     assert view.controls.table.content.count("☑") == 2
     for outline, k in zip(view.selection3d.outlines, (1, 2), strict=True):
@@ -454,20 +455,20 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
     done(viewer)
     went = np.array(viewer.layout.poses) - before
     np.testing.assert_allclose(went[:, :3], [[0.3, 0.4, 1.0]] * 2, atol=1e-6)
-    view.type_number(1, "height", 5.0)  # of the selected one, from 6 m: down, both
+    view.type_number("height", 5.0)  # of the one in hand, from 6 m: down, both
     viewer.settle()
     done(viewer)
     went = np.array(viewer.layout.poses) - before
     np.testing.assert_allclose(went[:, 2], [0.0, 0.0], atol=1e-6)
-    view.remove_chosen()
+    view.remove()
     done(viewer, lambda: viewer.told)
     assert "at least one" in viewer.told[-1][1]
     view.toggle(1)
     done(viewer)
-    assert view.chosen == (0,)
+    assert view.selection == (0,)
     view.toggle(0)  # the last one stays
     done(viewer)
-    assert view.chosen == (0,)
+    assert view.selection == (0,)
     assert not view.selection3d.outlines[1].visible
 
 
@@ -486,21 +487,26 @@ def test_each_browser_selects_its_own_sensors_of_everybodys_layout(viewer, layou
         (second,) = set(ready()) - {first}
         a, b = viewer.views[first], viewer.views[second]
         send_value(one, a.controls.sensor, a.controls.sensor.options[1])
-        done(viewer, lambda: a.chosen == (1,))
-        assert b.chosen == viewer.view.chosen == (0,)
+        done(viewer, lambda: a.selection == (1,))
+        assert b.selection == viewer.view.selection == (0,)
         assert b.controls.sensor.value == b.controls.sensor.options[0]
-        send_value(one, b.controls.pose["yaw"], 33.0)  # what it was never shown
-        send_value(other, b.controls.pose["yaw"], 12.5)
+        # What it was never shown, and then what it was: the first would be heard before.
+        send_value(one, b.controls.existing, "Remove")
+        send_value(one, b.controls.row_buttons, "2")
+        send_value(one, b.controls.pose["pitch"], -9.0)
+        send_value(one, a.controls.pose["yaw"], 12.5)
         done(viewer, lambda: viewer.layout is not layout)
-        yaws = np.degrees(np.asarray(viewer.layout.poses)[:, 5])
-        np.testing.assert_allclose(yaws, [12.5, np.degrees(layout.poses[1, 5])], atol=1e-4)
+        turned = np.array(layout.poses)
+        turned[1, 5] = np.radians(12.5)
+        np.testing.assert_allclose(viewer.layout.poses, turned, atol=1e-4)
+        assert b.selection == (0,)
         send_value(other, b.controls.existing, "Duplicate")
         done(viewer, lambda: len(viewer.layout) == 3)
-        assert b.chosen == (1,)  # the copy
-        assert a.chosen == (2,)  # the sensor that it had before, which is third now
+        assert b.selection == (1,)  # the copy
+        assert a.selection == (2,)  # the sensor that it had before, which is third now
         send_value(other, b.controls.existing, "Remove")
         done(viewer, lambda: len(viewer.layout) == 2)
-        assert a.chosen == b.chosen == (1,)
+        assert a.selection == b.selection == (1,)
     done(viewer, lambda: not ready())
 
 
@@ -537,7 +543,7 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
 
 def test_a_name_that_is_emptied_or_typed_again_changes_nothing(viewer, layout):
     for name in ("", "  ", layout.sensors[0].name):
-        viewer.view.rename(0, name)
+        viewer.view.rename(name)
         viewer.settle()
         done(viewer)
     assert viewer.layout.sensors == layout.sensors
@@ -545,13 +551,15 @@ def test_a_name_that_is_emptied_or_typed_again_changes_nothing(viewer, layout):
     assert not viewer.session.undo()
 
 
-def test_a_sensor_that_is_gone_is_not_removed_again(viewer):
-    viewer.view.remove(1)
-    viewer.view.remove(1)  # a second press, before the page shows the first
-    viewer.view.duplicate(1)
+def test_the_last_sensor_is_not_removed(viewer, layout):
+    viewer.view.select(1)
+    viewer.view.remove()
+    viewer.view.remove()  # a second press, before the page shows the first
     done(viewer)
-    assert len(viewer.layout) == 1
-    assert [words for _, words, _ in viewer.told] == 2 * ["there is no sensor 2 any more"]
+    assert viewer.layout.sensors == layout.sensors[:1]
+    assert [words.partition(":")[0] for _, words, _ in viewer.told] == [
+        "the last sensor cannot be removed"
+    ]
     assert viewer.session.undo()
     assert not viewer.session.undo()
 
@@ -624,7 +632,7 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
 
 
 def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):
-    viewer.view.type_number(0, "height", 60.0)
+    viewer.view.type_number("height", 60.0)
     viewer.settle()
     done(viewer, lambda: viewer.told)
     title, words, _ = viewer.told[-1]
@@ -678,7 +686,8 @@ def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, sce
     for letter, spot, button in zip(LETTERS, panel.spots, panel.buttons, strict=False):
         assert button.label == f"{letter}  {spot.name}: {spot.unseen:.0%} unseen"
     before = panel.picture.content
-    viewer.view.remove(1)
+    viewer.view.select(1)
+    viewer.view.remove()
     done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
     done(viewer, lambda: panel.picture.content != before)
     done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
@@ -810,15 +819,15 @@ def test_a_table_lists_the_sensors_with_what_each_adds_and_costs(viewer, scene, 
     for row in evaluate(scene, layout).contributions:
         assert row.sensor in viewer.view.controls.table.content
         assert f"{row.surrogate:.4f}" in viewer.view.controls.table.content
-    viewer.view.swap(1, "velodyne-vlp-16")
+    viewer.view.swap("velodyne-vlp-16")
     price = devices()["velodyne-vlp-16"].price_usd
     done(viewer, lambda: f"{price:,.0f}" in viewer.view.controls.table.content)
 
 
 def test_a_sensor_gets_another_name(viewer, layout):
     viewer.view.select(1)
-    viewer.view.rename(1, "north")  # on the way
-    viewer.view.rename(1, " <b>north west</b> ")
+    viewer.view.rename("north")  # on the way
+    viewer.view.rename(" <b>north west</b> ")
     viewer.settle()
     done(viewer)
     assert viewer.layout.sensors[1].name == "<b>north west</b>"
@@ -828,7 +837,7 @@ def test_a_sensor_gets_another_name(viewer, layout):
         (layout.sensors[0].name, "another sensor is named"),
         ("x" * 61, "60 characters at most"),
     ):
-        viewer.view.rename(1, name)
+        viewer.view.rename(name)
         viewer.settle()
         done(viewer)
         assert wrong in viewer.told[-1][1]

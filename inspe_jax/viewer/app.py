@@ -361,7 +361,7 @@ class Viewer(FileActions):
 
     def show_held(self, layout: Layout) -> None:
         """Show a layout in which a sensor is being moved, and have some frames of it scored."""
-        self.display.draw(layout, held=True)
+        self.display.draw(layout)
         self.scorer.score(layout, whole=False)
 
     def _show_controls(self) -> None:

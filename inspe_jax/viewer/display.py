@@ -60,7 +60,6 @@ class Display:
         self._server, self._case = server, case
         self._panel, self._queue, self._views = panel, queue, views
         self._frames = case.scene.traffic.frame_count
-        self._held = False
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
         # The newest scores, and those of the reference, by number of frames.
@@ -116,14 +115,9 @@ class Display:
         layout: Layout,
         faults: Sequence[Fault] = (),
         notes: Sequence[str] = (),
-        *,
-        held: bool = False,
     ) -> None:
-        """Show a layout, the rules of mounting that it breaks, and notes on the last change.
-
-        ``held``: a sensor of it is being moved at the moment.
-        """
-        self.shown, self._faults, self._notes, self._held = layout, faults, notes, held
+        """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
+        self.shown, self._faults, self._notes = layout, faults, notes
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
         bodies, numbers = self.scene3d.draw_layout(seen, broken)
@@ -214,14 +208,14 @@ class Display:
         self, body: Any, one: Callable[[BrowserView], None], several: Callable[[BrowserView], None]
     ) -> None:
         """Ask this of the view of a browser that clicks on a body, or clicks with Shift."""
-        for ask, held in ((one, None), (several, "shift"), (several, "cmd/ctrl")):
+        for ask, modifier in ((one, None), (several, "shift"), (several, "cmd/ctrl")):
 
             async def clicked(event: Any, ask: Callable[[BrowserView], None] = ask) -> None:
                 view = self._views.get(event.client_id)
                 if view is not None:
                     ask(view)
 
-            body.on_click(modifier=held)(clicked)
+            body.on_click(modifier=modifier)(clicked)
 
     @property
     def _current(self) -> bool:

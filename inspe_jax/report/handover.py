@@ -12,7 +12,7 @@ from shapely.geometry.polygon import orient
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import csv_text
 from inspe_jax.report.outlines import view_outline
-from inspe_jax.report.schedule import materials
+from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, materials
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.layout import Layout, made_with
@@ -28,10 +28,17 @@ def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
     """A plan as GeoJSON features in degrees: units, sensors, and what each sensor looks at.
 
     A ``view`` is a polygon on level ground at the height of the sensor's foot
-    (:func:`~inspe_jax.report.outlines.view_outline`), without regard to what stands in the way.
+    (:func:`~inspe_jax.report.outlines.view_outline`), without regard to what stands in the way. A
+    unit says what it ``stands_on``, as the installation schedule does; it is where the layout has
+    it, and ``pole`` is where an existing pole beside it stands (longitude, latitude).
     Raises InspeError if the place has no coordinates.
     """
     found, poses = layout_features(layout, place), np.asarray(layout.poses, float)
+    units = (one["properties"] for one in found if one["properties"]["feature"] == "unit")
+    for about, row in zip(units, installation_schedule(layout, place, {}), strict=True):
+        about["stands_on"] = row.pole
+        if row.degrees is not None and row.pole == EXISTING_POLE:
+            about["pole"] = [round(degree, DIGITS) for degree in reversed(row.degrees)]
     ground = place.ground(np.array([layout.units[s.unit].base[:2] for s in layout.sensors]))
     for sensor, pose, level in zip(layout.sensors, poses, ground, strict=True):
         outline = view_outline(sensor.spec, pose, float(level))

@@ -14,6 +14,8 @@ from inspe_jax.sensing.layout import Layout
 
 SAME_POLE = 1.0
 """A unit this near to an existing pole is mounted on it [m]."""
+EXISTING_POLE = "existing pole"
+"""What such a unit stands on, in words."""
 
 
 @dataclass(frozen=True)
@@ -166,5 +168,5 @@ def _stand(place: Intersection, foot: np.ndarray) -> tuple[np.ndarray, str]:
     away = np.hypot(*(place.poles[:, :2] - foot).T)
     k = int(away.argmin())
     if away[k] < SAME_POLE:
-        return place.poles[k, :2], "existing pole"
+        return place.poles[k, :2], EXISTING_POLE
     return foot, f"new pole, {away[k]:.0f} m from the nearest"

@@ -198,6 +198,10 @@ class Viewer(FileActions):
         """Exchange the layout for the one that it is compared with."""
         self.change(lambda: self.session.take(self.display.set_reference(self.layout)))
 
+    def show_target(self) -> None:
+        """Show how far the layout is from the target."""
+        self.queue.submit(self.display.show_target, key="target")
+
     def select_frame(self) -> None:
         """Show the slider's frame."""
         self.scorer.select_frame(self.panel.shown_frame)

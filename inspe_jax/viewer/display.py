@@ -189,6 +189,10 @@ class Display:
             self._references[scored.frames] = scores
         self._show_scores()
 
+    def show_target(self) -> None:
+        """Show the target that is chosen beside the scores."""
+        self._show_scores()
+
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
         """Show which voxels a layout sees in a frame; ``sight`` is a Visibility for each."""
         self._sight, self._faded = (frame, sight), self._faded and layout is not self.shown
@@ -265,6 +269,7 @@ class Display:
             waiting=self._waiting_words(),
             faded=self._faded,
             road_user=self._panel.road_user,
+            target=float(self._panel.target.value),
         )
         self._panel.headline.content, self._panel.scores.content = page
         words = f"{self.shown.name} at {self._case.scene.name}"

@@ -96,6 +96,10 @@ class Panel:
         self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
         self.compare = gui.add_button_group("Compare", ("Set as A", "Swap with A"), hint=REFERENCE)
+        self.target = gui.add_number(
+            "Target", 0.0, min=0.0, max=1.0, step=0.01,
+            hint="The P_sm that the layout should reach, as a dashed line; 0 for none",
+        )  # fmt: skip
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
             self.seconds = gui.add_number("Time [s]", SECONDS, min=1.0, step=10.0)
@@ -146,6 +150,7 @@ class Panel:
         bind_choice(self.method)
         self._changes(self.optimise, lambda _: viewer.optimise())
         looks(self.stop, viewer.stop)
+        looks(self.target, viewer.show_target)
         for control in (self.frame, self.play):
             looks(control, viewer.select_frame)
         for choice in (self.light, self.weather):
@@ -160,7 +165,7 @@ class Panel:
     @property
     def sensor_orders(self) -> tuple[float, float, float]:
         """Where in the panel the three folders of a browser's selected sensors stand."""
-        after = float(self.compare.order)
+        after = float(self.target.order)
         return after + 0.25, after + 0.5, after + 0.75
 
     def offer_earlier(self, earlier: Sequence[EarlierFile]) -> None:

@@ -59,6 +59,7 @@ def score_panel(
     waiting: str = "scoring …",
     faded: bool = False,
     road_user: str | None = None,
+    target: float = 0.0,
 ) -> ScorePanel:
     """A layout's scores as HTML.
 
@@ -71,6 +72,7 @@ def score_panel(
     ``waiting``: what is being done while the layout has no scores.
     ``faded``: whether scores of another layout are faded.
     ``road_user``: by the chance to find whom the ground is coloured; None if it is not.
+    ``target``: the P_sm that the layout should reach; 0 for none.
     """
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
@@ -80,6 +82,8 @@ def score_panel(
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
         against=REFERENCE,
+        before=before,
+        target=target,
         reference_in=_elsewhere(scores, reference),
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),

@@ -14,6 +14,7 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.strategies import strategy
 from inspe_jax.report.handover import bill_of_materials, plan_geojson, plan_kml
+from inspe_jax.report.schedule import installation_schedule
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import make_layout
@@ -61,6 +62,23 @@ def test_a_plan_is_read_back_as_the_layout(scene, layout, system, tmp_path):
     assert np.abs(apart[:, :3]).max() < 2e-3
     turned = (np.degrees(apart[:, 3:]) + 180) % 360 - 180
     assert np.abs(turned).max() < 1e-4
+
+
+def test_units_say_what_they_stand_on_as_the_schedule_does(scene, layout, tmp_path):
+    """The first beside an existing pole, and still read back where the layout has it."""
+    foot = np.array(layout.units[0].base)
+    place = replace(scene.intersection, poles=(foot + [0.3, 0.4, 0.0])[None])
+    text = plan_geojson(layout, place)
+    about = [f["properties"] for f in json.loads(text)["features"]]
+    units = [one for one in about if one["feature"] == "unit"]
+    rows = installation_schedule(layout, place, {})
+    assert [one["stands_on"] for one in units] == [row.pole for row in rows]
+    assert units[0]["stands_on"] == "existing pole"
+    assert units[0]["pole"] == pytest.approx(rows[0].degrees[::-1], abs=1e-9)
+    assert ["pole" in one for one in units[1:]] == [False] * (len(units) - 1)
+    (tmp_path / "plan.geojson").write_text(text)
+    again = load_layout_geojson(tmp_path / "plan.geojson", place)
+    np.testing.assert_allclose(again.units[0].base[:2], foot[:2], atol=2e-3)
 
 
 def test_angles_and_heights_are_those_of_the_field(scene, layout):

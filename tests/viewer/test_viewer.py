@@ -541,6 +541,22 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
     done(viewer, lambda: viewer.layout is moved)
 
 
+def test_how_far_a_target_is(viewer, scene, layout):
+    done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
+    score = p_sm_of(scene, layout)
+    assert "target" not in viewer.panel.headline.content
+    for target, words in ((0.99, f"{0.99 - score:.4f} to the target"), (0.01, "target reached")):
+        set_value(viewer.panel.target, target)
+        viewer.show_target()
+        done(viewer)
+        assert words in viewer.panel.headline.content
+        assert f'data-target="{target}"' in viewer.panel.headline.content
+    set_value(viewer.panel.target, 0.0)
+    viewer.show_target()
+    done(viewer)
+    assert "target" not in viewer.panel.headline.content
+
+
 def test_a_name_that_is_emptied_or_typed_again_changes_nothing(viewer, layout):
     for name in ("", "  ", layout.sensors[0].name):
         viewer.view.rename(name)

@@ -337,8 +337,8 @@ def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
     writing = threading.Thread(target=exec, args=(code, {"go": go}))
     writing.start()
     monkeypatch.setattr(compiling.os, "_exit", lambda status: left.append(status))
-    threading.Timer(0.1, go.set).start()
     began = time.monotonic()
+    threading.Timer(0.1, go.set).start()
     compiling.leave(0)
     assert left == [0]
     assert time.monotonic() - began >= 0.1

@@ -545,7 +545,7 @@ def test_how_far_a_target_is(viewer, scene, layout):
     done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
     score = p_sm_of(scene, layout)
     assert "target" not in viewer.panel.headline.content
-    for target, words in ((0.99, f"{0.99 - score:.4f} to the target"), (0.01, "target reached")):
+    for target, words in ((1.0, f"{1.0 - score:.4f} to the target"), (0.01, "target reached")):
         set_value(viewer.panel.target, target)
         viewer.show_target()
         done(viewer)

@@ -148,9 +148,10 @@ class Viewer(FileActions):
 
     def open_view(self, client: Any) -> BrowserView:
         """Show a browser a selection of its own; on the thread of the queue."""
-        view = self.views[client.client_id] = BrowserView(client, self)
+        view = BrowserView(client, self)
         view.show()
         self.display.show_selection(view)
+        self.views[client.client_id] = view
         return view
 
     def step(self, client: Any, by: int) -> None:

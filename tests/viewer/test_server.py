@@ -103,6 +103,7 @@ def controls_of(viewer):
 
 def still_works(viewer):
     """A page that is let in can do something, and it is done."""
+    wait_until(lambda: not viewer.views)  # those of before have left
     before = viewer.layout
     yaw = 12.5 if np.degrees(before.poses[0, 5]) < 12 else -12.5
     with socket_of(viewer.url) as page:

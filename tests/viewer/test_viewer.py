@@ -502,10 +502,12 @@ def test_each_browser_selects_its_own_sensors_of_everybodys_layout(viewer, layou
         assert b.selection == (0,)
         send_value(other, b.controls.existing, "Duplicate")
         done(viewer, lambda: len(viewer.layout) == 3)
+        done(viewer)  # and shown
         assert b.selection == (1,)  # the copy
         assert a.selection == (2,)  # the sensor that it had before, which is third now
         send_value(other, b.controls.existing, "Remove")
         done(viewer, lambda: len(viewer.layout) == 2)
+        done(viewer)
         assert a.selection == b.selection == (1,)
     done(viewer, lambda: not ready())
 

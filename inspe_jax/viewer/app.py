@@ -154,17 +154,11 @@ class Viewer(FileActions):
         self.views[client.client_id] = view
         return view
 
-    def step(self, client: Any, by: int) -> None:
-        """Let a browser select the sensor so many places after the one in its hand."""
+    def ask(self, client: Any, what: Callable[[BrowserView], None]) -> None:
+        """Ask something of a browser's view; nothing if it is not there yet, or any more."""
         view = self.views.get(client.client_id)
         if view is not None:
-            view.step(by)
-
-    def remove_selection(self, client: Any) -> None:
-        """Remove what a browser has selected."""
-        view = self.views.get(client.client_id)
-        if view is not None:
-            view.remove()
+            what(view)
 
     # ── What any browser asks for ──
 

@@ -224,7 +224,6 @@ class BrowserView:
         if self.dragging is None:
             self._show_numbers(layout)
             self.handle.show(pose, self._viewer.scene3d.shift, visible=not searching)
-        self.show_outlines()
 
     def show_outlines(self) -> None:
         """Draw the outlines of what is selected as wide as they should be."""

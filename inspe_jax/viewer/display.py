@@ -134,6 +134,7 @@ class Display:
 
     def show_selection(self, view: BrowserView) -> None:
         """Show a browser what its selected sensors see, and which they are."""
+        view.show_outlines()
         self._look(view)
         self._show_table(view)
 

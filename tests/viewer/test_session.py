@@ -123,6 +123,15 @@ def test_several_sensors_are_removed_at_once(session):
     assert not session.undo()
 
 
+def test_a_sensor_that_is_gone_is_not_removed_or_copied(session):
+    before = session.layout
+    for change in (session.remove, session.duplicate):
+        with pytest.raises(InspeError, match="there is no sensor 8 any more"):
+            change(7)
+    assert session.layout is before
+    assert not session.undo()
+
+
 def test_what_is_let_go_on_the_road_snaps_to_the_sidewalk(session):
     session.move(0, np.array([5.0, 12.0, 6.0, 0, -0.3, -2.3]))
     assert session.layout.poses[0, 0] == pytest.approx(7.3, abs=2e-3)  # 0.3 m from the kerb

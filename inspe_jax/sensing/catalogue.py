@@ -26,7 +26,8 @@ class Device:
     """One row of a catalogue: a spec, its maker and its price.
 
     ``price_usd`` is a list price [US$] of the year in ``note``, None if none is public.
-    ``source`` says where the figures come from, ``note`` what was assumed.
+    ``source`` says where the figures come from, ``note`` what was assumed. ``product`` is False for
+    the model of a device that nobody sells.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Device:
     price_usd: float | None
     source: str
     note: str
+    product: bool = True
 
 
 def devices() -> dict[str, Device]:
@@ -90,6 +92,7 @@ class _About(BaseModel):
     source: _Text
     note: str = ""
     price_usd: Positive | None = None
+    product: bool = True
 
 
 @cache
@@ -149,4 +152,5 @@ def _device(name: str, table: Any, where: str) -> Device:
         price_usd=entry.price_usd,
         source=entry.source,
         note=entry.note,
+        product=entry.product,
     )

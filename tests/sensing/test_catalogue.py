@@ -129,6 +129,7 @@ def test_every_device_says_where_its_figures_come_from(name):
     assert d.kind == d.spec.kind
     assert min(map(len, (d.title, d.maker, d.source, d.note))) > 4
     assert d.spec.reliability == 1.0
+    assert d.product == (d.maker != "InSPE paper")
     if d.price_usd is not None:
         assert "rice" in d.note  # of which year, or by whom
     hash(d)

@@ -126,7 +126,7 @@ def report(
     write_text(path, page)
     for entry in entries:
         out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
-    out.print(f"wrote {path}, {path.stat().st_size / 2**20:.1f} MB", highlight=False)
+    out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB", highlight=False)
     if pdf:
         with busy("drawing"):
             sheets = report_sheets(world, entries, front=mixes, frame=frame)

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
@@ -27,7 +27,12 @@ from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
-from inspe_jax.report.progress import before_after, history_view
+from inspe_jax.report.mounting import (
+    model_words,
+    mounting_words,
+    origin_words,
+)
+from inspe_jax.report.progress import before_after, history_view, same_sensors
 from inspe_jax.report.scene3d import USER_COLOR
 from inspe_jax.report.scene3d_page import scene3d_page
 from inspe_jax.report.schedule import (
@@ -66,13 +71,21 @@ ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
 """Caption of the maps of a page whose scores have metrics of what a detector gets."""
 
 
+class Start(NamedTuple):
+    """The layout that another one is compared with, and what it is, in words."""
+
+    layout: Layout
+    words: str
+
+
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ReportEntry:
     """A layout with all that a page shows of it.
 
-    ``result`` and ``before``: if a search found the layout, its result, and the scores of its
-    start. ``tolerance``: if given, how carefully the layout must be installed. ``targets``: if
-    given, what a pedestrian gets at each place.
+    ``result``: if a search found the layout, its result. ``start`` and ``before``: if given, the
+    layout before, as the start of the search, and its scores. ``target``: if given, the P_sm that
+    the layout should reach. ``tolerance``: if given, how carefully the layout must be installed.
+    ``targets``: if given, what a pedestrian gets at each place.
     """
 
     layout: Layout
@@ -80,8 +93,15 @@ class ReportEntry:
     shed: Viewshed
     tolerance: Tolerance | None = None
     result: Result | None = None
+    start: Start | None = None
     before: Scores | None = None
+    target: float | None = None
     targets: TargetView | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether there is a layout before, of the same sensors."""
+        return self.start is not None and same_sensors(self.start.layout, self.layout)
 
 
 def report_entry(
@@ -91,12 +111,16 @@ def report_entry(
     result: Result | None = None,
     metrics: Sequence[str] = (),
     detection: DetectionCurves | None = None,
+    start: Start | None = None,
+    target: float | None = None,
 ) -> ReportEntry:
     """Score a layout for a page, without its tolerance.
 
     ``metrics`` are computed besides the usual ones and those with weight, ``detection`` has the
     curves of detectability, the usual ones if None. ``result`` is that of
-    the search that found the layout, if any. Raises InspeError as :func:`inspe_jax.evaluate` does.
+    the search that found the layout, if any. ``start`` is the layout to compare with, that of the
+    search if None. ``target`` is the P_sm that the layout should reach. Raises InspeError as
+    :func:`inspe_jax.evaluate` does.
     """
     scene, conditions = case.scene, case.conditions
 
@@ -105,11 +129,16 @@ def report_entry(
         return evaluate(scene, of, conditions=conditions, **given)
 
     shed = viewshed(scene, layout, conditions=conditions)
-    before, found = None if result is None else scores(result.start), scores(layout)
+    if start is None and result is not None:
+        start = Start(result.start, "where the search began")
+    before, found = None if start is None else scores(start.layout), scores(layout)
     targets = None
     if any(row.name in found.metrics for row in ROWS):
         targets = target_view(scene, layout, conditions=conditions, detection=detection)
-    return ReportEntry(layout, found, shed, result=result, before=before, targets=targets)
+    return ReportEntry(
+        layout, found, shed, result=result, start=start, before=before, target=target,
+        targets=targets,
+    )  # fmt: skip
 
 
 def report_page(
@@ -131,9 +160,9 @@ def report_page(
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
-    searched = sum(entry.result is not None for entry in entries)
-    steps = 2 + bool(front) + len(entries) * (1 + len(CAPTIONS)) + 2 * searched
-    steps += sum(entry.targets is not None for entry in entries)
+    steps = 2 + bool(front) + len(entries) * (1 + len(CAPTIONS))
+    for entry in entries:
+        steps += entry.moves + (entry.result is not None) + (entry.targets is not None)
     done = 0
 
     def drawn(figure: Figure) -> str:
@@ -151,15 +180,20 @@ def report_page(
             dict(
                 name=entry.layout.name,
                 record=(record := scores_record(entry.scores, scene, entry.layout)),
-                units=installation_schedule(entry.layout, scene.intersection, prices or {}),
+                units=(
+                    units := installation_schedule(entry.layout, scene.intersection, prices or {})
+                ),
+                mounting=mounting_words(scene, units),
                 materials=(rows := materials(entry.layout, prices or {})),
                 total=(total := total_price(rows)),
+                models=model_words(entry.layout, rows),
                 summary=_summary(scene, entry, record["blind_spots"], *total),
                 blind=_shares(of_columns["blind"]),
                 figures=[(words, drawn(figure)) for words, figure in maps],
                 still=jpeg_text(found, DOTS) if (found := _still(scene, entry, frame)) else "",
                 scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
-                search=_search(scene, entry, frame, drawn),
+                change=_change(scene, entry, frame, drawn),
+                search=_search(entry, drawn),
                 tolerance=None
                 if entry.tolerance is None
                 else tolerance_record(entry.tolerance, scene, entry.layout),
@@ -171,6 +205,8 @@ def report_page(
     return template("report", "page.html.j2").render(
         scene=scene,
         north="true north" if scene.intersection.georeference else "the y axis of the map",
+        origin=origin_words(scene.intersection),
+        in_words=_in_words,
         spots=SPOTS,
         around=entries[0].scores.conditions.words,
         keys={
@@ -220,8 +256,8 @@ def report_sheets(
         of_columns = layers(scene, entry.shed)
         figures += [found] if (found := _still(scene, entry, frame)) else []
         figures += [figure for _, figure in _maps(scene, entry, of_columns, frame)]
-        if entry.result is not None:
-            figures += [_moves(scene, entry, frame), history_view([entry.result])]
+        figures += [_moves(scene, entry, frame)] if entry.moves else []
+        figures += [] if entry.result is None else [history_view([entry.result])]
     if front:
         figures.append(pareto_view(front))
     made = io.BytesIO()
@@ -258,11 +294,11 @@ def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figu
 
 
 def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
-    result = entry.result
-    assert result is not None
+    assert entry.start is not None
     assert entry.before is not None
+    start, path = entry.start.layout, None if entry.result is None else entry.result.path
     return before_after(
-        scene, result.start, entry.layout, entry.before, entry.scores, path=result.path, frame=frame
+        scene, start, entry.layout, entry.before, entry.scores, path=path, frame=frame
     )
 
 
@@ -294,12 +330,28 @@ def _summary(
     ]
     if worst:
         found.append(f"Most is missed on {' and '.join(worst)}.")
+    if entry.target is not None:
+        short = entry.target - scores.surrogate
+        end = f"missed by {short:.4f}" if short > 0 else "reached"
+        found.append(f"The target for P_sm, {entry.target:g}, is {end}.")
     return found
 
 
-def _search(
+def _change(
     scene: Scene, entry: ReportEntry, frame: int, drawn: Callable[[Figure], str]
 ) -> dict[str, Any] | None:
+    """What the page shows of the layout before; None if there is none."""
+    if entry.start is None or entry.before is None:
+        return None
+    before, after = entry.before, entry.scores
+    return dict(
+        words=entry.start.words,
+        rows=[(m, before.value(m.name), after.value(m.name)) for m in listed_in(after)],
+        moves=drawn(_moves(scene, entry, frame)) if entry.moves else "",
+    )
+
+
+def _search(entry: ReportEntry, drawn: Callable[[Figure], str]) -> dict[str, Any] | None:
     """What the page shows of the search that found a layout; None if there was no search."""
     result = entry.result
     if result is None:
@@ -318,7 +370,6 @@ def _search(
         evaluations=result.evaluations,
         before=result.objective_before,
         after=result.objective,
-        moves=drawn(_moves(scene, entry, frame)),
         course=drawn(history_view([result])),
     )
 
@@ -334,6 +385,19 @@ def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
 def _still(scene: Scene, entry: ReportEntry, frame: int) -> Figure | None:
     """A picture of the layout in its place; None where it cannot be recorded."""
     return still_view(scene, entry.scores.conditions.layout(entry.layout), frame=frame)
+
+
+def _in_words(value: Any) -> str:
+    """A setting of a record, which may be a mapping or a list, as a person reads it."""
+    if isinstance(value, Mapping):
+        nested = any(isinstance(part, Mapping) for part in value.values())
+        mark, form = ("; ", "{} ({})") if nested else (", ", "{} {}")
+        return mark.join(
+            form.format(str(key).replace("_", " "), _in_words(part)) for key, part in value.items()
+        )
+    if isinstance(value, list | tuple):
+        return ", ".join(_in_words(part) for part in value)
+    return str(value)
 
 
 def _text(words: str) -> str:

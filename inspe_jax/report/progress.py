@@ -69,7 +69,7 @@ def before_after(
     :class:`~inspe_jax.placement.result.Result`; if given, arrows follow the places in between.
     Raises InspeError if the layouts have different sensors, or if the scores are of another scene.
     """
-    if [(s.name, s.unit) for s in before.sensors] != [(s.name, s.unit) for s in after.sensors]:
+    if not same_sensors(before, after):
         raise InspeError(f"{before.name} and {after.name} are not of the same sensors")
     maps = [
         (
@@ -112,6 +112,12 @@ def before_after(
             columnspacing=1.6, **KEYS,
         )  # fmt: skip
     return fig
+
+
+def same_sensors(before: Layout, after: Layout) -> bool:
+    """Whether two layouts have sensors of the same names on the same units."""
+    first, second = ([(s.name, s.unit) for s in of.sensors] for of in (before, after))
+    return first == second
 
 
 def _caption(when: str, scores: Scores) -> str:

@@ -118,7 +118,7 @@ def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> Renderabl
     table = table_of("Devices", *headers)
     sources = [Text("Where their figures are from", style="bold")]
     for device in devices.values() if isinstance(devices, Mapping) else devices:
-        resolution, view = _resolution(device.spec)
+        resolution, view = resolution_of(device.spec)
         grid = device.spec.grid
         price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
         rays = f"{len(grid.rows) * grid.column_count:,}"
@@ -182,7 +182,7 @@ def built_ins_table() -> RenderableType:
     return table
 
 
-def _resolution(spec: Spec) -> tuple[str, str]:
+def resolution_of(spec: Spec) -> tuple[str, str]:
     """Pixels or channels, and the field of view from edge to edge [degrees], as text."""
     across, high = np.degrees(spec.field_of_view)
     return spec.resolution, f"{across:.0f}° × {high:.0f}°"

@@ -16,20 +16,24 @@ SAME_POLE = 1.0
 """A unit this near to an existing pole is mounted on it [m]."""
 EXISTING_POLE = "existing pole"
 """What such a unit stands on, in words."""
+ON_AXIS = 0.005
+"""A sensor that is nearer to the axis of its pole is on it [m]."""
 
 
 @dataclass(frozen=True)
 class SensorRow:
-    """One sensor, with its ``number`` in the layout, from 1. ``height`` is above the ground at its
-    unit's base [m]. ``offset`` is how far it hangs from the base in plan [m], towards
-    ``offset_azimuth``. ``azimuth`` is the direction that it faces; both are in degrees clockwise
-    from north. ``tilt`` is how far it looks down, and ``roll`` how far its left side is up
-    [degrees]. ``price`` [US dollars] is None if unknown."""
+    """One sensor, with its ``number`` in the layout, from 1. ``position`` is x and y of its optical
+    centre [m], ``height`` that of the centre above the ground at its unit's base [m]. ``offset`` is
+    how far it hangs from the base in plan [m], towards ``offset_azimuth``. ``azimuth`` is the
+    direction that it faces; both are in degrees clockwise from north. ``tilt`` is how far it looks
+    down, and ``roll`` how far its left side is up [degrees]. ``price`` [US dollars] is None if
+    unknown. ``all_round``: whether it looks in every direction."""
 
     number: int
     name: str
     device: str
     title: str
+    position: tuple[float, float]
     height: float
     azimuth: float
     tilt: float
@@ -37,6 +41,12 @@ class SensorRow:
     offset: float
     offset_azimuth: float
     price: float | None
+    all_round: bool
+
+    @property
+    def on_axis(self) -> bool:
+        """Whether it is on the axis of its pole."""
+        return self.offset < ON_AXIS
 
 
 @dataclass(frozen=True)
@@ -57,7 +67,11 @@ class UnitRow:
 
 @dataclass(frozen=True)
 class MaterialRow:
-    """A device: how many, on which units, and what one and all of them cost [US dollars]."""
+    """A device: how many, on which units, and what one and all of them cost [US dollars].
+
+    ``maker`` is empty for a device that the layout itself describes. ``product`` is False for the
+    model of a device that nobody sells.
+    """
 
     device: str
     title: str
@@ -65,6 +79,7 @@ class MaterialRow:
     count: int
     price: float | None
     units: tuple[str, ...]
+    product: bool = True
 
     @property
     def total(self) -> float | None:
@@ -97,7 +112,8 @@ def installation_schedule(
                 number=s + 1,
                 name=layout.sensors[s].name,
                 device=(name := layout.sensors[s].spec.name),
-                title=known[name].title if name in known else name,
+                title=known[name].title if name in known else "",
+                position=(float(poses[s, 0]), float(poses[s, 1])),
                 height=float(poses[s, 2] - ground[u]),
                 azimuth=float(azimuths[s]) % 360,
                 tilt=float(-np.degrees(poses[s, 4])) + 0.0,
@@ -105,6 +121,7 @@ def installation_schedule(
                 offset=float(np.hypot(*away[s])),
                 offset_azimuth=float(arms[s]) % 360,
                 price=price_of(known, name, prices),
+                all_round=layout.sensors[s].spec.grid.wraps,
             )
             for s in members
         )
@@ -127,9 +144,11 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
     known, rows = devices(), []
     for name, count in Counter(sensor.spec.name for sensor in layout.sensors).items():
         at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
-        title, maker = (known[name].title, known[name].maker) if name in known else ("", "")
+        one, price = known.get(name), price_of(known, name, prices)
+        title, maker = ("", "") if one is None else (one.title, one.maker)
         units = tuple(unit for unit, _ in groupby(at))
-        rows.append(MaterialRow(name, title, maker, count, price_of(known, name, prices), units))
+        product = one is None or one.product
+        rows.append(MaterialRow(name, title, maker, count, price, units, product))
     return tuple(rows)
 
 

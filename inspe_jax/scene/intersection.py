@@ -18,6 +18,8 @@ from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 
+BUILT_IN = "built-in"
+"""Source of a place that is made up."""
 CROSSWALK_WIDTH = 3.0
 """Width of a crosswalk that is added where a map has none [m]."""
 

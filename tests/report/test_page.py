@@ -21,7 +21,14 @@ from inspe_jax.placement.result import load_result, save_result
 from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
-from inspe_jax.report.page import CAPTIONS, ReportEntry, report_entry, report_page, report_sheets
+from inspe_jax.report.page import (
+    CAPTIONS,
+    ReportEntry,
+    Start,
+    report_entry,
+    report_page,
+    report_sheets,
+)
 from inspe_jax.report.scene3d import runs
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
@@ -154,6 +161,40 @@ def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
     assert len(re.findall(rb"/Type /Page\b", sheets)) == len(shown)
     plain = Reader(report_page(scene, [report_entry(case, begun, (0.3, 0.5, 0.2))]))
     assert len(plain.images) == 2 + len(CAPTIONS) + RECORDED
+
+
+def test_a_layout_comes_with_the_one_before_and_its_target(scene):
+    """Scores of both and what was gained; and a map of both where they have the same sensors."""
+    case, weights = Case(scene), (0.3, 0.5, 0.2)
+    begun = place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0.8]))
+    turned = place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, -2.4]))
+    start = Start(begun, "the layout of last week")
+    entry = report_entry(case, turned, weights, start=start, target=0.99)
+    first, second = (evaluate(scene, of).surrogate for of in (begun, turned))
+    assert (entry.before.surrogate, entry.scores.surrogate) == (first, second)
+    told = []
+    page = Reader(report_page(scene, [entry], progress=lambda *now: told.append(now)))
+    assert told[-1][0] == told[-1][1]
+    words = " ".join(" ".join(page.words).split())
+    assert "Before is the layout of last week." in words
+    assert "metric before after gain" in words
+    assert f"surrogate P_sm {first:.3f} {second:.3f} {second - first:+.3f}" in words
+    assert {str(first), str(second), str(second - first)} <= set(page.titles)
+    assert f"The target for P_sm, 0.99, is missed by {0.99 - second:.4f}." in words
+    assert "Before and after" in [shown["alt"] for shown in page.images]
+    sheets = report_sheets(scene, [entry])
+    assert len(re.findall(rb"/Type /Page\b", sheets)) == len(page.images)
+
+    more = place_sensors(*[(CAMERA, [x, 9.0, 6.0, 0, -0.3, -2.4]) for x in (-9.0, 9.0)])
+    reached = report_entry(case, more, weights, start=start, target=0.01)
+    page = Reader(report_page(scene, [reached]))
+    words = " ".join(" ".join(page.words).split())
+    assert "The target for P_sm, 0.01, is reached." in words
+    assert "metric before after gain" in words
+    assert "Before and after" not in [shown["alt"] for shown in page.images]
+    plain = Reader(report_page(scene, [report_entry(case, turned, weights)]))
+    assert "The target for P_sm" not in " ".join(plain.words)
+    assert "metric before after gain" not in " ".join(" ".join(plain.words).split())
 
 
 def test_layouts_have_names_of_their_own(scene, entries):

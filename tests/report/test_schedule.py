@@ -1,7 +1,8 @@
 """The installation schedule, worked out by hand; and that a page says the same."""
 
-import io
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +61,7 @@ def test_heights_are_above_the_ground_at_the_base(layout):
     lifted = replace(layout, poses=np.asarray(layout.poses) + np.array([[0, 0, 0.9, 0, 0, 0]]))
     corner, _ = installation_schedule(lifted, place, {})
     assert corner.position[2] == pytest.approx(0.9, abs=0.05)
+    assert corner.sensors[1].position == pytest.approx((9.0, 9.5))
     assert corner.sensors[0].height == pytest.approx(5.9 - corner.position[2])
 
 
@@ -101,8 +103,13 @@ def test_a_page_says_what_to_mount_where(page):
     )
     assert "2 units with 2 cameras and 1 LiDAR watch 12 m around" in words
     assert "for 1,800 US dollars without test-lidar, of unknown price" in words
-    assert "corner: x 9.00 , y 8.00" in words
-    assert "2 arm test-camera 6.00 225.0 30.0 3.0 1.50 at 0 ° 900" in words
+    assert "corner: x 9.00 , y 8.00 , z 0.00 m; new pole" in words
+    assert "1 east test-camera 9.00 8.00 5.00 90.0 12.0 0.0 – – 900" in words
+    assert "2 arm test-camera 9.00 9.50 6.00 225.0 30.0 3.0 1.50 0 900" in words
+    assert "height [m] azimuth [°] tilt [°] roll [°] from the pole [m] towards [°]" in words
+    assert "--price test-lidar=USD" in words
+    assert "scores, weights coverage 0.3, occlusion 0.5, information gain 0.2" in words
+    assert "inspe report --tolerance" in words
     assert "total, without prices that are unknown 1,800" in words
     (first, second, *_), share = _spots(scene, entry), entry.scores.seen_share
     assert len(share) == len(scene.voxels.columns)
@@ -117,15 +124,59 @@ def _spots(scene, entry):
     return blind_spots(scene, entry.scores.seen_share)
 
 
+def test_a_list_that_is_cut_says_of_how_many(page, monkeypatch):
+    _, scene, entry = page
+    monkeypatch.setattr("inspe_jax.report.page.SPOTS", 1)
+    made, count = report_page(scene, [entry]), len(_spots(scene, entry))
+    assert count > 1
+    assert re.search(rf"sees them: 1 of\s+{count}\.", made)
+
+
 @pytest.mark.slow
 @pytest.mark.browser
 def test_it_prints_on_eight_sheets_at_most(tmp_path, page):
     """One layout on A4, with everything on it: each sensor of the schedule, and no 3-D stage."""
-    path = tmp_path / "report.html"
-    path.write_text(page[0], encoding="utf-8")
+    sheets = _printed(tmp_path, page[0])
+    assert 2 <= len(sheets) <= 8
+    assert "scores.json" not in "".join(sheets)  # which is to be clicked on
+    assert "scores.json" in page[0]
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_a_sheet_explains_its_columns_and_ends_in_no_heading(tmp_path):
+    """A schedule of several sheets has what its columns mean on each of them."""
+    scene = world(radius=12.0, voxel=1.0, count=6, frames=4, seed=1)
+    units = [Unit(f"unit {k}", (k - 9.0, 8.0, 0.0)) for k in range(19)]
+    sensors = [Sensor(f"{u} {k}", (CAMERA, LIDAR)[k], u) for u in range(19) for k in range(2)]
+    poses = np.array([[s.unit - 9.0, 8.0, 5.0, 0.0, 0.0, 0.0] for s in sensors])
+    entry = report_entry(Case(scene), make_layout(sensors, units, poses), (0.3, 0.5, 0.2))
+    html = report_page(scene, [entry])
+    headings = {" ".join(found.split()) for found in re.findall(r"<h[23][^>]*>(.*?)</h", html)}
+    sheets = _printed(tmp_path, html)
+    of_schedule = [sheet for sheet in sheets if "azimuth" in sheet]
+    assert len(of_schedule) > 1
+    for sheet in of_schedule:
+        words = sheet.replace("\n", " ")
+        assert "Azimuth: clockwise from the y axis of the map" in words
+        assert "Height: from the ground at the foot of the pole" in words
+    for sheet in sheets:
+        assert sheet.split("\n")[-1] not in headings
+
+
+def _printed(folder, html):
+    """The text of each sheet that a browser prints a page on."""
+    if shutil.which("pdftotext") is None:
+        pytest.skip("needs pdftotext")
+    path, pdf = folder / "report.html", folder / "report.pdf"
+    path.write_text(html, encoding="utf-8")
     with browser() as chromium:
         tab = chromium.new_page()
         tab.goto(path.as_uri())
-        made = tab.pdf(prefer_css_page_size=True)
-    sheets = re.findall(rb"/Type /Page\b", io.BytesIO(made).read())
-    assert 2 <= len(sheets) <= 8
+        tab.pdf(path=pdf, prefer_css_page_size=True)
+    told = subprocess.run(
+        ["pdftotext", "-layout", pdf, "-"], capture_output=True, check=True, text=True
+    )
+    sheets = told.stdout.split("\f")[:-1]
+    lines = [[" ".join(line.split()) for line in sheet.split("\n")] for sheet in sheets]
+    return ["\n".join(line for line in of if line) for of in lines]

@@ -11,6 +11,7 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import (
+    BUILT_IN,
     CROSSWALK_WIDTH,
     Arm,
     Intersection,
@@ -209,7 +210,7 @@ def on_level_ground(
     at = (-LENGTH, 0.0, LENGTH)
     return Intersection(
         name=name,
-        source="built-in",
+        source=BUILT_IN,
         center=np.zeros(3),
         regions=regions,
         arms=arms,

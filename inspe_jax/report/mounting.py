@@ -1,0 +1,105 @@
+"""What an installation schedule refers to and what it leaves open, in words for who mounts it."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from math import dist
+
+from inspe_jax.report.scene_tables import resolution_of
+from inspe_jax.report.schedule import EXISTING_POLE, MaterialRow, SensorRow, UnitRow
+from inspe_jax.scene.intersection import BUILT_IN, Intersection
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Layout
+
+SUMO = "(SUMO)"
+"""How the source of a place ends that was read from a SUMO network."""
+ONE_POINT = 0.05
+"""Sensors that are nearer to each other are at one point, and as high as each other [m]."""
+
+
+def origin_words(place: Intersection) -> str:
+    """Where x, y and z are counted from; and that a built-in place is made up."""
+    if place.source == BUILT_IN:
+        level = not place.ground_points[:, 2].any()
+        return (
+            "x and y are 0 in the middle of the junction, "
+            f"and z {'on its level ground' if level else 'is the height of its ground'}. "
+            f"{place.name} is made up, not surveyed: this plan is an example."
+        )
+    heights = (
+        "z is the height of its ground, there or in the model that the notes on the scene name"
+    )
+    if place.georeference is not None:
+        east, north = place.georeference.shift
+        moved = f", plus {east:.2f} and {north:.2f}" if east or north else ""
+        return (
+            f"x and y are those of the projection {place.georeference.crs}{moved}; latitude and "
+            f"longitude are WGS 84; {heights}."
+        )
+    shifted = f", less its netOffset unless that is over {GEOGRAPHIC:,.0f} m"
+    shifted = shifted if place.source.endswith(SUMO) else ""
+    return f"x and y are the coordinates of the map {place.source}{shifted}; {heights}."
+
+
+def mounting_words(scene: Scene, units: Sequence[UnitRow]) -> str:
+    """What the plan leaves to who mounts it: poles that hide something, sensors on the axis of
+    their pole, and sensors at one point."""
+    words = [
+        "In the scores only poles that are bodies of the scene hide something."
+        if scene.statics
+        else "In the scores no pole hides anything."
+    ]
+    if not scene.statics and any(unit.pole == EXISTING_POLE for unit in units):
+        words.append("How high existing poles are is not known.")
+    on_axis = [(row, unit) for unit in units for row in unit.sensors if row.on_axis]
+    if on_axis:
+        words.append("A dash is a sensor on the axis of its pole.")
+    if any(not row.all_round for row, _ in on_axis):
+        words.append("One that is aimed goes on the side of the pole that it faces.")
+    around = [(row, unit) for row, unit in on_axis if row.all_round]
+    if around:
+        words.append("One that looks all round needs a pole that ends below it.")
+    below = [row.number for row, unit in around if not _is_highest(row, unit)]
+    if below:
+        who = f"Sensors {_listed(below)}" if len(below) > 1 else f"Sensor {below[0]}"
+        words.append(
+            f"{who} cannot have one: other sensors of the unit are as high or higher. Beside the "
+            "pole, what it hides is lost, and the scores count that as seen."
+        )
+    if any(_at_one_point(unit) for unit in units):
+        words.append("Sensors of a unit at one point are mounted side by side.")
+    return " ".join(words)
+
+
+def _is_highest(row: SensorRow, unit: UnitRow) -> bool:
+    """Whether all others of the unit are lower."""
+    return all(one is row or one.height < row.height - ONE_POINT for one in unit.sensors)
+
+
+def _at_one_point(unit: UnitRow) -> bool:
+    """Whether two sensors of a unit are at one point."""
+    at = [(*row.position, row.height) for row in unit.sensors]
+    return any(dist(a, b) < ONE_POINT for a, b in combinations(at, 2))
+
+
+def model_words(layout: Layout, rows: Sequence[MaterialRow]) -> list[str]:
+    """For each device that nobody sells, what a device that is bought in its place must have."""
+    specs = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
+    found = []
+    for row in rows:
+        if not row.product:
+            spec = specs[row.device]
+            resolution, view = resolution_of(spec)
+            what = "pixels" if spec.focal_pixels else "channels"
+            found.append(
+                f"{row.device} is a model and cannot be bought. The scores hold for a device with "
+                f"{resolution} {what}, a field of view of {view} and a reach of "
+                f"{spec.grid.reach:g} m."
+            )
+    return found
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    """Numbers in a sentence: ``1, 2 and 3``."""
+    *first, last = (str(number) for number in numbers)
+    return f"{', '.join(first)} and {last}" if first else last

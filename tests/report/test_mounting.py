@@ -1,0 +1,106 @@
+"""What a page says to who mounts the sensors: on hand-made plans with known answers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import CAMERA, LIDAR, crossing, world
+
+from inspe_jax import built_in
+from inspe_jax.report.mounting import model_words, mounting_words, origin_words
+from inspe_jax.report.schedule import installation_schedule, materials
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.statics import pole
+from inspe_jax.sensing.catalogue import device
+from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=12.0, voxel=2.0, count=2, frames=2, seed=1)
+
+
+def words_of(scene, *sensors):
+    """What is said of one pole at (9, 8) with sensors: (spec, offset along x, height) each."""
+    poses = np.array([[9.0 + x, 8.0, z, 0.0, 0.0, 0.0] for _, x, z in sensors])
+    members = [Sensor(f"s{k}", spec, 0) for k, (spec, *_) in enumerate(sensors)]
+    layout = make_layout(members, [Unit("corner", (9.0, 8.0, 0.0))], poses)
+    return mounting_words(scene, installation_schedule(layout, scene.intersection, {}))
+
+
+def test_sensors_on_an_arm_need_no_words(scene):
+    assert words_of(scene, (CAMERA, 1.5, 6.0)) == "In the scores no pole hides anything."
+
+
+def test_a_camera_on_the_axis_goes_on_the_side_that_it_faces(scene):
+    words = words_of(scene, (CAMERA, 0.0, 6.0))
+    assert "goes on the side of the pole that it faces" in words
+    assert "all round" not in words
+
+
+def test_a_lidar_on_the_axis_needs_a_pole_that_ends_below_it(scene):
+    words = words_of(scene, (LIDAR, 0.0, 7.0), (CAMERA, 1.5, 6.0))
+    assert "needs a pole that ends below it" in words
+    assert "cannot" not in words
+    assert "faces" not in words
+
+
+@pytest.mark.parametrize("height", [6.0, 6.5])
+def test_a_lidar_below_a_camera_s_arm_is_hidden_by_the_pole(scene, height):
+    words = words_of(scene, (CAMERA, 1.5, 6.5), (LIDAR, 0.0, height))
+    assert "Sensor 2 cannot have one: other sensors of the unit are as high or higher" in words
+    assert "the scores count that as seen" in words
+    assert "Sensors 1 and 3 cannot have one" in words_of(
+        scene, (LIDAR, 0.0, 4.0), (CAMERA, 1.5, 6.5), (LIDAR, 0.0, height)
+    )
+
+
+def test_sensors_at_one_point_are_side_by_side(scene):
+    said = "Sensors of a unit at one point are mounted side by side."
+    assert said in words_of(scene, (CAMERA, 1.5, 6.5), (CAMERA, 1.5, 6.5))
+    assert said not in words_of(scene, (CAMERA, 1.5, 6.5), (CAMERA, 1.5, 6.0))
+
+
+def test_poles_that_are_bodies_hide_something(scene):
+    standing = scene.with_statics([pole((-9.0, 9.0), radius=0.1, height=6.0)])
+    assert "only poles that are bodies of the scene hide" in words_of(standing, (CAMERA, 1.5, 6.0))
+
+
+def test_an_existing_pole_may_be_too_low(scene):
+    place = replace(scene.intersection, poles=np.array([[9.0, 8.0, 0.0]]))
+    there = replace(scene, intersection=place)
+    said = "How high existing poles are is not known."
+    assert said in words_of(there, (CAMERA, 1.5, 6.0))
+    assert said not in words_of(scene, (CAMERA, 1.5, 6.0))
+
+
+def test_a_built_in_place_is_made_up():
+    words = origin_words(built_in("four_way"))
+    assert words.startswith("x and y are 0 in the middle of the junction, and z on its level")
+    assert "four_way is made up, not surveyed: this plan is an example." in words
+
+
+def test_a_map_has_its_own_coordinates():
+    words = origin_words(replace(crossing(), source="town.xodr (OpenDRIVE)"))
+    assert words.startswith("x and y are the coordinates of the map town.xodr (OpenDRIVE); z is")
+    assert "made up" not in words
+    assert "less its netOffset" in origin_words(replace(crossing(), source="a.net.xml (SUMO)"))
+
+
+def test_a_projection_is_named_with_its_shift():
+    place = replace(crossing(), georeference=Georeference("EPSG:32632", (-690_000.0, 12.5)))
+    assert "the projection EPSG:32632, plus -690000.00 and 12.50;" in origin_words(place)
+    assert "plus" not in origin_words(replace(place, georeference=Georeference("EPSG:32632")))
+
+
+def test_a_model_cannot_be_bought():
+    """The paper's devices; not those of makers, nor those that a layout describes."""
+    specs = [device("paper-camera").spec, device("velodyne-vlp-16").spec, CAMERA]
+    members = [Sensor(spec.name, spec, 0) for spec in specs]
+    poses = np.array([[0.0, 0.0, 5.0 + k, 0.0, 0.0, 0.0] for k in range(3)])
+    layout = make_layout(members, [Unit("corner", (0.0, 0.0, 0.0))], poses)
+    rows = materials(layout, {})
+    assert [row.product for row in rows] == [False, True, True]
+    (words,) = model_words(layout, rows)
+    assert words.startswith("paper-camera is a model and cannot be bought.")
+    assert "800 × 600 pixels, a field of view of 100° × 84° and a reach of 38 m." in words

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.placement.problem import Case
+from inspe_jax.report.page import Start
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import layout_text
 from inspe_jax.viewer.display import Display
@@ -12,6 +13,9 @@ from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import EarlierFile, LayoutStore
+
+BEFORE = "the layout that was opened, or the one that was set as A"
+"""What a report compares with."""
 
 
 class FileActions:
@@ -72,7 +76,11 @@ class FileActions:
         self.queue.submit(lambda: send(client, self.store.path.name, layout_text(self.layout)))
 
     def write_report(self, client: Any = None) -> None:
-        """Write a report beside the layout's file, and send it to a browser; one at a time."""
+        """Write a report beside the layout's file, and send it to a browser; one at a time.
+
+        It has before and after where the layout is not that which it is compared with, and the
+        target if one is set.
+        """
 
         def ended(page: Path, wrong: Exception | None) -> None:
             self.panel.report.disabled = self.searching
@@ -84,7 +92,10 @@ class FileActions:
 
         def job() -> None:
             given = self.case, self.layout, self.weights, self.panel.shown_frame, ended
-            if self.store.report(*given, **self.further):
+            before = self.display.reference
+            start = None if before is self.layout else Start(before, BEFORE)
+            target = float(self.panel.target.value) or None
+            if self.store.report(*given, **self.further, start=start, target=target):
                 self.panel.report.disabled = True
                 self.display.notify("Report", "drawing …", None)
 

@@ -17,7 +17,7 @@ from typing import Any
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import report_entry, report_page
+from inspe_jax.report.page import Start, report_entry, report_page
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
@@ -138,11 +138,14 @@ class LayoutStore:
         ended: Callable[[Path, Exception | None], None],
         metrics: Sequence[str] = (),
         detection: DetectionCurves | None = None,
+        start: Start | None = None,
+        target: float | None = None,
     ) -> bool:
         """Write a report on a thread of its own.
 
-        ``ended`` is called with its file and with the exception, or None. Returns False, and does
-        nothing, if one is being written.
+        ``ended`` is called with its file and with the exception, or None; what follows is as in
+        :func:`~inspe_jax.report.page.report_entry`. Returns False, and does nothing, if one is
+        being written.
         """
         page = self.page
 
@@ -150,6 +153,7 @@ class LayoutStore:
             wrong = None
             try:
                 given: dict[str, Any] = dict(metrics=metrics, detection=detection)
+                given |= dict(start=start, target=target)
                 entry = report_entry(case, layout, weights, **given)
                 write_text(page, report_page(case.scene, [entry], frame=frame))
                 self._know(page)

@@ -399,6 +399,26 @@ def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_pat
     viewer.close()
     page = (tmp_path / "layout.html").read_text()
     assert str(evaluate(scene, layout).surrogate) in page
+    assert "Before is" not in page
+    assert "The target for P_sm" not in page
+
+
+def test_a_report_has_the_layout_that_was_opened_and_the_target(scene, layout, tmp_path):
+    viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
+    viewer.panel.target.value = 0.95
+    higher = replace(layout, poses=np.array(layout.poses) + [0, 0, 0.5, 0, 0, 0])
+    viewer.change(lambda: viewer.session.take(higher))
+    done(viewer, lambda: viewer.layout is not layout)
+    viewer.write_report()
+    done(viewer, lambda: viewer.store._report is not None)
+    viewer.close()
+    page = (tmp_path / "layout.html").read_text()
+    assert "Before is the layout that was opened, or the one that was set as A." in page
+    before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
+    assert {str(before), str(after), str(after - before)} <= set(
+        re.findall('title="([^"]*)"', page)
+    )
+    assert "The target for P_sm, 0.95, is" in page
 
 
 def test_a_unit_without_sensors_has_no_number(viewer, layout):

@@ -140,6 +140,15 @@ def test_it_prints_on_eight_sheets_at_most(tmp_path, page):
     assert 2 <= len(sheets) <= 8
     assert "scores.json" not in "".join(sheets)  # which is to be clicked on
     assert "scores.json" in page[0]
+    for heading, last in {
+        "Installation schedule": "inspe report --tolerance",
+        "Bill of materials": "--price test-lidar=USD",
+        "Where most is missed": "of all that is unseen",
+        "What each sensor adds": "3 top pole",
+        "Settings and versions": "numpy",
+    }.items():  # a table is on the sheet of its heading
+        (sheet,) = (sheet for sheet in sheets if heading in sheet.split("\n"))
+        assert last in sheet
 
 
 @pytest.mark.slow

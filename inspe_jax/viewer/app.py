@@ -185,7 +185,7 @@ class Viewer(FileActions):
 
         def job() -> None:
             self.display.set_reference(self.layout)
-            self.display.notify("A is set", "changes are shown against this layout now", None)
+            self.display.notify("Reference set", "changes are shown against this layout now", None)
 
         self._unless_searching(job)
 

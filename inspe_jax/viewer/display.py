@@ -103,7 +103,7 @@ class Display:
             if found.layout is layout and self._is_here(found)
         }
         if scored.get(self._frames) is None:
-            raise InspeError("A can be set or swapped once all frames are scored")
+            raise InspeError("the reference can be set or swapped once all frames are scored")
         before, self.reference = self.reference, layout
         self._references = {n: scores for n, scores in scored.items() if scores is not None}
         self._referred_in = self._case.conditions

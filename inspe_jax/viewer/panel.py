@@ -101,10 +101,10 @@ class Panel:
         self.headline = gui.add_html("")
         self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
-        self.compare = gui.add_button_group("Compare", ("Set as A", "Swap with A"), hint=REFERENCE)
+        self.compare = gui.add_button_group("Reference", ("Set to this", "Swap"), hint=REFERENCE)
         self.target = gui.add_number(
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
-            hint="The P_sm that the layout should reach, as a dashed line; 0 for none",
+            hint="The P_sm that the layout should reach, as an orange mark; 0 for none",
         )  # fmt: skip
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
@@ -151,7 +151,7 @@ class Panel:
             command, ask = self.keys[key.words], partial(key.ask, viewer)
             bind(command, ask, refuse=viewer.restore, settle=settle)
         self._changes(self.edit, lambda _: self._edit(self.edit.value))
-        compare = {"Set as A": viewer.set_reference, "Swap with A": viewer.swap_reference}
+        compare = {"Set to this": viewer.set_reference, "Swap": viewer.swap_reference}
         self._changes(self.compare, lambda _: compare[self.compare.value]())
         bind_choice(self.method)
         self._changes(self.optimise, lambda _: viewer.optimise())

@@ -32,8 +32,10 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-REFERENCE = "A is the layout as it was opened, or the one that you have set as A"
+REFERENCE = "The reference is the layout as it was opened, or the one that you have made it"
 """What changes are compared with, in words."""
+TARGET_COLOR = "#d55e00"
+"""Of the mark of the target."""
 
 _HEADLINE = template("viewer", "headline.html.j2")
 _DETAILS = template("viewer", "score_panel.html.j2")
@@ -66,7 +68,7 @@ def score_panel(
     ``scored``: the newest scores, or None. Those of another layout are shown in grey.
     ``frames``: number of frames of the whole traffic.
     ``outdated``: whether the scores are of other conditions, or of another layout.
-    ``reference``: the scores of the layout A that this one is compared with, on the same frames.
+    ``reference``: the scores of the layout that this one is compared with, on the same frames.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.
     ``waiting``: what is being done while the layout has no scores.
@@ -84,6 +86,7 @@ def score_panel(
         against=REFERENCE,
         before=before,
         target=target,
+        target_color=TARGET_COLOR,
         reference_in=_elsewhere(scores, reference),
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),

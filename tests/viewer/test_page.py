@@ -483,7 +483,7 @@ def test_the_camera_in_hand_shows_what_the_recorder_records(tab, viewer, scene):
     night = Conditions("night")
     assert settled(tab, second) == evaluate(scene, viewer.layout, conditions=night).surrogate
     wait_until(tab, lambda: np.array_equal(shown(), wanted(night)))
-    assert tab.get_by_text("against A (midday, clear)").is_visible()
+    assert tab.get_by_text("against the reference (midday, clear)").is_visible()
     panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
     assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")  # nothing is cut off
 
@@ -535,6 +535,19 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab):
         )
     )
     assert 0 < score < undo < 160 < report < 900
+
+
+def test_the_mark_of_the_target_is_well_visible(tab, viewer):
+    set_value(viewer.panel.target, 0.3)
+    viewer.show_target()
+    mark = tab.locator("[data-target]")
+    mark.wait_for()
+    box = mark.bounding_box()
+    assert box["width"] >= 8
+    assert box["height"] >= 16
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    on_top = "([x, y]) => document.elementFromPoint(x, y).dataset.target"
+    assert tab.evaluate(on_top, middle) == "0.3"  # nothing is drawn over it
 
 
 def test_rows_of_the_sensors_are_clicked_one_or_several(tab, viewer, layout):

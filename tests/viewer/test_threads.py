@@ -392,14 +392,14 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
     )
     assert text.count("+0.010") == 2  # and none where nothing has changed
     marks = [round(100 * (value - 0.01), 1) for value in scores.metrics.values()]
-    assert sum(f"left:calc({mark:.1f}%" in text for mark in marks) == 2  # where A's values are
+    assert sum(f"left:calc({mark:.1f}%" in text for mark in marks) == 2  # the reference's
     assert METRICS["occlusion"].summary in text
     nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
     assert ">0.9997<" in panel(layout, nearly, frames=50)
     full = replace(scored, scores=replace(scores, metrics=less | {"coverage": 1.0}))
     assert ">1.000<" in panel(layout, full, frames=50)
     assert f"{scored.scores.surrogate:.4f}" in text
-    assert f"{scored.scores.surrogate - 0.1:+.4f} against A" in text
+    assert f"{scored.scores.surrogate - 0.1:+.4f} against the reference" in text
     assert "all frames" in text
     assert "unit &lt;x&gt; floats" in text
     assert f"{scored.scores.region_coverage['driveway']:.3f}" in text

@@ -41,6 +41,7 @@ from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import HandleDrag
+from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.sensor_view import image_scale
 
@@ -523,20 +524,20 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
         return viewer.panel.headline.content
 
     first = p_sm(layout)
-    assert "against A" not in headline()
+    assert "against the reference" not in headline()
     pull(viewer, (1.0, 0, -3.0))
     moved = viewer.layout
     second = p_sm(moved)
-    assert f"{second - first:+.4f} against A" in headline()
+    assert f"{second - first:+.4f} against the reference" in headline()
     viewer.set_reference()
-    assert "against A" not in headline()
+    assert "against the reference" not in headline()
     assert p_sm(moved) == second
     pull(viewer, (0, 0, 1.0))
     third = viewer.layout
-    assert f"{p_sm(third) - second:+.4f} against A" in headline()
+    assert f"{p_sm(third) - second:+.4f} against the reference" in headline()
     viewer.swap_reference()
     done(viewer, lambda: viewer.layout is moved)
-    assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against A" in headline()
+    assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against the reference" in headline()
     viewer.swap_reference()
     done(viewer, lambda: viewer.layout is third)
     viewer.undo_or_redo("Undo")
@@ -582,7 +583,7 @@ def test_the_last_sensor_is_not_removed(viewer, layout):
     assert not viewer.session.undo()
 
 
-def test_a_has_scores_of_one_light_alone(viewer, scene, layout):
+def test_the_reference_has_scores_of_one_light_alone(viewer, scene, layout):
     """Also if it is set before all frames have been scored in another one."""
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
     viewer.scorer.close()  # nothing is scored in the new light
@@ -590,11 +591,11 @@ def test_a_has_scores_of_one_light_alone(viewer, scene, layout):
     viewer.change_conditions()
     viewer.set_reference()
     done(viewer, lambda: viewer.told)
-    assert viewer.told[-1][1] == "A can be set or swapped once all frames are scored"
+    assert viewer.told[-1][1] == "the reference can be set or swapped once all frames are scored"
     night = evaluate(scene, layout, conditions=Conditions("night"))
     viewer._on_scores(replace(viewer.display.scored, scores=night))
     viewer.set_reference()
-    done(viewer, lambda: viewer.told[-1][0] == "A is set")
+    done(viewer, lambda: viewer.told[-1][0] == "Reference set")
     late = replace(viewer.display.scored, scores=evaluate(scene, layout))
     viewer._on_scores(late)
     done(viewer, lambda: viewer.display.scored is late)
@@ -709,6 +710,7 @@ def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, sce
     done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
     done(viewer, lambda: panel.picture.content != before)
     done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
+    assert "given anew after every change" in panel.picture.content
 
 
 def test_the_plan_view_is_of_all_frames(scene, layout):
@@ -769,7 +771,9 @@ def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(vie
     scan = recorded(scene, viewer.layout, 1, 2)
     done(viewer, lambda: same(view.seen, scan))
     done(viewer, lambda: viewer.view.selection3d.points is not None)
-    drawn = viewer.view.selection3d.points.points + viewer.scene3d.shift
+    points, key = viewer.view.selection3d.points, dict(LEGEND)["LiDAR"]
+    assert tuple(points.colors) == rgb(key)  # and so says the legend
+    drawn = points.points + viewer.scene3d.shift
     np.testing.assert_allclose(drawn, world_points(scan).T, atol=0.02)  # float16 within 32 m
     assert f"{len(scan.points):,} points" in view.picture.content
     viewer.view.select(0)
@@ -792,7 +796,7 @@ def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
     assert viewer.display.scored.scores.surrogate == scores.surrogate
     assert f'data-score="{scores.surrogate}"' in viewer.panel.headline.content
     change = scores.surrogate - evaluate(scene, layout).surrogate
-    assert f"{change:+.4f} against A (midday, clear)" in viewer.panel.headline.content
+    assert f"{change:+.4f} against the reference (midday, clear)" in viewer.panel.headline.content
     assert viewer.searcher.case.conditions == night
     if importlib.util.find_spec("embreex"):
         wanted = recorded(scene, layout, 0, 0, night)

@@ -106,6 +106,7 @@ class Panel:
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
             hint="The P_sm that the layout should reach, as an orange mark; 0 for none",
         )  # fmt: skip
+        self.notes = gui.add_html("", order=float(self.target.order) + 0.3, visible=False)
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
             self.seconds = gui.add_number("Time [s]", SECONDS, min=1.0, step=10.0)
@@ -169,10 +170,11 @@ class Panel:
         self._changes(self.report, viewer.write_report)
 
     @property
-    def sensor_orders(self) -> tuple[float, float, float]:
-        """Where in the panel the three folders of a browser's selected sensors stand."""
+    def sensor_orders(self) -> tuple[float, float, float, float]:
+        """Where in the panel the four folders of a browser's sensors stand. What is said of the
+        last change is below the first two, whose buttons then stay where they are."""
         after = float(self.target.order)
-        return after + 0.25, after + 0.5, after + 0.75
+        return after + 0.1, after + 0.2, after + 0.4, after + 0.5
 
     def offer_earlier(self, earlier: Sequence[EarlierFile]) -> None:
         """Offer to open layouts that an earlier run has left."""

@@ -1,10 +1,11 @@
-"""The panel of a layout's scores: bars, cost, and the rules of mounting that it breaks."""
+"""The panel of a layout's scores, with the rules of mounting that it breaks, and its sensors."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
 from inspe_jax.placement.objective import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
@@ -39,14 +40,16 @@ TARGET_COLOR = "#d55e00"
 
 _HEADLINE = template("viewer", "headline.html.j2")
 _DETAILS = template("viewer", "score_panel.html.j2")
+_NOTES = template("viewer", "notes.html.j2")
 _TABLE = template("viewer", "sensor_table.html.j2")
 
 
 class ScorePanel(NamedTuple):
-    """Scores as HTML: P_sm and how far scoring is; and all else."""
+    """Scores as HTML: P_sm and how far scoring is; all else; and notes on the last change."""
 
     headline: str
     details: str
+    notes: str
 
 
 def score_panel(
@@ -98,21 +101,18 @@ def score_panel(
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
-        notes=notes,
         broken=BROKEN_COLOR,
         metrics=[] if scores is None else list(_metric_bars(scores, reference)),
         regions=[] if scores is None else list(_region_bars(scores, reference)),
-        sensors=len(layout),
-        units=len(layout.units),
-        cost=cost_of(layout),
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
     )
-    return ScorePanel(headline, details)
+    return ScorePanel(headline, details, _NOTES.render(notes=notes) if notes else "")
 
 
 def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]) -> str:
-    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it.
+    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it; and
+    what all of them cost.
 
     ``scored`` are the layout's scores, None as long as there are none. The sensors at the places
     of the ``selection`` are ticked, the last of them is bold.
@@ -133,7 +133,15 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
             )
         )
     priced = any(row["price"] for row in rows)
-    return _TABLE.render(rows=rows, priced=priced, together=len(selection))
+    sensors, units = counted(len(layout), "sensor"), counted(len(layout.units), "unit")
+    return _TABLE.render(
+        rows=rows,
+        priced=priced,
+        together=len(selection),
+        sensors=sensors,
+        units=units,
+        cost=cost_of(layout),
+    )
 
 
 @dataclass(frozen=True)

@@ -218,9 +218,19 @@ def test_sensors_are_copied_removed_exchanged_and_added(tab, viewer):
     assert view_of(viewer).in_hand == 1
     press(tab, "Remove")
     tab.get_by_text("2 sensors on 2 units").wait_for(timeout=WAIT)
+    settled(tab)
+    assert tab.locator("[data-notes]").count() == 0
+    (client,) = viewer.server.get_clients().values()
+    client.camera.look_at = np.array([3.0, 11.0, 0.0])  # the middle of a lane
+    tab.wait_for_timeout(1000)
+    at = tab.get_by_role("button", name="Add").bounding_box()
     press(tab, "Add")
     tab.get_by_text("3 sensors on 3 units").wait_for(timeout=WAIT)
-    assert viewer.layout.sensors[2].spec.name == view_of(viewer).controls.new.value
+    tab.get_by_text(re.compile("unit 1' added at the nearest mounting area")).wait_for()
+    settled(tab)
+    assert tab.get_by_role("button", name="Add").bounding_box() == at  # for a second click
+    spec = viewer.layout.sensors[2].spec
+    assert view_of(viewer).controls.new.value == f"{spec.title}: {spec.name}"
     assert viewer.session.faults() == []
 
 
@@ -507,7 +517,7 @@ def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     tab.keyboard.press("Shift+n")
     wait_until(tab, lambda: view_of(viewer).in_hand == 1)
     tab.keyboard.press("Delete")
-    tab.get_by_text("1 sensors on 1 units").wait_for(timeout=WAIT)
+    tab.get_by_text("1 sensor on 1 unit").wait_for(timeout=WAIT)
     assert viewer.layout.sensors == layout.sensors[:1]
     (client,) = viewer.server.get_clients().values()
     begun = np.array(client.camera.position)

@@ -392,6 +392,26 @@ def test_a_new_sensor_stands_where_one_looks(viewer, scene):
     assert np.hypot(*viewer.layout.poses[3, :2]) <= scene.voxels.radius + 1e-3
 
 
+def test_devices_are_listed_by_kind_and_a_new_one_is_of_the_kind_in_hand(viewer):
+    """Until one is chosen by hand."""
+    controls = viewer.view.controls
+    kinds = [label.partition(": ")[0] for label in controls.new.options]
+    assert kinds == sorted(kinds)
+    assert set(kinds) == {"LiDAR", "camera"}
+    assert controls.device.value == "camera: test-camera"  # which the catalogue has not
+    for name in ("basler-aca1600-60gc", "hesai-xt32"):
+        viewer.view.swap(name)
+        viewer.change(lambda: None)
+        done(viewer, lambda name=name: controls.new.value.endswith(f": {name}"))
+    assert controls.new.value == "LiDAR: hesai-xt32"
+    set_value(controls.new, "camera: paper-camera")
+    for called in controls.new._impl.update_cb:
+        asyncio.run(called(SimpleNamespace(client=SimpleNamespace())))
+    viewer.view.swap("velodyne-vlp-16")
+    done(viewer, lambda: controls.device.value == "LiDAR: velodyne-vlp-16")
+    assert controls.new.value == "camera: paper-camera"
+
+
 def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_path):
     viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     viewer.write_report()
@@ -443,6 +463,8 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
     assert view.selection == (0, 1)
     assert viewer.view.in_hand == 1  # the last one has the handle
     assert "2 sensors are selected" in view.controls.table.content
+    whose = f"2 sensors selected: numbers are of <b>{layout.sensors[1].name}</b>"
+    done(viewer, lambda: view.controls.several.visible and whose in view.controls.several.content)
     assert view.controls.table.content.count("☑") == 2
     for outline, k in zip(view.selection3d.outlines, (1, 2), strict=True):
         drawn = viewer.scene3d.drawn[f"sensors/{k}/view"]
@@ -467,6 +489,7 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
     view.toggle(1)
     done(viewer)
     assert view.selection == (0,)
+    done(viewer, lambda: not view.controls.several.visible)
     view.toggle(0)  # the last one stays
     done(viewer)
     assert view.selection == (0,)

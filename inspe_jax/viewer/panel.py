@@ -16,6 +16,8 @@ from inspe_jax.viewer.store import EarlierFile
 
 SECONDS = 60.0
 """Usual time of a search [s]."""
+COMPILES_FIRST = "It first compiles, for some 10 to 20 s. Then its time begins."
+"""What is said of a search before the first one."""
 SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
 REGIONS = "regions"
@@ -104,7 +106,8 @@ class Panel:
         self.compare = gui.add_button_group("Reference", ("Set to this", "Swap"), hint=REFERENCE)
         self.target = gui.add_number(
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
-            hint="The P_sm that the layout should reach, as an orange mark; 0 for none",
+            hint="The P_sm that the layout should reach, as an orange mark: a search ends there; "
+            "0 for none",
         )  # fmt: skip
         self.notes = gui.add_html("", order=float(self.target.order) + 0.3, visible=False)
         with gui.add_folder("Search"):
@@ -113,7 +116,7 @@ class Panel:
             self.optimise = gui.add_button("Optimise from here", color="green")
             self.stop = gui.add_button("Stop", color="orange", visible=False)
             self.bar = gui.add_progress_bar(0.0, visible=False)
-            self.course = gui.add_markdown("", visible=False)
+            self.course = gui.add_markdown(COMPILES_FIRST)
         self.blind_spots = gui.add_folder("Blind spots", visible=False)
         with gui.add_folder("Traffic, light and weather"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
@@ -138,6 +141,8 @@ class Panel:
             self.save = gui.add_button("Save layout")
             self.download = gui.add_button("Download layout", color=SLATE)
             self.report = gui.add_button("Write report", hint="And offer it for download here")
+            self.report_words = gui.add_markdown("", visible=False)
+            self.download_report = gui.add_button("Download report", visible=False, color="green")
 
         self.keys = {
             key.words: gui.add_command(key.words, hotkey=key.key, modifier=key.modifier)
@@ -167,7 +172,8 @@ class Panel:
             looks(box, viewer.show_voxels)
         self._changes(self.save, lambda _: viewer.save())
         self._changes(self.download, viewer.download)
-        self._changes(self.report, viewer.write_report)
+        self._changes(self.report, lambda _: viewer.write_report())
+        bind(self.download_report, viewer.download_report, refuse=viewer.restore)
 
     @property
     def sensor_orders(self) -> tuple[float, float, float, float]:
@@ -248,6 +254,12 @@ class Panel:
         else:
             self._viewer.undo_or_redo(what)
 
+    def show_report(self, words: str, *, ready: bool) -> None:
+        """Say how far the report is, and offer it once it is ``ready``."""
+        self.report_words.content = words
+        self.report_words.visible = bool(words)
+        self.download_report.visible = ready
+
     def show_conditions(self, around: Conditions) -> None:
         """Choose the light and the weather that there are."""
         set_value(self.light, around.light)
@@ -255,9 +267,9 @@ class Panel:
 
     def searching(self, on: bool) -> None:
         """Disable changes while a search runs, and show the button that stops it."""
-        self.stop.visible = self.bar.visible = self.course.visible = on
+        self.stop.visible = self.bar.visible = on
         self.optimise.visible = self.compare.visible = self.edit.visible = not on
-        choices = self.method, self.seconds, self.light, self.weather
+        choices = self.method, self.seconds, self.target, self.light, self.weather
         for control in (*choices, self.save, self.report, *self.offers):
             control.disabled = on
 

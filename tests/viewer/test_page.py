@@ -247,6 +247,8 @@ def test_a_search_begins_from_here_is_stopped_and_taken_back(tab, viewer, scene,
     tab.get_by_role("button", name="Optimise from here").wait_for(timeout=WAIT)
     second = settled(tab, first)
     assert second > first
+    gain = rf"Search stopped: P_sm 0\.\d{{4}} → {second:.4f} \(\+0\.\d{{4}}\) in \d+ s"
+    assert tab.get_by_text(re.compile(gain)).is_visible()
     assert second == evaluate(scene, viewer.layout).surrogate
     assert Space(scene, viewer.layout).violations(viewer.layout) == []
     press(tab, "Undo")
@@ -266,15 +268,16 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
     assert evaluate(scene, again).surrogate == pytest.approx(second, abs=1e-6)
     assert not viewer.store.unsaved.exists()
     press(tab, "Write report")
-    tab.get_by_text(re.compile("wrote .*layout.html")).wait_for(timeout=WAIT)
+    tab.get_by_text(re.compile("The report is ready: .*layout.html")).wait_for(timeout=WAIT)
     page = viewer.store.page.read_text()
     assert str(evaluate(scene, viewer.layout).surrogate) in page
     with tab.expect_download() as sent:
-        tab.get_by_role("link", name="layout.html").click()
+        press(tab, "Download report")
+    assert sent.value.suggested_filename == "layout.html"
     assert Path(sent.value.path()).read_text() == page
-    press(tab, "Download layout")
     with tab.expect_download() as sent:
-        tab.get_by_role("link", name="layout.yaml").click()
+        press(tab, "Download layout")
+    assert sent.value.suggested_filename == "layout.yaml"
     assert Path(sent.value.path()).read_text() == viewer.store.path.read_text()
 
 

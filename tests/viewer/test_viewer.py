@@ -171,7 +171,7 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     viewer.optimise()
     done(viewer, lambda: viewer.searching)
     viewer._on_better(better, 0.9)
-    viewer._on_end(SearchEnding(better, 0.1, "too large", failed=True))
+    viewer._on_end(SearchEnding(better, 0.8, 0.9, "too large", failed=True))
     done(viewer, lambda: viewer.told)
     assert not viewer.searching
     assert viewer.layout is better
@@ -189,7 +189,29 @@ def test_stop_gives_the_best_so_far_at_once(viewer, layout):
     done(viewer, lambda: viewer.told)
     assert time.monotonic() - began < 2
     np.testing.assert_array_equal(viewer.layout.poses, best.poses)
-    assert "stopped by hand" in viewer.told[-1][1]
+    score = r"P_sm (0\.\d{4} → 0\.\d{4} \(\+0\.\d{4}\)|stays at 0\.\d{4}) in \d+ s, with compiling"
+    assert re.fullmatch(f"stopped: {score}", viewer.told[-1][1])
+    assert viewer.panel.course.content == f"Search {viewer.told[-1][1]}"
+
+
+@pytest.mark.process
+def test_a_search_ends_with_the_target(viewer, scene, layout):
+    """Long before its time; and at once where the target is reached already."""
+    done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
+    first = p_sm_of(scene, layout)
+    set_value(viewer.panel.method, "random")
+    set_value(viewer.panel.seconds, 600.0)
+    set_value(viewer.panel.target, first + 1e-4)
+    viewer.optimise()
+    done(viewer, lambda: viewer.told)
+    found = p_sm_of(scene, viewer.layout)
+    assert found >= first + 1e-4
+    words = f"target reached: P_sm {first:.4f} → {found:.4f} ({found - first:+.4f}) in "
+    assert viewer.told[-1][1].startswith(words)
+    assert not viewer.searching
+    viewer.optimise()
+    done(viewer, lambda: len(viewer.told) == 2)
+    assert viewer.told[-1][1].startswith(f"target reached: P_sm stays at {found:.4f}")
 
 
 @pytest.mark.process
@@ -198,7 +220,7 @@ def test_stop_before_there_is_a_score_leaves_the_layout(viewer, layout):
     viewer.stop()
     done(viewer, lambda: viewer.told)
     assert viewer.layout is layout
-    assert viewer.told[-1][:2] == ("Search", "stopped before there was a score")
+    assert re.fullmatch(r"stopped before there was a score, after \d+ s", viewer.told[-1][1])
 
 
 @pytest.mark.process
@@ -328,7 +350,7 @@ def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, m
     own = hasattr(viewer.view.controls, control)
     state = getattr(viewer.view.controls if own else viewer.panel, control)._impl
     for called in state.update_cb:
-        client = SimpleNamespace(camera=None, send_file_download=lambda *_: None)
+        client = SimpleNamespace(camera=None, send_file_download=lambda *_, **__: None)
         asyncio.run(called(SimpleNamespace(client=client)))
     done(viewer)
     assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
@@ -410,6 +432,29 @@ def test_devices_are_listed_by_kind_and_a_new_one_is_of_the_kind_in_hand(viewer)
     viewer.view.swap("velodyne-vlp-16")
     done(viewer, lambda: controls.device.value == "LiDAR: velodyne-vlp-16")
     assert controls.new.value == "camera: paper-camera"
+
+
+def test_a_report_that_is_ready_is_offered_where_its_button_is(viewer, monkeypatch):
+    sent = []
+    browser = SimpleNamespace(send_file_download=lambda *told, **_: sent.append(told))
+    panel = viewer.panel
+    viewer.download_report(browser)  # there is none yet
+    viewer.write_report()
+    done(viewer, lambda: panel.download_report.visible)
+    page = viewer.store.page
+    assert panel.report_words.content == f"The report is ready: `{page}`"
+    viewer.download_report(browser)
+    done(viewer)
+    assert sent == [("layout.html", page.read_bytes())]
+
+    def fails(*_, **__):
+        raise InspeError("no room")
+
+    monkeypatch.setattr("inspe_jax.viewer.store.report_entry", fails)
+    viewer.write_report()
+    done(viewer, lambda: viewer.told[-1][1] == "no room")
+    assert not panel.download_report.visible
+    assert not panel.report_words.visible
 
 
 def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_path):
@@ -643,7 +688,7 @@ def test_light_that_a_search_keeps_from_changing_is_shown_as_it_is(viewer, monke
     viewer.change_conditions()
     done(viewer)
     assert viewer.case.conditions == FAIR
-    viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+    viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
     done(viewer, lambda: viewer.panel.light.value == "midday")
 
 
@@ -651,10 +696,10 @@ def test_a_search_without_gain_changes_nothing(viewer, layout, monkeypatch):
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
     same = replace(layout, name="layout, optimised")
-    viewer._on_end(SearchEnding(same, 0.0, "its time was over"))
+    viewer._on_end(SearchEnding(same, 0.5, 0.5, "ended"))
     done(viewer, lambda: viewer.told)
     assert viewer.layout is layout
-    assert viewer.told[-1][:2] == ("Search", "its time was over")
+    assert viewer.told[-1][:2] == ("Search", "ended: P_sm stays at 0.5000 in 0 s, with compiling")
 
 
 def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monkeypatch):
@@ -670,7 +715,7 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
     viewer._compiles -= 4.0  # it has not said so for a while
     viewer._on_progress(0.1, 0.6)
     done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")
-    viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+    viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
 
 
 def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):

@@ -316,7 +316,8 @@ class Viewer(FileActions):
             if ending.layout is not None and (ending.gain > 0 or ending.failed):
                 self.session.take(ending.layout, ending.notes)
             words = ending.words(time.monotonic() - self._began)
-            self.panel.course.content = f"Search {words}"
+            words = f"failed: {words}" if ending.failed else words
+            self.panel.course.content = f"{words[0].upper()}{words[1:]}"
             color = "red" if ending.failed else "green" if ending.gain > 0 else None
             self.display.notify("Search", words, color)
             self.after_change()

@@ -247,7 +247,7 @@ def test_a_search_begins_from_here_is_stopped_and_taken_back(tab, viewer, scene,
     tab.get_by_role("button", name="Optimise from here").wait_for(timeout=WAIT)
     second = settled(tab, first)
     assert second > first
-    gain = rf"Search stopped: P_sm 0\.\d{{4}} → {second:.4f} \(\+0\.\d{{4}}\) in \d+ s"
+    gain = rf"Stopped: P_sm 0\.\d{{4}} → {second:.4f} \(\+0\.\d{{4}}\) in \d+ s"
     assert tab.get_by_text(re.compile(gain)).is_visible()
     assert second == evaluate(scene, viewer.layout).surrogate
     assert Space(scene, viewer.layout).violations(viewer.layout) == []

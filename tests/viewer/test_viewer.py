@@ -174,6 +174,7 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     viewer._on_end(SearchEnding(better, 0.8, 0.9, "too large", failed=True))
     done(viewer, lambda: viewer.told)
     assert not viewer.searching
+    assert viewer.panel.course.content.startswith("Failed: too large: P_sm 0.8000 → 0.9000")
     assert viewer.layout is better
     assert any("too large" in words and color == "red" for _, words, color in viewer.told)
     np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
@@ -191,7 +192,7 @@ def test_stop_gives_the_best_so_far_at_once(viewer, layout):
     np.testing.assert_array_equal(viewer.layout.poses, best.poses)
     score = r"P_sm (0\.\d{4} → 0\.\d{4} \(\+0\.\d{4}\)|stays at 0\.\d{4}) in \d+ s, with compiling"
     assert re.fullmatch(f"stopped: {score}", viewer.told[-1][1])
-    assert viewer.panel.course.content == f"Search {viewer.told[-1][1]}"
+    assert viewer.panel.course.content == f"S{viewer.told[-1][1][1:]}"
 
 
 @pytest.mark.process
@@ -420,7 +421,8 @@ def test_devices_are_listed_by_kind_and_a_new_one_is_of_the_kind_in_hand(viewer)
     kinds = [label.partition(": ")[0] for label in controls.new.options]
     assert kinds == sorted(kinds)
     assert set(kinds) == {"LiDAR", "camera"}
-    assert controls.device.value == "camera: test-camera"  # which the catalogue has not
+    shown = "camera: test-camera"  # which the catalogue has not
+    done(viewer, lambda: controls.device.value == shown)
     for name in ("basler-aca1600-60gc", "hesai-xt32"):
         viewer.view.swap(name)
         viewer.change(lambda: None)
@@ -865,6 +867,7 @@ def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
     assert f'data-score="{scores.surrogate}"' in viewer.panel.headline.content
     change = scores.surrogate - evaluate(scene, layout).surrogate
     assert f"{change:+.4f} against the reference (midday, clear)" in viewer.panel.headline.content
+    assert "its score is that of midday, clear" in viewer.panel.headline.content
     assert viewer.searcher.case.conditions == night
     if importlib.util.find_spec("embreex"):
         wanted = recorded(scene, layout, 0, 0, night)

@@ -82,7 +82,7 @@ class FileActions:
             self.panel.report.disabled = self.searching
             if wrong is None:
                 self._report = page
-                self.panel.show_report(f"The report is ready: `{page}`", ready=True)
+                self.panel.show_report(f"The report is ready: `{page.name}`", ready=True)
                 self.display.notify("Report", "The report is ready", "green")
             else:
                 self.panel.show_report("", ready=False)

@@ -140,9 +140,10 @@ class Panel:
             self.file = gui.add_markdown("")
             self.save = gui.add_button("Save layout")
             self.download = gui.add_button("Download layout", color=SLATE)
-            self.report = gui.add_button("Write report", hint="And offer it for download here")
+            # Above the button that is pressed, at the panel's end: below it would be out of sight.
             self.report_words = gui.add_markdown("", visible=False)
             self.download_report = gui.add_button("Download report", visible=False, color="green")
+            self.report = gui.add_button("Write report", hint="And offer it for download here")
 
         self.keys = {
             key.words: gui.add_command(key.words, hotkey=key.key, modifier=key.modifier)

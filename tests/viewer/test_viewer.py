@@ -444,7 +444,7 @@ def test_a_report_that_is_ready_is_offered_where_its_button_is(viewer, monkeypat
     viewer.write_report()
     done(viewer, lambda: panel.download_report.visible)
     page = viewer.store.page
-    assert panel.report_words.content == f"The report is ready: `{page}`"
+    assert panel.report_words.content == f"The report is ready: `{page.name}`"
     viewer.download_report(browser)
     done(viewer)
     assert sent == [("layout.html", page.read_bytes())]

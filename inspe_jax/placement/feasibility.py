@@ -1,6 +1,6 @@
 """Whether a layout can be mounted: checked on the map, without the geometry of the search."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -122,11 +122,13 @@ def _sensor(
             yield f"has a {name} of {np.degrees(angle):.1f}°, not {allowed}"
 
 
-def differences(before: Layout, after: Layout, site: Site) -> Iterator[str]:
+def differences(
+    before: Layout, after: Layout, site: Site, added: Collection[str] = ()
+) -> Iterator[str]:
     """What differs between two layouts of the same sensors, in words.
 
     ``after`` is ``before`` made feasible. Sensors are compared relative to the ground at their
-    units' feet.
+    units' feet. Units with a name in ``added`` are new.
     """
     for old, new in zip(before.units, after.units, strict=True):
         foot = np.array(new.base[:2])
@@ -134,7 +136,10 @@ def differences(before: Layout, after: Layout, site: Site) -> Iterator[str]:
         if away > TOLERANCE:
             on_pole = site.carries(foot, areas=False, within=TOLERANCE)
             where = "pole" if on_pole else "mounting area"
-            yield f"unit '{old.name}' moved {away:.2f} m to the nearest {where}"
+            if old.name in added:
+                yield f"unit '{old.name}' added at the nearest {where}, {away:.2f} m away"
+            else:
+                yield f"unit '{old.name}' moved {away:.2f} m to the nearest {where}"
     hung = (_about_feet(layout, site) for layout in (before, after))
     for sensor, was, now in zip(before.sensors, *hung, strict=True):
         name, aside = f"sensor '{sensor.name}'", float(np.hypot(*(now[:2] - was[:2])))

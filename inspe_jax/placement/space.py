@@ -7,6 +7,7 @@ of intervals. There are two ways to stay in it. :meth:`Space.project` gives its 
 :meth:`Space.faults` uses neither: it checks a layout on the map.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -262,11 +263,14 @@ class Space:
 
     # ── Starts, random layouts, candidates ──
 
-    def start(self, layout: Layout) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
+    def start(
+        self, layout: Layout, added: Collection[str] = ()
+    ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
         """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
 
-        A unit's sensors move with its foot and keep their heights above the ground. Raises
-        InspeError if the layout has other sensors.
+        A unit's sensors move with its foot and keep their heights above the ground. The notes say
+        of units with a name in ``added`` that they were added, not moved. Raises InspeError if the
+        layout has other sensors.
         """
         ours, theirs = ([(s.spec, s.unit) for s in of.sensors] for of in (self.given, layout))
         if ours != theirs:
@@ -303,7 +307,7 @@ class Space:
             poses[:, 4],
         )
         x = self.project(wanted.flat(), np)
-        return x, tuple(differences(layout, self.layout(x), self.site))
+        return x, tuple(differences(layout, self.layout(x), self.site, added))
 
     def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
         """Random feasible coordinates, one layout in each row.

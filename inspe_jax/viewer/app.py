@@ -5,6 +5,7 @@ same layout, and each selects sensors of its own. What they ask for runs in turn
 of the job queue.
 """
 
+import math
 import time
 import traceback
 import warnings
@@ -80,6 +81,7 @@ class Viewer(FileActions):
         self.views: dict[int, BrowserView] = {}
         self.searching, self._best = False, layout
         self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
+        self._began = 0.0  # when the search did
         self.queue = JobQueue(self._failed)
         self._playing = DelayedAction()
         self.access = AccessRules("127.0.0.1") if access is None else access
@@ -185,7 +187,7 @@ class Viewer(FileActions):
 
         def job() -> None:
             self.display.set_reference(self.layout)
-            self.display.notify("A is set", "changes are shown against this layout now", None)
+            self.display.notify("Reference set", "changes are shown against this layout now", None)
 
         self._unless_searching(job)
 
@@ -227,8 +229,9 @@ class Viewer(FileActions):
         look_from(client.camera, self.case.scene, back=BACK)
 
     def optimise(self) -> None:
-        """Start a search from the present layout."""
+        """Start a search from the present layout. It ends with the target, if there is one."""
         method, seconds = self.panel.method.value, float(self.panel.seconds.value)
+        target = float(self.panel.target.value) or math.inf
 
         def job() -> None:
             if self.searching:
@@ -236,13 +239,15 @@ class Viewer(FileActions):
             self.searching, self._best = True, self.layout
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
-            self.panel.course.content = "starting …"
+            usual = usual_seconds(f"search by {method}", SEARCH_COMPILES)
+            self.panel.course.content = f"starting; compiles first, for up to {usual:.0f} s or so"
+            self._began = time.monotonic()
             dropped = [view.drop_outdated() for view in list(self.views.values())]
             if any(dropped):
                 self.show()  # and not what was being dragged
             else:
                 self._show_controls()
-            self.searcher.start(self.layout, method, seconds)
+            self.searcher.start(self.layout, method, seconds, target)
 
         self.queue.submit(job)
 
@@ -308,12 +313,13 @@ class Viewer(FileActions):
         def job() -> None:
             self.searching = False
             self.panel.searching(False)
-            if ending.layout is None or (ending.gain <= 0 and not ending.failed):
-                self.display.notify("Search", ending.words, "red" if ending.failed else None)
-            else:
+            if ending.layout is not None and (ending.gain > 0 or ending.failed):
                 self.session.take(ending.layout, ending.notes)
-                color = "red" if ending.failed else "green" if ending.gain > 0 else None
-                self.display.notify("Search", f"{ending.gain:+.4f}: {ending.words}", color)
+            words = ending.words(time.monotonic() - self._began)
+            words = f"failed: {words}" if ending.failed else words
+            self.panel.course.content = f"{words[0].upper()}{words[1:]}"
+            color = "red" if ending.failed else "green" if ending.gain > 0 else None
+            self.display.notify("Search", words, color)
             self.after_change()
 
         self.queue.submit(job)

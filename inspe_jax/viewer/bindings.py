@@ -33,10 +33,10 @@ def bind(
     register(called)
 
 
-def bind_choice(control: Any) -> None:
+def bind_choice(control: Any, chosen: Callable[[], object] = lambda: None) -> None:
     """Choose the first option in place of a value that is none, in a list that nothing follows
-    until a button is pressed."""
-    bind(control, lambda _: None, refuse=lambda: set_value(control, control.options[0]))
+    until a button is pressed. ``chosen`` is called when a browser chooses an option."""
+    bind(control, lambda _: chosen(), refuse=lambda: set_value(control, control.options[0]))
 
 
 def set_value(control: Any, value: Any) -> None:

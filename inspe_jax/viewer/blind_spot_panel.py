@@ -22,7 +22,8 @@ from inspe_jax.viewer.panel import SLATE
 _IMAGE = (
     '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
     'src="data:image/png;base64,{}"><div style="padding:.2em 1em;font-size:.875em;color:#5c5c61">'
-    "Most is missed at A, by area, weight, and share of time and height unseen:</div>"
+    "Most is missed at A, by area, weight, and share of time and height unseen. The letters are "
+    "given anew after every change:</div>"
 )
 AWAY = np.array([0.0, -22.0, 20.0])
 """From a blind spot to the camera that looks at it [m]."""

@@ -216,7 +216,8 @@ class BrowserView:
         def set_controls() -> None:
             controls = self.controls
             controls.list_sensors([sensor.name for sensor in layout.sensors], s)
-            controls.offer_device(sensor.spec.name)
+            controls.say_several(len(self.selection), sensor.name)
+            controls.offer_device(sensor.spec)
             controls.searching(searching)
             set_value(controls.name, sensor.name)
 

@@ -103,7 +103,7 @@ class Display:
             if found.layout is layout and self._is_here(found)
         }
         if scored.get(self._frames) is None:
-            raise InspeError("A can be set or swapped once all frames are scored")
+            raise InspeError("the reference can be set or swapped once all frames are scored")
         before, self.reference = self.reference, layout
         self._references = {n: scores for n, scores in scored.items() if scores is not None}
         self._referred_in = self._case.conditions
@@ -272,7 +272,8 @@ class Display:
             road_user=self._panel.road_user,
             target=float(self._panel.target.value),
         )
-        self._panel.headline.content, self._panel.scores.content = page
+        self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page
+        self._panel.notes.visible = bool(page.notes)
         words = f"{self.shown.name} at {self._case.scene.name}"
         if self._current and scored is not None and scored.scores is not None:
             words = f"{scored.scores.surrogate:.4f}  {words}"  # also where the panel is collapsed

@@ -14,7 +14,7 @@ from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import EarlierFile, LayoutStore
 
-BEFORE = "the layout that was opened, or the one that was set as A"
+BEFORE = "the layout that was opened, or the one that was made the reference"
 """What a report compares with."""
 
 
@@ -31,6 +31,7 @@ class FileActions:
     display: Display
     searching: bool
     layout: Any
+    _report: Path | None = None
     _unless_searching: Callable[[Callable[[], Any]], None]
     change: Callable[[Callable[[], Any]], None]
     _show_file: Callable[[], None]
@@ -75,19 +76,23 @@ class FileActions:
         """Send a browser the layout, as it would be saved."""
         self.queue.submit(lambda: send(client, self.store.path.name, layout_text(self.layout)))
 
-    def write_report(self, client: Any = None) -> None:
-        """Write a report beside the layout's file, and send it to a browser; one at a time.
+    def write_report(self) -> None:
+        """Write a report beside the layout's file, and offer it to browsers; one at a time.
 
-        It has before and after where the layout is not that which it is compared with, and the
-        target if one is set.
+        It has before and after where the layout is not the reference, and the target if one is set.
         """
 
         def ended(page: Path, wrong: Exception | None) -> None:
+            self.queue.submit(lambda: show(page, wrong))
+
+        def show(page: Path, wrong: Exception | None) -> None:
             self.panel.report.disabled = self.searching
             if wrong is None:
-                self.display.notify("Report", f"wrote {page}", "green")
-                send(client, page.name, page.read_text(encoding="utf-8"))
+                self._report = page
+                self.panel.show_report(f"The report is ready: `{page.name}`", ready=True)
+                self.display.notify("Report", "The report is ready", "green")
             else:
+                self.panel.show_report("", ready=False)
                 self._failed(wrong)
 
         def job() -> None:
@@ -97,12 +102,20 @@ class FileActions:
             target = float(self.panel.target.value) or None
             if self.store.report(*given, **self.further, start=start, target=target):
                 self.panel.report.disabled = True
-                self.display.notify("Report", "drawing …", None)
+                self.panel.show_report("The report is being drawn …", ready=False)
 
         self._unless_searching(job)
 
+    def download_report(self, client: Any) -> None:
+        """Send a browser the report that was written last."""
+
+        def job() -> None:
+            if self._report is not None:
+                send(client, self._report.name, self._report.read_text(encoding="utf-8"))
+
+        self.queue.submit(job)
+
 
 def send(client: Any, name: str, text: str) -> None:
-    """Offer a browser a file to download; nothing where the browser is None."""
-    if client is not None:
-        client.send_file_download(name, text.encode())
+    """Have a browser save a file among its downloads."""
+    client.send_file_download(name, text.encode(), save_immediately=True)

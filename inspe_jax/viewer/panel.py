@@ -16,6 +16,8 @@ from inspe_jax.viewer.store import EarlierFile
 
 SECONDS = 60.0
 """Usual time of a search [s]."""
+COMPILES_FIRST = "It first compiles, for some 10 to 20 s. Then its time begins."
+"""What is said of a search before the first one."""
 SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
 REGIONS = "regions"
@@ -101,18 +103,20 @@ class Panel:
         self.headline = gui.add_html("")
         self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
-        self.compare = gui.add_button_group("Compare", ("Set as A", "Swap with A"), hint=REFERENCE)
+        self.compare = gui.add_button_group("Reference", ("Set to this", "Swap"), hint=REFERENCE)
         self.target = gui.add_number(
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
-            hint="The P_sm that the layout should reach, as a dashed line; 0 for none",
+            hint="The P_sm that the layout should reach, as an orange mark: a search ends there; "
+            "0 for none",
         )  # fmt: skip
+        self.notes = gui.add_html("", order=float(self.target.order) + 0.3, visible=False)
         with gui.add_folder("Search"):
             self.method = gui.add_dropdown("Method", list(METHODS), initial_value=DEFAULT_METHOD)
             self.seconds = gui.add_number("Time [s]", SECONDS, min=1.0, step=10.0)
             self.optimise = gui.add_button("Optimise from here", color="green")
             self.stop = gui.add_button("Stop", color="orange", visible=False)
             self.bar = gui.add_progress_bar(0.0, visible=False)
-            self.course = gui.add_markdown("", visible=False)
+            self.course = gui.add_markdown(COMPILES_FIRST)
         self.blind_spots = gui.add_folder("Blind spots", visible=False)
         with gui.add_folder("Traffic, light and weather"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
@@ -136,6 +140,9 @@ class Panel:
             self.file = gui.add_markdown("")
             self.save = gui.add_button("Save layout")
             self.download = gui.add_button("Download layout", color=SLATE)
+            # Above the button that is pressed, at the panel's end: below it would be out of sight.
+            self.report_words = gui.add_markdown("", visible=False)
+            self.download_report = gui.add_button("Download report", visible=False, color="green")
             self.report = gui.add_button("Write report", hint="And offer it for download here")
 
         self.keys = {
@@ -151,7 +158,7 @@ class Panel:
             command, ask = self.keys[key.words], partial(key.ask, viewer)
             bind(command, ask, refuse=viewer.restore, settle=settle)
         self._changes(self.edit, lambda _: self._edit(self.edit.value))
-        compare = {"Set as A": viewer.set_reference, "Swap with A": viewer.swap_reference}
+        compare = {"Set to this": viewer.set_reference, "Swap": viewer.swap_reference}
         self._changes(self.compare, lambda _: compare[self.compare.value]())
         bind_choice(self.method)
         self._changes(self.optimise, lambda _: viewer.optimise())
@@ -166,13 +173,15 @@ class Panel:
             looks(box, viewer.show_voxels)
         self._changes(self.save, lambda _: viewer.save())
         self._changes(self.download, viewer.download)
-        self._changes(self.report, viewer.write_report)
+        self._changes(self.report, lambda _: viewer.write_report())
+        bind(self.download_report, viewer.download_report, refuse=viewer.restore)
 
     @property
-    def sensor_orders(self) -> tuple[float, float, float]:
-        """Where in the panel the three folders of a browser's selected sensors stand."""
+    def sensor_orders(self) -> tuple[float, float, float, float]:
+        """Where in the panel the four folders of a browser's sensors stand. What is said of the
+        last change is below the first two, whose buttons then stay where they are."""
         after = float(self.target.order)
-        return after + 0.25, after + 0.5, after + 0.75
+        return after + 0.1, after + 0.2, after + 0.4, after + 0.5
 
     def offer_earlier(self, earlier: Sequence[EarlierFile]) -> None:
         """Offer to open layouts that an earlier run has left."""
@@ -246,6 +255,12 @@ class Panel:
         else:
             self._viewer.undo_or_redo(what)
 
+    def show_report(self, words: str, *, ready: bool) -> None:
+        """Say how far the report is, and offer it once it is ``ready``."""
+        self.report_words.content = words
+        self.report_words.visible = bool(words)
+        self.download_report.visible = ready
+
     def show_conditions(self, around: Conditions) -> None:
         """Choose the light and the weather that there are."""
         set_value(self.light, around.light)
@@ -253,9 +268,9 @@ class Panel:
 
     def searching(self, on: bool) -> None:
         """Disable changes while a search runs, and show the button that stops it."""
-        self.stop.visible = self.bar.visible = self.course.visible = on
+        self.stop.visible = self.bar.visible = on
         self.optimise.visible = self.compare.visible = self.edit.visible = not on
-        choices = self.method, self.seconds, self.light, self.weather
+        choices = self.method, self.seconds, self.target, self.light, self.weather
         for control in (*choices, self.save, self.report, *self.offers):
             control.disabled = on
 

@@ -1,10 +1,11 @@
-"""The panel of a layout's scores: bars, cost, and the rules of mounting that it breaks."""
+"""The panel of a layout's scores, with the rules of mounting that it breaks, and its sensors."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
 from inspe_jax.placement.objective import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS
@@ -32,19 +33,23 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-REFERENCE = "A is the layout as it was opened, or the one that you have set as A"
+REFERENCE = "The reference is the layout as it was opened, or the one that you have made it"
 """What changes are compared with, in words."""
+TARGET_COLOR = "#d55e00"
+"""Of the mark of the target."""
 
 _HEADLINE = template("viewer", "headline.html.j2")
 _DETAILS = template("viewer", "score_panel.html.j2")
+_NOTES = template("viewer", "notes.html.j2")
 _TABLE = template("viewer", "sensor_table.html.j2")
 
 
 class ScorePanel(NamedTuple):
-    """Scores as HTML: P_sm and how far scoring is; and all else."""
+    """Scores as HTML: P_sm and how far scoring is; all else; and notes on the last change."""
 
     headline: str
     details: str
+    notes: str
 
 
 def score_panel(
@@ -66,7 +71,7 @@ def score_panel(
     ``scored``: the newest scores, or None. Those of another layout are shown in grey.
     ``frames``: number of frames of the whole traffic.
     ``outdated``: whether the scores are of other conditions, or of another layout.
-    ``reference``: the scores of the layout A that this one is compared with, on the same frames.
+    ``reference``: the scores of the layout that this one is compared with, on the same frames.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.
     ``waiting``: what is being done while the layout has no scores.
@@ -84,6 +89,7 @@ def score_panel(
         against=REFERENCE,
         before=before,
         target=target,
+        target_color=TARGET_COLOR,
         reference_in=_elsewhere(scores, reference),
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
@@ -95,21 +101,18 @@ def score_panel(
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
-        notes=notes,
         broken=BROKEN_COLOR,
         metrics=[] if scores is None else list(_metric_bars(scores, reference)),
         regions=[] if scores is None else list(_region_bars(scores, reference)),
-        sensors=len(layout),
-        units=len(layout.units),
-        cost=cost_of(layout),
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
     )
-    return ScorePanel(headline, details)
+    return ScorePanel(headline, details, _NOTES.render(notes=notes) if notes else "")
 
 
 def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]) -> str:
-    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it.
+    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it; and
+    what all of them cost.
 
     ``scored`` are the layout's scores, None as long as there are none. The sensors at the places
     of the ``selection`` are ticked, the last of them is bold.
@@ -130,7 +133,15 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
             )
         )
     priced = any(row["price"] for row in rows)
-    return _TABLE.render(rows=rows, priced=priced, together=len(selection))
+    sensors, units = counted(len(layout), "sensor"), counted(len(layout.units), "unit")
+    return _TABLE.render(
+        rows=rows,
+        priced=priced,
+        together=len(selection),
+        sensors=sensors,
+        units=units,
+        cost=cost_of(layout),
+    )
 
 
 @dataclass(frozen=True)

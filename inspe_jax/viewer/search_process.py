@@ -15,6 +15,7 @@ The process ends when its input does. It has the metrics that ``import inspe_jax
 objective with weight on another one fails in it.
 """
 
+import math
 import os
 import pickle
 import signal
@@ -62,6 +63,7 @@ class SearchTask:
     seconds: float
     objective: Objective
     constraints: Constraints
+    target: float = math.inf
     settings: dict[str, Any] = field(
         default_factory=lambda: {name: getattr(jax.config, name) for name in SETTINGS}
     )
@@ -137,6 +139,7 @@ def _search(task: SearchTask, out: _MessageWriter) -> None:
             task.seconds,
             objective=task.objective,
             constraints=task.constraints,
+            target=task.target,
             progress=lambda done, best: out.send("progress", done, best),
             found=lambda layout, score: out.send("found", layout, score),
             clock=lambda: time.monotonic() - (compiled().seconds - before),

@@ -1,6 +1,7 @@
 """Runs a search in a process beside the page. It stops at once, with its best layout so far."""
 
 import contextlib
+import math
 import os
 import pickle
 import subprocess
@@ -14,7 +15,6 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import named_optimised
 from inspe_jax.placement.problem import Case
-from inspe_jax.placement.result import STATUSES
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
@@ -28,19 +28,42 @@ PROCESS_ENVIRONMENT = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
 """Of the search's process: the page's process already has most of a graphics card's memory."""
 
 
+REASONS = {
+    "converged": "ended, as it finds nothing better",
+    "budget spent": "ended, as its time is over",
+    "interrupted": "stopped",
+    "target reached": "target reached",
+}
+"""How a search has ended, by its status."""
+
+
 @dataclass(frozen=True)
 class SearchEnding:
     """How a search ended.
 
-    ``layout`` is the best one found, or None; ``gain`` what the objective gained over the start;
-    ``words`` say why it ended; ``notes`` are those of its result.
+    ``layout`` is the best one found, or None; ``before`` and ``after`` are the scores of the start
+    and of that layout; ``reason`` says why it ended; ``notes`` are those of its result.
     """
 
     layout: Layout | None
-    gain: float
-    words: str
+    before: float
+    after: float
+    reason: str
     failed: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def gain(self) -> float:
+        """What the score has gained over the start."""
+        return self.after - self.before
+
+    def words(self, seconds: float) -> str:
+        """Why it ended, and what it has gained in so many ``seconds``, for the page."""
+        if self.layout is None:
+            return f"{self.reason}, after {seconds:.0f} s"
+        gained = f"{self.before:.4f} → {self.after:.4f} ({self.gain:+.4f})"
+        score = gained if self.gain > 0 else f"stays at {self.before:.4f}"
+        return f"{self.reason}: P_sm {score} in {seconds:.0f} s, with compiling"
 
 
 @dataclass(frozen=True)
@@ -107,8 +130,9 @@ class Searcher:
                 target=self._listen, args=(self._process,), name="search", daemon=True
             ).start()
 
-    def start(self, layout: Layout, method: str, seconds: float) -> None:
-        """Start a search from a layout. Does nothing while another one runs."""
+    def start(self, layout: Layout, method: str, seconds: float, target: float = math.inf) -> None:
+        """Start a search from a layout, which also ends with a score of ``target`` or more. Does
+        nothing while another one runs."""
         with self._lock:
             if self.running or self._closed:
                 return
@@ -118,7 +142,9 @@ class Searcher:
             except OSError as e:
                 self._end(f"no process could be started for the search: {e.strerror}", failed=True)
                 return
-            task = SearchTask(self.case, layout, method, seconds, self.objective, self.constraints)
+            task = SearchTask(
+                self.case, layout, method, seconds, self.objective, self.constraints, target
+            )
             # The process reads only once it has started; the caller should not wait for that.
             threading.Thread(target=self._send, args=(self._process, task), daemon=True).start()
 
@@ -128,7 +154,7 @@ class Searcher:
             if not self.running:
                 return
             self._end_process()
-            self._end(STATUSES["interrupted"])
+            self._end(REASONS["interrupted"])
         self.warm()  # for the next
 
     def close(self) -> None:
@@ -137,7 +163,7 @@ class Searcher:
             self._closed = True
             self._end_process()
             if self.running:
-                self._end(STATUSES["interrupted"])
+                self._end(REASONS["interrupted"])
 
     def _end_process(self) -> None:
         process, self._process = self._process, None
@@ -152,14 +178,15 @@ class Searcher:
         process.kill()
         _release(process)
 
-    def _end(self, words: str, *, failed: bool = False) -> None:
+    def _end(self, reason: str, *, failed: bool = False) -> None:
         """Report the end of a search that has no result."""
         self.running = False
         if self._best is None:
-            words = words if failed else "stopped before there was a score"
-            self._callbacks.ended(SearchEnding(None, 0.0, words, failed))
+            reason = reason if failed else "stopped before there was a score"
+            self._callbacks.ended(SearchEnding(None, 0.0, 0.0, reason, failed))
         else:
-            ending = SearchEnding(named_optimised(self._best[0]), self.gain, words, failed)
+            layout, score = self._best
+            ending = SearchEnding(named_optimised(layout), self._first, score, reason, failed)
             self._callbacks.ended(ending)
 
     def _send(self, process: "subprocess.Popen[bytes]", task: SearchTask) -> None:
@@ -211,9 +238,9 @@ class Searcher:
             self._end(content[0], failed=True)
         elif kind == "ended":
             result, self.running = content[0], False
-            gain = result.objective - result.objective_before
-            words = STATUSES[result.status]
-            self._callbacks.ended(SearchEnding(result.layout, gain, words, notes=result.notes))
+            scores = result.objective_before, result.objective
+            reason = REASONS[result.status]
+            self._callbacks.ended(SearchEnding(result.layout, *scores, reason, notes=result.notes))
 
 
 def _release(process: "subprocess.Popen[bytes]") -> int:

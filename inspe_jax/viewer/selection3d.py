@@ -7,12 +7,13 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
+from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.scene3d import Outline, rgb
 
 WIDE = 0.4
 """Width of the outline of what a selected sensor looks at [m]."""
-POINT_COLOR, POINT_SIZE = "#b5009b", 0.14
-"""Of a LiDAR's points: a colour that nothing else has, and their size [m]."""
+POINT_SIZE = 0.14
+"""Of a LiDAR's points, which have the colour of LiDARs [m]."""
 
 
 class Selection3D:
@@ -50,7 +51,11 @@ class Selection3D:
         at = (points - self._shift).astype(np.float32)
         if self.points is None:
             self.points = self._api.add_point_cloud(
-                "points", at, rgb(POINT_COLOR), point_size=POINT_SIZE, point_shading="flat"
+                "points",
+                at,
+                rgb(SENSOR_COLORS["lidar"]),
+                point_size=POINT_SIZE,
+                point_shading="flat",
             )
         else:
             self.points.points = at

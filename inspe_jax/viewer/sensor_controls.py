@@ -1,13 +1,15 @@
-"""The controls of one browser's selected sensor: its device, its name, its pose; and the list."""
+"""The controls of one browser: for a new sensor, for the selected one, and the list of all."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from html import escape
 from typing import Any
 
 import viser
 
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import Spec
 from inspe_jax.viewer.bindings import bind, bind_choice, set_value
 from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
@@ -24,6 +26,14 @@ DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 """The decimals with which they are shown and typed."""
 
 
+_WORDS = "padding:.1em 1em;font-size:.875em;line-height:1.4;color:#1d1d1f"
+
+
+def label_of(spec: Spec) -> str:
+    """What a device is called in a list: its kind and its name."""
+    return f"{spec.title}: {spec.name}"
+
+
 class SensorControls:
     """Every control by name. When a person uses one, a method of ``view`` is called.
 
@@ -31,15 +41,25 @@ class SensorControls:
     """
 
     def __init__(
-        self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float]
+        self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]
     ) -> None:
         """``viewer`` refuses what is impossible, ``view`` has the methods that are bound below.
-        ``orders`` are the places in the panel of the three folders."""
-        known = list(devices())
-        with gui.add_folder("Sensor", order=orders[0]):
+        ``orders`` are the places in the panel of the four folders."""
+        known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
+        self._devices = {label_of(spec): spec.name for spec in known}
+        self._chosen = False  # a new sensor's device, by hand
+        with gui.add_folder("New sensor", order=orders[0]):
+            self.new = gui.add_dropdown(
+                "New device", list(self._devices), hint="The device that Add mounts"
+            )
+            self.add = gui.add_button(
+                "Add", hint="Mount a new sensor as near as possible to the point you look at"
+            )
+        with gui.add_folder("Sensor", order=orders[1]):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")
-            self.device = gui.add_dropdown("Device", known)
+            self.device = gui.add_dropdown("Device", list(self._devices))
+            self.several = gui.add_html("", visible=False)
             self.pose = {
                 key: gui.add_number(label, 0.0, step=round(0.1 ** DIGITS[key], DIGITS[key]))
                 for key, label in POSE.items()
@@ -49,12 +69,8 @@ class SensorControls:
                 ("Duplicate", "Remove"),
                 hint="Copy the sensor that has the handle; remove all that are selected",
             )
-            self.new = gui.add_dropdown("New device", known, hint="The device that Add mounts")
-            self.add = gui.add_button(
-                "Add", hint="Mount a new sensor as near as possible to the point you look at"
-            )
-        self.sensor_view = gui.add_folder("Through the sensor", order=orders[1])
-        with gui.add_folder("All sensors", order=orders[2]):
+        self.sensor_view = gui.add_folder("Through the sensor", order=orders[2])
+        with gui.add_folder("All sensors", order=orders[3]):
             self.table = gui.add_html("")
             # What a click on a row of the table presses; the page shows only the table.
             self.row_buttons = gui.add_button_group("Select", ("1",))
@@ -72,10 +88,10 @@ class SensorControls:
         selects(self.name, lambda: view.rename(self.name.value))
         for key, number in self.pose.items():
             selects(number, partial(self._typed, view, key))
-        changes(self.device, lambda: view.swap(self.device.value))
+        changes(self.device, lambda: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda: self._do(view, self.existing.value))
-        bind_choice(self.new)
-        changes(self.add, lambda: view.add(self.new.value))
+        bind_choice(self.new, chosen=self._choose)
+        changes(self.add, lambda: view.add(self._devices[self.new.value]))
 
     def list_sensors(self, names: Sequence[str], in_hand: int) -> None:
         """List these sensors, numbered from 1, and choose the one at place ``in_hand``."""
@@ -86,11 +102,25 @@ class SensorControls:
             self.row_buttons.options = self.toggle_buttons.options = numbers
         set_value(self.sensor, options[in_hand])
 
-    def offer_device(self, name: str) -> None:
-        """Choose a device in the list; add it if the catalogue does not have it."""
-        if name not in self.device.options:
-            self.device.options = (*self.device.options, name)
-        set_value(self.device, name)
+    def say_several(self, count: int, name: str) -> None:
+        """Say whose the numbers are, where ``count`` sensors are selected, several."""
+        self.several.visible = count > 1
+        whose = f"numbers are of <b>{escape(name)}</b>, the others move along"
+        words = f"{count} sensors selected: {whose}."
+        self.several.content = f'<div style="{_WORDS}">{words}</div>' if count > 1 else ""
+
+    def offer_device(self, spec: Spec) -> None:
+        """Choose a device in the list; add it if the catalogue does not have it.
+
+        Until a person has chosen a device for a new sensor, it is the same.
+        """
+        label = label_of(spec)
+        if label not in self.device.options:
+            self._devices[label] = spec.name
+            self.device.options = (*self.device.options, label)
+        set_value(self.device, label)
+        if not self._chosen and label in self.new.options:
+            set_value(self.new, label)
 
     def show_table(
         self, layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]
@@ -103,6 +133,9 @@ class SensorControls:
         self.existing.visible = not on
         for control in (self.device, self.new, self.name, *self.pose.values(), self.add):
             control.disabled = on
+
+    def _choose(self) -> None:
+        self._chosen = True
 
     def _typed(self, view: Any, key: str) -> None:
         view.type_number(key, float(self.pose[key].value))

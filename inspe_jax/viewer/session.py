@@ -155,7 +155,7 @@ class LayoutSession:
             sensors=(*old.sensors, sensor),
             units=(*old.units, unit),
         )
-        self.take(*self._mounted(wanted))
+        self.take(*self._mounted(wanted, added=(unit.name,)))
         return len(self.layout) - 1
 
     def duplicate(self, s: int) -> int:
@@ -177,7 +177,7 @@ class LayoutSession:
         return after
 
     def remove(self, *which: int) -> None:
-        """Remove sensors, and units that carry no other.
+        """Remove sensors, and units that carry no other; notes name those units.
 
         Raises InspeError if no sensor would be left.
         """
@@ -186,12 +186,15 @@ class LayoutSession:
             self._check_there(s)
         keep = [k for k in range(len(old)) if k not in which]
         if not keep:
-            raise InspeError("the last sensor cannot be removed: a layout has at least one")
+            what = f"all {len(old)} sensors" if len(old) > 1 else "the last sensor"
+            raise InspeError(f"{what} cannot be removed: a layout has at least one")
         used = sorted({old.sensors[k].unit for k in keep})
         sensors = tuple(replace(old.sensors[k], unit=used.index(old.sensors[k].unit)) for k in keep)
         poses = np.asarray(old.poses, float)[keep]
         units = tuple(old.units[u] for u in used)
-        self.take(replace(old, poses=poses, sensors=sensors, units=units))
+        bare = {old.sensors[s].unit for s in which} - set(used)
+        notes = (f"unit '{old.units[u].name}' removed with its last sensor" for u in sorted(bare))
+        self.take(replace(old, poses=poses, sensors=sensors, units=units), tuple(notes))
 
     def swap(self, s: int, name: str) -> None:
         """Exchange the device of sensor ``s`` for one of the opened layout or of the catalogue.
@@ -228,11 +231,14 @@ class LayoutSession:
 
     # ── Mounting ──
 
-    def _mounted(self, wanted: Layout) -> MountedLayout:
-        """The nearest layout that can be mounted; the wanted one if there is none."""
+    def _mounted(self, wanted: Layout, added: Sequence[str] = ()) -> MountedLayout:
+        """The nearest layout that can be mounted; the wanted one if there is none.
+
+        ``added`` are the names of its new units.
+        """
         try:
             space = self._space_for(wanted)
-            x, notes = space.start(wanted)
+            x, notes = space.start(wanted, added)
             found = space.layout(x)
         except InspeError as wrong:
             return wanted, (str(wrong),)

@@ -218,9 +218,19 @@ def test_sensors_are_copied_removed_exchanged_and_added(tab, viewer):
     assert view_of(viewer).in_hand == 1
     press(tab, "Remove")
     tab.get_by_text("2 sensors on 2 units").wait_for(timeout=WAIT)
+    settled(tab)
+    assert tab.locator("[data-notes]").count() == 0
+    (client,) = viewer.server.get_clients().values()
+    client.camera.look_at = np.array([3.0, 11.0, 0.0])  # the middle of a lane
+    tab.wait_for_timeout(1000)
+    at = tab.get_by_role("button", name="Add").bounding_box()
     press(tab, "Add")
     tab.get_by_text("3 sensors on 3 units").wait_for(timeout=WAIT)
-    assert viewer.layout.sensors[2].spec.name == view_of(viewer).controls.new.value
+    tab.get_by_text(re.compile("unit 1' added at the nearest mounting area")).wait_for()
+    settled(tab)
+    assert tab.get_by_role("button", name="Add").bounding_box() == at  # for a second click
+    spec = viewer.layout.sensors[2].spec
+    assert view_of(viewer).controls.new.value == f"{spec.title}: {spec.name}"
     assert viewer.session.faults() == []
 
 
@@ -237,6 +247,8 @@ def test_a_search_begins_from_here_is_stopped_and_taken_back(tab, viewer, scene,
     tab.get_by_role("button", name="Optimise from here").wait_for(timeout=WAIT)
     second = settled(tab, first)
     assert second > first
+    gain = rf"Stopped: P_sm 0\.\d{{4}} → {second:.4f} \(\+0\.\d{{4}}\) in \d+ s"
+    assert tab.get_by_text(re.compile(gain)).is_visible()
     assert second == evaluate(scene, viewer.layout).surrogate
     assert Space(scene, viewer.layout).violations(viewer.layout) == []
     press(tab, "Undo")
@@ -256,15 +268,16 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
     assert evaluate(scene, again).surrogate == pytest.approx(second, abs=1e-6)
     assert not viewer.store.unsaved.exists()
     press(tab, "Write report")
-    tab.get_by_text(re.compile("wrote .*layout.html")).wait_for(timeout=WAIT)
+    tab.get_by_text(re.compile("The report is ready: .*layout.html")).wait_for(timeout=WAIT)
     page = viewer.store.page.read_text()
     assert str(evaluate(scene, viewer.layout).surrogate) in page
     with tab.expect_download() as sent:
-        tab.get_by_role("link", name="layout.html").click()
+        press(tab, "Download report")
+    assert sent.value.suggested_filename == "layout.html"
     assert Path(sent.value.path()).read_text() == page
-    press(tab, "Download layout")
     with tab.expect_download() as sent:
-        tab.get_by_role("link", name="layout.yaml").click()
+        press(tab, "Download layout")
+    assert sent.value.suggested_filename == "layout.yaml"
     assert Path(sent.value.path()).read_text() == viewer.store.path.read_text()
 
 
@@ -483,7 +496,7 @@ def test_the_camera_in_hand_shows_what_the_recorder_records(tab, viewer, scene):
     night = Conditions("night")
     assert settled(tab, second) == evaluate(scene, viewer.layout, conditions=night).surrogate
     wait_until(tab, lambda: np.array_equal(shown(), wanted(night)))
-    assert tab.get_by_text("against A (midday, clear)").is_visible()
+    assert tab.get_by_text("against the reference (midday, clear)").is_visible()
     panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
     assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")  # nothing is cut off
 
@@ -507,7 +520,7 @@ def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
     tab.keyboard.press("Shift+n")
     wait_until(tab, lambda: view_of(viewer).in_hand == 1)
     tab.keyboard.press("Delete")
-    tab.get_by_text("1 sensors on 1 units").wait_for(timeout=WAIT)
+    tab.get_by_text("1 sensor on 1 unit").wait_for(timeout=WAIT)
     assert viewer.layout.sensors == layout.sensors[:1]
     (client,) = viewer.server.get_clients().values()
     begun = np.array(client.camera.position)
@@ -535,6 +548,19 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab):
         )
     )
     assert 0 < score < undo < 160 < report < 900
+
+
+def test_the_mark_of_the_target_is_well_visible(tab, viewer):
+    set_value(viewer.panel.target, 0.3)
+    viewer.show_target()
+    mark = tab.locator("[data-target]")
+    mark.wait_for()
+    box = mark.bounding_box()
+    assert box["width"] >= 8
+    assert box["height"] >= 16
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    on_top = "([x, y]) => document.elementFromPoint(x, y).dataset.target"
+    assert tab.evaluate(on_top, middle) == "0.3"  # nothing is drawn over it
 
 
 def test_rows_of_the_sensors_are_clicked_one_or_several(tab, viewer, layout):

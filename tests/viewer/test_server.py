@@ -664,7 +664,7 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
         pull(page, owner, (at + [0, 0, 2.0]).tolist())
         pull(page, owner, None, "End")
         wait_until(lambda: np.allclose(view.handle.gizmo.position, at))
-        viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+        viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
         wait_until(lambda: not viewer.searching)
     assert viewer.layout is before
     still_works(viewer)

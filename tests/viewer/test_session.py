@@ -113,7 +113,7 @@ def test_those_along_stay_within_the_region(session):
 
 
 def test_several_sensors_are_removed_at_once(session):
-    with pytest.raises(InspeError, match="at least one"):
+    with pytest.raises(InspeError, match="all 3 sensors cannot be removed"):
         session.remove(0, 1, 2)
     assert len(session.layout) == 3
     session.remove(2, 0)
@@ -186,6 +186,10 @@ def test_a_new_sensor_stands_on_a_unit_of_its_own_and_looks_at_the_centre(sessio
     assert -40 < np.degrees(pose[4]) < -10
     assert_mounted(session)
     assert session.add("paper-camera", np.array([0.0, 12.0])) == 4
+    (note,) = session.notes  # in the road, from where it goes to the kerb
+    unit = session.layout.units[-1]
+    away = np.hypot(*(np.array(unit.base[:2]) - [0.0, 12.0]))
+    assert note == f"unit '{unit.name}' added at the nearest mounting area, {away:.2f} m away"
     names = [sensor.name for sensor in session.layout.sensors]
     assert len(set(names)) == 5
     assert_mounted(session)
@@ -220,16 +224,19 @@ def test_notes_are_of_the_last_change(session):
     assert session.notes
     session.moved(0, np.array([5.0, -12.0, 6.0, 0, -0.3, -2.3]))  # only looked at
     assert "2.30 m" in session.notes[0]
-    session.remove(2)
+    session.remove(1)  # its unit has another
     assert session.notes == ()
     session.undo()
     assert session.notes == ()
 
 
 def test_a_unit_goes_with_its_last_sensor_and_the_last_sensor_stays(session):
+    gone = session.layout.units[1].name
     session.remove(2)
     assert [unit.name for unit in session.layout.units] == ["north"]
+    assert session.notes == (f"unit '{gone}' removed with its last sensor",)
     session.remove(0)
+    assert session.notes == ()
     assert [sensor.name for sensor in session.layout.sensors] == ["b"]
     with pytest.raises(InspeError, match="the last sensor cannot be removed"):
         session.remove(0)

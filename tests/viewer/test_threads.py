@@ -16,7 +16,6 @@ from inspe_jax.core.compiling import compiled
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
-from inspe_jax.placement.result import STATUSES
 from inspe_jax.placement.space import Space
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.metrics import METRICS
@@ -27,7 +26,7 @@ from inspe_jax.viewer import search_process
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
-from inspe_jax.viewer.searcher import SearchCallbacks, Searcher
+from inspe_jax.viewer.searcher import REASONS, SearchCallbacks, Searcher
 
 WEIGHTS = (0.3, 0.5, 0.2)
 
@@ -224,7 +223,7 @@ def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher
     searcher.stop()
     ((ending,),) = heard.ended.wait(lambda told: told)
     assert time.monotonic() - began < 2
-    assert (ending.words, ending.failed) == (STATUSES["interrupted"], False)
+    assert (ending.reason, ending.failed) == (REASONS["interrupted"], False)
     scores = [score for _, score in heard.found.heard]
     assert scores == sorted(scores)
     assert ending.gain == scores[-1] - scores[0]
@@ -243,7 +242,7 @@ def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher
 def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(layout, searcher, heard):
     searcher.start(layout, "random", 2.0)
     ((first,),) = heard.ended.wait(lambda told: told)
-    assert first.words == STATUSES["budget spent"]
+    assert first.reason == REASONS["budget spent"]
     assert not first.failed
     assert first.gain >= 0
     process, compiled = searcher._process, len(heard.compiling.heard)
@@ -301,7 +300,7 @@ def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
     ((ending,),) = heard.ended.wait(lambda told: told)
     assert ending.layout is None
     assert ending.failed
-    assert "nowhere to stand" in ending.words
+    assert "nowhere to stand" in ending.reason
     searcher.close()
 
 
@@ -312,7 +311,7 @@ def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     searcher._process.kill()
     ((ending,),) = heard.ended.wait(lambda told: told)
     assert ending.failed
-    assert "memory runs out" in ending.words
+    assert "memory runs out" in ending.reason
     np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
     searcher.start(layout, "random", 1.0)  # in a new process
     assert not heard.ended.wait(lambda told: len(told) == 2)[1][0].failed
@@ -361,8 +360,8 @@ def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, mon
     searcher.start(replace(layout, name=lambda: None), "random", 5.0)  # cannot be pickled
     first, second = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 2))
     assert (first.failed, second.failed) == (True, True)
-    assert "Cannot allocate memory" in first.words
-    assert "could not be sent" in second.words
+    assert "Cannot allocate memory" in first.reason
+    assert "could not be sent" in second.reason
 
 
 @pytest.mark.process
@@ -392,14 +391,14 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
     )
     assert text.count("+0.010") == 2  # and none where nothing has changed
     marks = [round(100 * (value - 0.01), 1) for value in scores.metrics.values()]
-    assert sum(f"left:calc({mark:.1f}%" in text for mark in marks) == 2  # where A's values are
+    assert sum(f"left:calc({mark:.1f}%" in text for mark in marks) == 2  # the reference's
     assert METRICS["occlusion"].summary in text
     nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
     assert ">0.9997<" in panel(layout, nearly, frames=50)
     full = replace(scored, scores=replace(scores, metrics=less | {"coverage": 1.0}))
     assert ">1.000<" in panel(layout, full, frames=50)
     assert f"{scored.scores.surrogate:.4f}" in text
-    assert f"{scored.scores.surrogate - 0.1:+.4f} against A" in text
+    assert f"{scored.scores.surrogate - 0.1:+.4f} against the reference" in text
     assert "all frames" in text
     assert "unit &lt;x&gt; floats" in text
     assert f"{scored.scores.region_coverage['driveway']:.3f}" in text

@@ -41,6 +41,7 @@ from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import HandleDrag
+from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.sensor_view import image_scale
 
@@ -170,9 +171,10 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     viewer.optimise()
     done(viewer, lambda: viewer.searching)
     viewer._on_better(better, 0.9)
-    viewer._on_end(SearchEnding(better, 0.1, "too large", failed=True))
+    viewer._on_end(SearchEnding(better, 0.8, 0.9, "too large", failed=True))
     done(viewer, lambda: viewer.told)
     assert not viewer.searching
+    assert viewer.panel.course.content.startswith("Failed: too large: P_sm 0.8000 → 0.9000")
     assert viewer.layout is better
     assert any("too large" in words and color == "red" for _, words, color in viewer.told)
     np.testing.assert_allclose(load_layout(viewer.store.unsaved).poses, better.poses, atol=1e-8)
@@ -188,7 +190,29 @@ def test_stop_gives_the_best_so_far_at_once(viewer, layout):
     done(viewer, lambda: viewer.told)
     assert time.monotonic() - began < 2
     np.testing.assert_array_equal(viewer.layout.poses, best.poses)
-    assert "stopped by hand" in viewer.told[-1][1]
+    score = r"P_sm (0\.\d{4} → 0\.\d{4} \(\+0\.\d{4}\)|stays at 0\.\d{4}) in \d+ s, with compiling"
+    assert re.fullmatch(f"stopped: {score}", viewer.told[-1][1])
+    assert viewer.panel.course.content == f"S{viewer.told[-1][1][1:]}"
+
+
+@pytest.mark.process
+def test_a_search_ends_with_the_target(viewer, scene, layout):
+    """Long before its time; and at once where the target is reached already."""
+    done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
+    first = p_sm_of(scene, layout)
+    set_value(viewer.panel.method, "random")
+    set_value(viewer.panel.seconds, 600.0)
+    set_value(viewer.panel.target, first + 1e-4)
+    viewer.optimise()
+    done(viewer, lambda: viewer.told)
+    found = p_sm_of(scene, viewer.layout)
+    assert found >= first + 1e-4
+    words = f"target reached: P_sm {first:.4f} → {found:.4f} ({found - first:+.4f}) in "
+    assert viewer.told[-1][1].startswith(words)
+    assert not viewer.searching
+    viewer.optimise()
+    done(viewer, lambda: len(viewer.told) == 2)
+    assert viewer.told[-1][1].startswith(f"target reached: P_sm stays at {found:.4f}")
 
 
 @pytest.mark.process
@@ -197,7 +221,7 @@ def test_stop_before_there_is_a_score_leaves_the_layout(viewer, layout):
     viewer.stop()
     done(viewer, lambda: viewer.told)
     assert viewer.layout is layout
-    assert viewer.told[-1][:2] == ("Search", "stopped before there was a score")
+    assert re.fullmatch(r"stopped before there was a score, after \d+ s", viewer.told[-1][1])
 
 
 @pytest.mark.process
@@ -327,7 +351,7 @@ def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, m
     own = hasattr(viewer.view.controls, control)
     state = getattr(viewer.view.controls if own else viewer.panel, control)._impl
     for called in state.update_cb:
-        client = SimpleNamespace(camera=None, send_file_download=lambda *_: None)
+        client = SimpleNamespace(camera=None, send_file_download=lambda *_, **__: None)
         asyncio.run(called(SimpleNamespace(client=client)))
     done(viewer)
     assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
@@ -391,6 +415,50 @@ def test_a_new_sensor_stands_where_one_looks(viewer, scene):
     assert np.hypot(*viewer.layout.poses[3, :2]) <= scene.voxels.radius + 1e-3
 
 
+def test_devices_are_listed_by_kind_and_a_new_one_is_of_the_kind_in_hand(viewer):
+    """Until one is chosen by hand."""
+    controls = viewer.view.controls
+    kinds = [label.partition(": ")[0] for label in controls.new.options]
+    assert kinds == sorted(kinds)
+    assert set(kinds) == {"LiDAR", "camera"}
+    shown = "camera: test-camera"  # which the catalogue has not
+    done(viewer, lambda: controls.device.value == shown)
+    for name in ("basler-aca1600-60gc", "hesai-xt32"):
+        viewer.view.swap(name)
+        viewer.change(lambda: None)
+        done(viewer, lambda name=name: controls.new.value.endswith(f": {name}"))
+    assert controls.new.value == "LiDAR: hesai-xt32"
+    set_value(controls.new, "camera: paper-camera")
+    for called in controls.new._impl.update_cb:
+        asyncio.run(called(SimpleNamespace(client=SimpleNamespace())))
+    viewer.view.swap("velodyne-vlp-16")
+    done(viewer, lambda: controls.device.value == "LiDAR: velodyne-vlp-16")
+    assert controls.new.value == "camera: paper-camera"
+
+
+def test_a_report_that_is_ready_is_offered_where_its_button_is(viewer, monkeypatch):
+    sent = []
+    browser = SimpleNamespace(send_file_download=lambda *told, **_: sent.append(told))
+    panel = viewer.panel
+    viewer.download_report(browser)  # there is none yet
+    viewer.write_report()
+    done(viewer, lambda: panel.download_report.visible)
+    page = viewer.store.page
+    assert panel.report_words.content == f"The report is ready: `{page.name}`"
+    viewer.download_report(browser)
+    done(viewer)
+    assert sent == [("layout.html", page.read_bytes())]
+
+    def fails(*_, **__):
+        raise InspeError("no room")
+
+    monkeypatch.setattr("inspe_jax.viewer.store.report_entry", fails)
+    viewer.write_report()
+    done(viewer, lambda: viewer.told[-1][1] == "no room")
+    assert not panel.download_report.visible
+    assert not panel.report_words.visible
+
+
 def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_path):
     viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
     viewer.write_report()
@@ -413,7 +481,7 @@ def test_a_report_has_the_layout_that_was_opened_and_the_target(scene, layout, t
     done(viewer, lambda: viewer.store._report is not None)
     viewer.close()
     page = (tmp_path / "layout.html").read_text()
-    assert "Before is the layout that was opened, or the one that was set as A." in page
+    assert "Before is the layout that was opened, or the one that was made the reference." in page
     before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
     assert {str(before), str(after), str(after - before)} <= set(
         re.findall('title="([^"]*)"', page)
@@ -462,6 +530,8 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
     assert view.selection == (0, 1)
     assert viewer.view.in_hand == 1  # the last one has the handle
     assert "2 sensors are selected" in view.controls.table.content
+    whose = f"2 sensors selected: numbers are of <b>{layout.sensors[1].name}</b>"
+    done(viewer, lambda: view.controls.several.visible and whose in view.controls.several.content)
     assert view.controls.table.content.count("☑") == 2
     for outline, k in zip(view.selection3d.outlines, (1, 2), strict=True):
         drawn = viewer.scene3d.drawn[f"sensors/{k}/view"]
@@ -486,6 +556,7 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
     view.toggle(1)
     done(viewer)
     assert view.selection == (0,)
+    done(viewer, lambda: not view.controls.several.visible)
     view.toggle(0)  # the last one stays
     done(viewer)
     assert view.selection == (0,)
@@ -543,20 +614,20 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
         return viewer.panel.headline.content
 
     first = p_sm(layout)
-    assert "against A" not in headline()
+    assert "against the reference" not in headline()
     pull(viewer, (1.0, 0, -3.0))
     moved = viewer.layout
     second = p_sm(moved)
-    assert f"{second - first:+.4f} against A" in headline()
+    assert f"{second - first:+.4f} against the reference" in headline()
     viewer.set_reference()
-    assert "against A" not in headline()
+    assert "against the reference" not in headline()
     assert p_sm(moved) == second
     pull(viewer, (0, 0, 1.0))
     third = viewer.layout
-    assert f"{p_sm(third) - second:+.4f} against A" in headline()
+    assert f"{p_sm(third) - second:+.4f} against the reference" in headline()
     viewer.swap_reference()
     done(viewer, lambda: viewer.layout is moved)
-    assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against A" in headline()
+    assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against the reference" in headline()
     viewer.swap_reference()
     done(viewer, lambda: viewer.layout is third)
     viewer.undo_or_redo("Undo")
@@ -602,7 +673,7 @@ def test_the_last_sensor_is_not_removed(viewer, layout):
     assert not viewer.session.undo()
 
 
-def test_a_has_scores_of_one_light_alone(viewer, scene, layout):
+def test_the_reference_has_scores_of_one_light_alone(viewer, scene, layout):
     """Also if it is set before all frames have been scored in another one."""
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
     viewer.scorer.close()  # nothing is scored in the new light
@@ -610,11 +681,11 @@ def test_a_has_scores_of_one_light_alone(viewer, scene, layout):
     viewer.change_conditions()
     viewer.set_reference()
     done(viewer, lambda: viewer.told)
-    assert viewer.told[-1][1] == "A can be set or swapped once all frames are scored"
+    assert viewer.told[-1][1] == "the reference can be set or swapped once all frames are scored"
     night = evaluate(scene, layout, conditions=Conditions("night"))
     viewer._on_scores(replace(viewer.display.scored, scores=night))
     viewer.set_reference()
-    done(viewer, lambda: viewer.told[-1][0] == "A is set")
+    done(viewer, lambda: viewer.told[-1][0] == "Reference set")
     late = replace(viewer.display.scored, scores=evaluate(scene, layout))
     viewer._on_scores(late)
     done(viewer, lambda: viewer.display.scored is late)
@@ -639,7 +710,7 @@ def test_light_that_a_search_keeps_from_changing_is_shown_as_it_is(viewer, monke
     viewer.change_conditions()
     done(viewer)
     assert viewer.case.conditions == FAIR
-    viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+    viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
     done(viewer, lambda: viewer.panel.light.value == "midday")
 
 
@@ -647,10 +718,10 @@ def test_a_search_without_gain_changes_nothing(viewer, layout, monkeypatch):
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
     same = replace(layout, name="layout, optimised")
-    viewer._on_end(SearchEnding(same, 0.0, "its time was over"))
+    viewer._on_end(SearchEnding(same, 0.5, 0.5, "ended"))
     done(viewer, lambda: viewer.told)
     assert viewer.layout is layout
-    assert viewer.told[-1][:2] == ("Search", "its time was over")
+    assert viewer.told[-1][:2] == ("Search", "ended: P_sm stays at 0.5000 in 0 s, with compiling")
 
 
 def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monkeypatch):
@@ -666,7 +737,7 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
     viewer._compiles -= 4.0  # it has not said so for a while
     viewer._on_progress(0.1, 0.6)
     done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")
-    viewer._on_end(SearchEnding(None, 0.0, "stopped"))
+    viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
 
 
 def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):
@@ -729,6 +800,7 @@ def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(viewer, sce
     done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
     done(viewer, lambda: panel.picture.content != before)
     done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
+    assert "given anew after every change" in panel.picture.content
 
 
 def test_the_plan_view_is_of_all_frames(scene, layout):
@@ -789,7 +861,9 @@ def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(vie
     scan = recorded(scene, viewer.layout, 1, 2)
     done(viewer, lambda: same(view.seen, scan))
     done(viewer, lambda: viewer.view.selection3d.points is not None)
-    drawn = viewer.view.selection3d.points.points + viewer.scene3d.shift
+    points, key = viewer.view.selection3d.points, dict(LEGEND)["LiDAR"]
+    assert tuple(points.colors) == rgb(key)  # and so says the legend
+    drawn = points.points + viewer.scene3d.shift
     np.testing.assert_allclose(drawn, world_points(scan).T, atol=0.02)  # float16 within 32 m
     assert f"{len(scan.points):,} points" in view.picture.content
     viewer.view.select(0)
@@ -812,7 +886,8 @@ def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
     assert viewer.display.scored.scores.surrogate == scores.surrogate
     assert f'data-score="{scores.surrogate}"' in viewer.panel.headline.content
     change = scores.surrogate - evaluate(scene, layout).surrogate
-    assert f"{change:+.4f} against A (midday, clear)" in viewer.panel.headline.content
+    assert f"{change:+.4f} against the reference (midday, clear)" in viewer.panel.headline.content
+    assert "its score is that of midday, clear" in viewer.panel.headline.content
     assert viewer.searcher.case.conditions == night
     if importlib.util.find_spec("embreex"):
         wanted = recorded(scene, layout, 0, 0, night)

@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from itertools import combinations
 from math import dist
 
+import numpy as np
+
 from inspe_jax.report.scene_tables import resolution_of
 from inspe_jax.report.schedule import EXISTING_POLE, MaterialRow, SensorRow, UnitRow
 from inspe_jax.scene.intersection import BUILT_IN, Intersection
 from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import LidarSpec
 
 SUMO = "(SUMO)"
 """How the source of a place ends that was read from a SUMO network."""
@@ -45,29 +48,34 @@ def mounting_words(scene: Scene, units: Sequence[UnitRow]) -> str:
     """What the plan leaves to who mounts it: poles that hide something, sensors on the axis of
     their pole, and sensors at one point."""
     words = [
-        "In the scores only poles that are bodies of the scene hide something."
+        "In the scores only poles that are bodies of the scene hide something; arms and housings "
+        "hide nothing."
         if scene.statics
-        else "In the scores no pole hides anything."
+        else "In the scores no pole, arm or housing hides anything."
     ]
     if not scene.statics and any(unit.pole == EXISTING_POLE for unit in units):
         words.append("How high existing poles are is not known.")
     on_axis = [(row, unit) for unit in units for row in unit.sensors if row.on_axis]
-    if on_axis:
-        words.append("A dash is a sensor on the axis of its pole.")
     if any(not row.all_round for row, _ in on_axis):
-        words.append("One that is aimed goes on the side of the pole that it faces.")
+        words.append(
+            "An aimed sensor on the axis of its pole goes on the side of the pole that it faces."
+        )
     around = [(row, unit) for row, unit in on_axis if row.all_round]
     if around:
-        words.append("One that looks all round needs a pole that ends below it.")
+        words.append(
+            "Where a sensor on the axis looks all round, the pole ends below it. If the pole goes "
+            "on past it, mount it beside the pole: what the pole then hides, the scores count as "
+            "seen."
+        )
     below = [row.number for row, unit in around if not _is_highest(row, unit)]
     if below:
-        who = f"Sensors {_listed(below)}" if len(below) > 1 else f"Sensor {below[0]}"
-        words.append(
-            f"{who} cannot have one: other sensors of the unit are as high or higher. Beside the "
-            "pole, what it hides is lost, and the scores count that as seen."
-        )
+        who = f"sensors {_listed(below)}" if len(below) > 1 else f"sensor {below[0]}"
+        words.append(f"So with {who}, as other sensors of the unit are as high or higher.")
     if any(_at_one_point(unit) for unit in units):
-        words.append("Sensors of a unit at one point are mounted side by side.")
+        words.append(
+            "Sensors of a unit at one point are mounted side by side, as near to it as their "
+            "housings allow."
+        )
     return " ".join(words)
 
 
@@ -90,11 +98,13 @@ def model_words(layout: Layout, rows: Sequence[MaterialRow]) -> list[str]:
         if not row.product:
             spec = specs[row.device]
             resolution, view = resolution_of(spec)
-            what = "pixels" if spec.focal_pixels else "channels"
+            what = f"{resolution} pixels"
+            if isinstance(spec, LidarSpec):
+                low, high = np.degrees([spec.elevations[0], spec.elevations[-1]])
+                what = f"{resolution} channels at elevations from {low:.1f}° to {high:.1f}°"
             found.append(
                 f"{row.device} is a model and cannot be bought. The scores hold for a device with "
-                f"{resolution} {what}, a field of view of {view} and a reach of "
-                f"{spec.grid.reach:g} m."
+                f"{what}, a field of view of {view} and a reach of {spec.grid.reach:g} m."
             )
     return found
 

@@ -204,7 +204,7 @@ def report_page(
     records: list[dict[str, Any]] = [part["record"] for part in parts]  # type: ignore[misc]
     return template("report", "page.html.j2").render(
         scene=scene,
-        north="true north" if scene.intersection.georeference else "the y axis of the map",
+        north="true north" if scene.intersection.georeference else "north, the y axis of the map",
         origin=origin_words(scene.intersection),
         in_words=_in_words,
         spots=SPOTS,

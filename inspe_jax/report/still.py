@@ -101,14 +101,19 @@ def _marked(picture: Image, scene: Scene, layout: Layout, eye: _Eye) -> Figure:
 def _label_unit(
     ax: Axes, eye: _Eye, foot: tuple[float, float, float], at: Float[np.ndarray, "M 3"], words: str
 ) -> None:
-    """A unit's pole, dots at its sensors, and their numbers above it."""
-    pole = pixels(eye, np.array([foot, at[np.argmax(at[:, 2])]]))
-    dots = pixels(eye, at)
-    if min(pole[:, 2].min(), dots[:, 2].min()) < NEAR:
+    """A unit's pole, upright; level arms from it to dots at its sensors; and their numbers above
+    the highest."""
+    hung = np.column_stack([np.tile(foot[:2], (len(at), 1)), at[:, 2]])  # where arms begin
+    lines = [np.array([foot, hung[np.argmax(at[:, 2])]]), *np.stack([hung, at], 1)]
+    drawn = [pixels(eye, line) for line in lines]
+    if min(line[:, 2].min() for line in drawn) < NEAR:
         return
-    ax.plot(*pole[:, :2].T, color="#202020", lw=1.2)
+    for line in drawn:
+        ax.plot(*line[:, :2].T, color="#202020", lw=1.2)
+    dots = np.array([line[1] for line in drawn[1:]])
     ax.plot(*dots[:, :2].T, "o", ms=2.5, color="#202020")
     ax.annotate(
-        words, tuple(pole[1, :2]), (0, 4), textcoords="offset points", ha="center", va="bottom",
-        size=7, bbox=dict(boxstyle="round,pad=0.2", fc="white", ec="#202020", lw=0.5, alpha=0.9),
+        words, tuple(dots[np.argmax(at[:, 2]), :2]), (0, 4), textcoords="offset points",
+        ha="center", va="bottom", size=7,
+        bbox=dict(boxstyle="round,pad=0.2", fc="white", ec="#202020", lw=0.5, alpha=0.9),
     )  # fmt: skip

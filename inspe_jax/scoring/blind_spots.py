@@ -22,10 +22,11 @@ LEAST_AREA = 4.0
 class BlindSpot:
     """A part of a region: one eighth of the plan, or the middle.
 
-    ``name`` is as ``south crosswalk``. ``at`` is the middle of what is unseen there [m], ``area``
-    that of the part [m²]. ``unseen`` is the share of its time and height, up to the top of the
-    region of interest, in which no sensor sees it: it is out of view, or traffic or a body is in
-    the way. ``loss`` is its share of all that is unseen, each region with its weight.
+    ``name`` is as ``south crosswalk``. ``at`` is the place in it that is nearest to the middle of
+    what is unseen [m], ``area`` that of the part [m²]. ``unseen`` is the share of its time and
+    height, up to the top of the region of interest, in which no sensor sees it: it is out of view,
+    or traffic or a body is in the way. ``loss`` is its share of all that is unseen, each region
+    with its weight.
     """
 
     name: str
@@ -62,7 +63,9 @@ def blind_spots(scene: Scene, seen_share: Float[np.ndarray, " L"]) -> tuple[Blin
             if area < LEAST_AREA:
                 continue
             share = float(lost[own].sum() / there[own].sum())
-            x, y = np.average(grid.columns[own], axis=0, weights=lost[own] + 1e-12).tolist()
+            middle = np.average(grid.columns[own], axis=0, weights=lost[own] + 1e-12)
+            nearest = np.hypot(*(grid.columns[own] - middle).T).argmin()  # and not in the road
+            x, y = grid.columns[own][nearest].tolist()
             name = f"{direction} {region.key}"
             if direction == "middle":
                 name = f"{region.key}, in the middle"

@@ -14,6 +14,9 @@ from inspe_jax.scene.statics import pole
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
+ALONE = "In the scores no pole, arm or housing hides anything."
+"""What is said where there is nothing else to say."""
+
 
 @pytest.fixture(scope="module")
 def scene():
@@ -29,34 +32,34 @@ def words_of(scene, *sensors):
 
 
 def test_sensors_on_an_arm_need_no_words(scene):
-    assert words_of(scene, (CAMERA, 1.5, 6.0)) == "In the scores no pole hides anything."
+    assert words_of(scene, (CAMERA, 1.5, 6.0)) == ALONE
 
 
 def test_a_camera_on_the_axis_goes_on_the_side_that_it_faces(scene):
     words = words_of(scene, (CAMERA, 0.0, 6.0))
-    assert "goes on the side of the pole that it faces" in words
+    assert "An aimed sensor on the axis of its pole goes on the side of the pole" in words
     assert "all round" not in words
 
 
 def test_a_lidar_on_the_axis_needs_a_pole_that_ends_below_it(scene):
     words = words_of(scene, (LIDAR, 0.0, 7.0), (CAMERA, 1.5, 6.0))
-    assert "needs a pole that ends below it" in words
-    assert "cannot" not in words
+    assert "Where a sensor on the axis looks all round, the pole ends below it." in words
+    assert "So with" not in words
     assert "faces" not in words
 
 
 @pytest.mark.parametrize("height", [6.0, 6.5])
 def test_a_lidar_below_a_camera_s_arm_is_hidden_by_the_pole(scene, height):
     words = words_of(scene, (CAMERA, 1.5, 6.5), (LIDAR, 0.0, height))
-    assert "Sensor 2 cannot have one: other sensors of the unit are as high or higher" in words
-    assert "the scores count that as seen" in words
-    assert "Sensors 1 and 3 cannot have one" in words_of(
+    assert "what the pole then hides, the scores count as seen." in words
+    assert "So with sensor 2, as other sensors of the unit are as high or higher." in words
+    assert "So with sensors 1 and 3, as" in words_of(
         scene, (LIDAR, 0.0, 4.0), (CAMERA, 1.5, 6.5), (LIDAR, 0.0, height)
     )
 
 
 def test_sensors_at_one_point_are_side_by_side(scene):
-    said = "Sensors of a unit at one point are mounted side by side."
+    said = "Sensors of a unit at one point are mounted side by side"
     assert said in words_of(scene, (CAMERA, 1.5, 6.5), (CAMERA, 1.5, 6.5))
     assert said not in words_of(scene, (CAMERA, 1.5, 6.5), (CAMERA, 1.5, 6.0))
 
@@ -95,12 +98,15 @@ def test_a_projection_is_named_with_its_shift():
 
 def test_a_model_cannot_be_bought():
     """The paper's devices; not those of makers, nor those that a layout describes."""
-    specs = [device("paper-camera").spec, device("velodyne-vlp-16").spec, CAMERA]
+    names = "paper-camera", "paper-lidar-32", "velodyne-vlp-16"
+    specs = [*(device(name).spec for name in names), CAMERA]
     members = [Sensor(spec.name, spec, 0) for spec in specs]
-    poses = np.array([[0.0, 0.0, 5.0 + k, 0.0, 0.0, 0.0] for k in range(3)])
+    poses = np.array([[0.0, 0.0, 5.0 + k, 0.0, 0.0, 0.0] for k in range(4)])
     layout = make_layout(members, [Unit("corner", (0.0, 0.0, 0.0))], poses)
     rows = materials(layout, {})
-    assert [row.product for row in rows] == [False, True, True]
-    (words,) = model_words(layout, rows)
+    assert [row.product for row in rows] == [False, False, True, True]
+    words, of_lidar = model_words(layout, rows)
     assert words.startswith("paper-camera is a model and cannot be bought.")
     assert "800 × 600 pixels, a field of view of 100° × 84° and a reach of 38 m." in words
+    low, high = np.degrees(specs[1].elevations)[[0, -1]]
+    assert f"32 channels at elevations from {low:.1f}° to {high:.1f}°" in of_lidar

@@ -104,7 +104,7 @@ def test_a_page_says_what_to_mount_where(page):
     assert "2 units with 2 cameras and 1 LiDAR watch 12 m around" in words
     assert "for 1,800 US dollars without test-lidar, of unknown price" in words
     assert "corner: x 9.00 , y 8.00 , z 0.00 m; new pole" in words
-    assert "1 east test-camera 9.00 8.00 5.00 90.0 12.0 0.0 – – 900" in words
+    assert "1 east test-camera 9.00 8.00 5.00 90.0 12.0 0.0 0.00 – 900" in words
     assert "2 arm test-camera 9.00 9.50 6.00 225.0 30.0 3.0 1.50 0 900" in words
     assert "height [m] azimuth [°] tilt [°] roll [°] from the pole [m] towards [°]" in words
     assert "--price test-lidar=USD" in words
@@ -167,7 +167,7 @@ def test_a_sheet_explains_its_columns_and_ends_in_no_heading(tmp_path):
     assert len(of_schedule) > 1
     for sheet in of_schedule:
         words = sheet.replace("\n", " ")
-        assert "Azimuth: clockwise from the y axis of the map" in words
+        assert "Azimuth: clockwise from north, the y axis of the map" in words
         assert "Height: from the ground at the foot of the pole" in words
     for sheet in sheets:
         assert sheet.split("\n")[-1] not in headings

@@ -7,6 +7,7 @@ from worlds import CAMERA, LIDAR, place_sensors, with_boxes, world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report import still
 from inspe_jax.report.still import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, still_view
+from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 RADIUS = 14.0
 
@@ -42,6 +43,20 @@ def test_numbers_stand_at_the_highest_sensor_of_each_unit(scene, layout):
     assert [mark.get_text() for mark in ax.texts] == ["1", "2"]
     for mark, pose in zip(ax.texts, layout.poses, strict=True):
         np.testing.assert_allclose(mark.xy, seen_at(scene, pose[:3], size), atol=1e-3)
+
+
+def test_a_pole_is_upright_and_arms_are_level(scene):
+    x, y = scene.voxels.center[:2] + [5.0, -4.0]
+    poses = np.array([[x, y, 5.0, 0, 0, 0], [x - 1.5, y, 6.0, 0, -0.2, 0]])
+    sensors = [Sensor("a", LIDAR, 0), Sensor("b", CAMERA, 0)]
+    layout = make_layout(sensors, [Unit("corner", (x, y, 0.0))], poses)
+    size = (still._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
+    (ax,) = still_view(scene, layout).axes
+    drawn = [line.get_xydata() for line in ax.lines if len(line.get_xydata()) == 2]
+    ends = [[[x, y, 0.0], [x, y, 6.0]], [[x, y, 5.0]] * 2, [[x, y, 6.0], [x - 1.5, y, 6.0]]]
+    wanted = [[seen_at(scene, point, size) for point in line] for line in ends]
+    for line in wanted:
+        assert any(np.allclose(line, found, atol=1e-3) for found in drawn)
 
 
 @pytest.mark.parametrize("azimuth", [10, 90, 190, 250, 270, 290, 330])

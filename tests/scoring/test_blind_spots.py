@@ -26,7 +26,12 @@ def test_a_part_is_an_eighth_of_a_region_or_its_middle():
     assert first.unseen == pytest.approx(0.5, abs=0.01)
     assert first.loss == pytest.approx(1.0)
     assert first.area == pytest.approx(own.sum(), abs=3)
-    assert first.at == pytest.approx(tuple(scene.voxels.columns[own].mean(0)), abs=0.3)
+    middle = scene.voxels.columns[own].mean(0)
+    nearest = min(scene.voxels.columns[own].tolist(), key=lambda at: np.hypot(*(at - middle)))
+    assert first.at == pytest.approx(nearest, abs=1.5)  # an eighth is a little wider
+    there = {tuple(at): region for at, region in zip(scene.voxels.columns.tolist(),
+                                                     scene.voxels.region, strict=True)}  # fmt: skip
+    assert all(there[spot.at] == Region[spot.region.upper()] for spot in spots)
     assert all(spot.unseen == 0 for spot in spots[1:])
     assert sum(spot.area for spot in spots) == pytest.approx(len(offset), abs=9 * LEAST_AREA)
     inner = [spot for spot in spots if spot.direction == "middle"]

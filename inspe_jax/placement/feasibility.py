@@ -137,7 +137,8 @@ def differences(
             on_pole = site.carries(foot, areas=False, within=TOLERANCE)
             where = "pole" if on_pole else "mounting area"
             if old.name in added:
-                yield f"unit '{old.name}' added at the nearest {where}, {away:.2f} m away"
+                near = f"the nearest {where}, {away:.2f} m from the point asked for"
+                yield f"unit '{old.name}' added at {near}"
             else:
                 yield f"unit '{old.name}' moved {away:.2f} m to the nearest {where}"
     hung = (_about_feet(layout, site) for layout in (before, after))

@@ -330,6 +330,9 @@ def _summary(
     ]
     if worst:
         found.append(f"Most is missed on {' and '.join(worst)}.")
+    if entry.before is not None:
+        before, gain = entry.before.surrogate, scores.surrogate - entry.before.surrogate
+        found.append(f"P_sm is {scores.surrogate:.4f}; before, it was {before:.4f} ({gain:+.4f}).")
     if entry.target is not None:
         short = entry.target - scores.surrogate
         end = f"missed by {short:.4f}" if short > 0 else "reached"

@@ -81,7 +81,7 @@ class Viewer(FileActions):
         self.views: dict[int, BrowserView] = {}
         self.searching, self._best = False, layout
         self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
-        self._began = 0.0  # when the search did
+        self._course, self._began = "", 0.0  # how far the search is, and when it began
         self.queue = JobQueue(self._failed)
         self._playing = DelayedAction()
         self.access = AccessRules("127.0.0.1") if access is None else access
@@ -179,6 +179,9 @@ class Viewer(FileActions):
         def job() -> None:
             if not {"Undo": self.session.undo, "Redo": self.session.redo}[which]():
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
+            elif self.session.crossed is not None:  # it was swapped with the reference there
+                before, after = self.session.crossed
+                self.display.compare_with(before if which == "Undo" else after)
 
         self.change(job)
 
@@ -186,14 +189,19 @@ class Viewer(FileActions):
         """Compare with the present layout from now on."""
 
         def job() -> None:
-            self.display.set_reference(self.layout)
+            self.display.set_reference(self.layout, "the layout that was made it")
             self.display.notify("Reference set", "changes are shown against this layout now", None)
 
         self._unless_searching(job)
 
     def swap_reference(self) -> None:
         """Exchange the layout for the one that it is compared with."""
-        self.change(lambda: self.session.take(self.display.set_reference(self.layout)))
+
+        def job() -> None:
+            before = self.display.set_reference(self.layout, "the layout that it was swapped with")
+            self.session.take(before.layout, along=(before, self.display.reference))
+
+        self.change(job)
 
     def show_target(self) -> None:
         """Show how far the layout is from the target."""
@@ -240,7 +248,8 @@ class Viewer(FileActions):
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
             usual = usual_seconds(f"search by {method}", SEARCH_COMPILES)
-            self.panel.course.content = f"starting; compiles first, for up to {usual:.0f} s or so"
+            self._course = ""
+            self.panel.course.content = f"starting; compiles first, for {usual:.0f} s or so"
             self._began = time.monotonic()
             dropped = [view.drop_outdated() for view in list(self.views.values())]
             if any(dropped):
@@ -282,9 +291,8 @@ class Viewer(FileActions):
                 return
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
-            waits = time.monotonic() - self._compiles < COMPILES
-            then = f" once it is compiled: {self._waiting}" if waits else ""
-            self.panel.course.content = f"best {best:.4f}, {left:.0f} s left{then}"
+            self._course = f"best {best:.4f}, {left:.0f} s left"
+            self._show_course()
 
         self.queue.submit(job, key="progress")
 
@@ -294,10 +302,15 @@ class Viewer(FileActions):
                 what = f"search by {self.panel.method.value}"
                 self._waiting = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
                 self._compiles = time.monotonic()
-                words = f"{self._waiting}; this does not count as search time"
-                self.panel.course.content = words
+                self._show_course()
 
-        self.queue.submit(job, key="progress")
+        self.queue.submit(job, key="compiling")
+
+    def _show_course(self) -> None:
+        """Say how far the search is, and that it compiles as long as it does."""
+        waits = time.monotonic() - self._compiles < COMPILES
+        waiting = [f"{self._waiting}, which does not count"] if waits else []
+        self.panel.course.content = "; ".join([*filter(None, [self._course]), *waiting])
 
     def _on_better(self, layout: Layout, score: float) -> None:
         def job() -> None:

@@ -7,7 +7,7 @@ thread.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import viser
 from jaxtyping import Float, UInt
@@ -20,6 +20,7 @@ from inspe_jax.report.scene3d import Scene3D
 from inspe_jax.report.scene3d_page import look_from
 from inspe_jax.report.targets import CHANCES, banded
 from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
@@ -38,11 +39,23 @@ SCORES, SCORES_COMPILE = "scores", 10.0
 """Name under which the compile time of scores is remembered, and its rough value [s]."""
 
 
+class Reference(NamedTuple):
+    """The layout that others are compared with, and which one that is in ``words``.
+
+    ``scores`` are by number of frames, in ``conditions``.
+    """
+
+    layout: Layout
+    words: str
+    conditions: Conditions
+    scores: dict[int, Scores]
+
+
 class Display:
     """A layout as browsers see it.
 
     ``shown`` is the layout, ``scored`` the newest scores: its own, or those of a layout before.
-    ``reference`` is the layout that it is compared with.
+    ``reference`` is what it is compared with.
     """
 
     def __init__(
@@ -55,17 +68,15 @@ class Display:
         views: Mapping[int, BrowserView],
     ) -> None:
         """Draw the scene. ``views`` are those of the browsers that look, by ids of clients."""
-        self.shown = self.reference = opened
+        self.shown = opened
+        self.reference = Reference(opened, "the layout as it was opened", case.conditions, {})
         self.scored: ScoredLayout | None = None
         self._server, self._case = server, case
         self._panel, self._queue, self._views = panel, queue, views
         self._frames = case.scene.traffic.frame_count
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
-        # The newest scores, and those of the reference, by number of frames.
-        self._newest: dict[int, ScoredLayout] = {}
-        self._references: dict[int, Scores] = {}
-        self._referred_in = case.conditions
+        self._newest: dict[int, ScoredLayout] = {}  # the newest scores, by number of frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._found: tuple[Layout, str, Float[Any, " L"]] | None = None
         self._drawn_frame, self._faded, self._label = -1, False, ""
@@ -92,7 +103,7 @@ class Display:
         for view in list(self._views.values()):
             view.sensor_view.case = case
 
-    def set_reference(self, layout: Layout) -> Layout:
+    def set_reference(self, layout: Layout, words: str) -> Reference:
         """Compare with this layout from now on, as it is scored; gives the reference before.
 
         Raises InspeError as long as the layout has no scores of all frames.
@@ -100,15 +111,18 @@ class Display:
         scored = {
             frames: found.scores
             for frames, found in self._newest.items()
-            if found.layout is layout and self._is_here(found)
+            if found.layout is layout and found.scores is not None and self._is_here(found)
         }
-        if scored.get(self._frames) is None:
+        if self._frames not in scored:
             raise InspeError("the reference can be set or swapped once all frames are scored")
-        before, self.reference = self.reference, layout
-        self._references = {n: scores for n, scores in scored.items() if scores is not None}
-        self._referred_in = self._case.conditions
-        self._show_scores()
+        before, new = self.reference, Reference(layout, words, self._case.conditions, scored)
+        self.compare_with(new)
         return before
+
+    def compare_with(self, reference: Reference) -> None:
+        """Compare with this reference from now on."""
+        self.reference = reference
+        self._show_scores()
 
     def draw(
         self,
@@ -185,9 +199,9 @@ class Display:
         if scored.scores is not None and scored.frames == self._frames:
             self.blind_spots.show(scored.layout, scored.scores)
         self._newest[scored.frames] = scored
-        scores, record = scored.scores, self._referred_in.record
-        if scored.layout is self.reference and scores and scores.conditions.record == record:
-            self._references[scored.frames] = scores
+        scores, record = scored.scores, self.reference.conditions.record
+        if scored.layout is self.reference.layout and scores and scores.conditions.record == record:
+            self.reference.scores[scored.frames] = scores
         self._show_scores()
 
     def show_target(self) -> None:
@@ -264,7 +278,8 @@ class Display:
             scored,
             outdated=not self._current,
             frames=self._frames,
-            reference=None if scored is None else self._references.get(scored.frames),
+            reference=None if scored is None else self.reference.scores.get(scored.frames),
+            reference_words=self.reference.words,
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
             waiting=self._waiting_words(),

@@ -14,9 +14,6 @@ from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import EarlierFile, LayoutStore
 
-BEFORE = "the layout that was opened, or the one that was made the reference"
-"""What a report compares with."""
-
 
 class FileActions:
     """The part of a :class:`~inspe_jax.viewer.app.Viewer` that has to do with files."""
@@ -98,7 +95,7 @@ class FileActions:
         def job() -> None:
             given = self.case, self.layout, self.weights, self.panel.shown_frame, ended
             before = self.display.reference
-            start = None if before is self.layout else Start(before, BEFORE)
+            start = None if before.layout is self.layout else Start(before.layout, before.words)
             target = float(self.panel.target.value) or None
             if self.store.report(*given, **self.further, start=start, target=target):
                 self.panel.report.disabled = True

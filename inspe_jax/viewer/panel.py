@@ -16,7 +16,10 @@ from inspe_jax.viewer.store import EarlierFile
 
 SECONDS = 60.0
 """Usual time of a search [s]."""
-COMPILES_FIRST = "It first compiles, for some 10 to 20 s. Then its time begins."
+OF_SEARCH = (
+    "It may move every unit to wherever units can stand, also to new poles. It compiles first; "
+    "that does not count as its time."
+)
 """What is said of a search before the first one."""
 SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
@@ -116,7 +119,7 @@ class Panel:
             self.optimise = gui.add_button("Optimise from here", color="green")
             self.stop = gui.add_button("Stop", color="orange", visible=False)
             self.bar = gui.add_progress_bar(0.0, visible=False)
-            self.course = gui.add_markdown(COMPILES_FIRST)
+            self.course = gui.add_markdown(OF_SEARCH)
         self.blind_spots = gui.add_folder("Blind spots", visible=False)
         with gui.add_folder("Traffic, light and weather"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)

@@ -33,8 +33,11 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-REFERENCE = "The reference is the layout as it was opened, or the one that you have made it"
-"""What changes are compared with, in words."""
+REFERENCE = (
+    "What changes are compared with: at first the layout as it was opened. Set to this: from now "
+    "on the layout as it is. Swap: the two change places"
+)
+"""What the reference is, in words."""
 TARGET_COLOR = "#d55e00"
 """Of the mark of the target."""
 
@@ -59,6 +62,7 @@ def score_panel(
     frames: int,
     outdated: bool = False,
     reference: Scores | None = None,
+    reference_words: str = "",
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
@@ -72,6 +76,7 @@ def score_panel(
     ``frames``: number of frames of the whole traffic.
     ``outdated``: whether the scores are of other conditions, or of another layout.
     ``reference``: the scores of the layout that this one is compared with, on the same frames.
+    ``reference_words``: which layout that is.
     ``faults``: the rules of mounting that the layout breaks, in words.
     ``notes``: how mounting has changed the last change, in words.
     ``waiting``: what is being done while the layout has no scores.
@@ -86,7 +91,7 @@ def score_panel(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
-        against=REFERENCE,
+        against=f"The reference is {reference_words}",
         before=before,
         target=target,
         target_color=TARGET_COLOR,
@@ -97,7 +102,7 @@ def score_panel(
     )
     details = _DETAILS.render(
         scores=scores,
-        against=REFERENCE,
+        against=f"The reference is {reference_words}",
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,

@@ -6,6 +6,7 @@ Every change gives the nearest layout that can be mounted. Nothing here knows of
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,12 +31,16 @@ BESIDE = 0.8
 
 MountedLayout = tuple[Layout, tuple[str, ...]]
 """A layout, and in words how it differs from the one that was asked for."""
+Step = tuple[Layout, Any]
+"""A layout on the other side of a change, and what else that changed."""
 
 
 class LayoutSession:
     """A layout on a scene, with its history.
 
     ``layout`` is the layout as it is now; ``notes`` say how mounting has altered the last change.
+    ``crossed`` is what was changed :meth:`along <take>` with the layout in what was undone or
+    redone last, if anything was.
     """
 
     def __init__(
@@ -46,8 +51,9 @@ class LayoutSession:
         self.scene, self.layout = scene, layout
         self.constraints = constraints or Constraints()
         self.notes: tuple[str, ...] = ()
-        self._past: list[Layout] = []
-        self._future: list[Layout] = []
+        self._past: list[Step] = []
+        self._future: list[Step] = []
+        self.crossed: Any = None
         self._space: Space | None = None
         self._own = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
 
@@ -206,9 +212,12 @@ class LayoutSession:
         sensors[s] = replace(sensors[s], spec=spec)
         self.take(*self._mounted(replace(self.layout, sensors=tuple(sensors))))
 
-    def take(self, layout: Layout, notes: tuple[str, ...] = ()) -> None:
-        """Continue with another layout; :meth:`undo` brings back the one before."""
-        self._past = [*self._past[1 - REMEMBERED :], self.layout]
+    def take(self, layout: Layout, notes: tuple[str, ...] = (), along: Any = None) -> None:
+        """Continue with another layout; :meth:`undo` brings back the one before.
+
+        ``along`` says what else changes with it, to whoever undoes it.
+        """
+        self._past = [*self._past[1 - REMEMBERED :], (self.layout, along)]
         self._future = []
         self.layout, self.notes = layout, notes
 
@@ -222,11 +231,12 @@ class LayoutSession:
         """Redo the change that was undone last; returns False if there is none."""
         return self._go(self._future, self._past)
 
-    def _go(self, there: list[Layout], here: list[Layout]) -> bool:
+    def _go(self, there: "list[Step]", here: "list[Step]") -> bool:
         if not there:
             return False
-        here.append(self.layout)
-        self.layout, self.notes = there.pop(), ()
+        layout, self.crossed = there.pop()
+        here.append((self.layout, self.crossed))
+        self.layout, self.notes = layout, ()
         return True
 
     # ── Mounting ──

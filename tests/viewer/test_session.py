@@ -189,7 +189,8 @@ def test_a_new_sensor_stands_on_a_unit_of_its_own_and_looks_at_the_centre(sessio
     (note,) = session.notes  # in the road, from where it goes to the kerb
     unit = session.layout.units[-1]
     away = np.hypot(*(np.array(unit.base[:2]) - [0.0, 12.0]))
-    assert note == f"unit '{unit.name}' added at the nearest mounting area, {away:.2f} m away"
+    near = f"the nearest mounting area, {away:.2f} m from the point asked for"
+    assert note == f"unit '{unit.name}' added at {near}"
     names = [sensor.name for sensor in session.layout.sensors]
     assert len(set(names)) == 5
     assert_mounted(session)

@@ -481,8 +481,9 @@ def test_a_report_has_the_layout_that_was_opened_and_the_target(scene, layout, t
     done(viewer, lambda: viewer.store._report is not None)
     viewer.close()
     page = (tmp_path / "layout.html").read_text()
-    assert "Before is the layout that was opened, or the one that was made the reference." in page
+    assert "Before is the layout as it was opened." in page
     before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
+    assert f"P_sm is {after:.4f}; before, it was {before:.4f} ({after - before:+.4f})." in page
     assert {str(before), str(after), str(after - before)} <= set(
         re.findall('title="([^"]*)"', page)
     )
@@ -628,10 +629,20 @@ def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, sce
     viewer.swap_reference()
     done(viewer, lambda: viewer.layout is moved)
     assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against the reference" in headline()
+    assert "The reference is the layout that it was swapped with" in headline()
     viewer.swap_reference()
     done(viewer, lambda: viewer.layout is third)
-    viewer.undo_or_redo("Undo")
-    done(viewer, lambda: viewer.layout is moved)
+    # Undoing a swap gives the reference back, too, and redoing it swaps the two again.
+    for which, shown, other in (
+        ("Undo", moved, third), ("Undo", third, moved), ("Redo", moved, third),
+        ("Undo", third, moved), ("Undo", moved, moved), ("Redo", third, moved),
+    ):  # fmt: skip
+        viewer.undo_or_redo(which)
+        done(viewer, lambda shown=shown: viewer.layout is shown)
+        p_sm(shown)
+        assert viewer.display.reference.layout is other
+        change = p_sm_of(scene, shown) - p_sm_of(scene, other)
+        assert (f"{change:+.4f} against the reference" in headline()) == (shown is not other)
 
 
 def test_how_far_a_target_is(viewer, scene, layout):
@@ -731,9 +742,7 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
     viewer._on_compiling(12.0)
     done(viewer, lambda: "compiling" in viewer.panel.course.content)
     viewer._on_progress(0.0, 0.5)
-    done(
-        viewer, lambda: "best 0.5000, 10 s left once it is compiled" in viewer.panel.course.content
-    )
+    done(viewer, lambda: "best 0.5000, 10 s left; compiling" in viewer.panel.course.content)
     viewer._compiles -= 4.0  # it has not said so for a while
     viewer._on_progress(0.1, 0.6)
     done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")

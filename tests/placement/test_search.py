@@ -11,7 +11,7 @@ from inspe_jax.placement import candidate_table as tables
 from inspe_jax.placement import candidate_views, candidates, sampled_scores
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods import batches, cma_es, greedy, grid, random_layouts
-from inspe_jax.placement.methods.finer_moves import finer, of_unit
+from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
 from inspe_jax.placement.methods.registry import SEARCHES
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
@@ -586,10 +586,7 @@ def test_exchange_of_two_sensors_tries_every_foot(table):
 def test_finer_moves_of_several_units_are_judged_one_beside_another(table, problem, start):
     """Together they add what the sample says of the layout with all of them."""
     space, tally, units = problem.space, table.tally, range(len(problem.layout.units))
-    stand = candidates.poses(space, start[None])[0]
-    rows = {
-        s: of[0] for s, of in tally.views(problem, {s: stand[s][None] for s in range(5)}).items()
-    }
+    rows = sights(problem, tally, start, range(5))
     x, before = start, tally.value(rows)
     for k in range(3):
         x, rows = finer(problem, tally, x, rows, units, 0.5, np.random.default_rng(k), 16)

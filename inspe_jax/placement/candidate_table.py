@@ -112,7 +112,7 @@ class Table:
         x[:, index.height[u]] = kind.height[at]
         x[:, index.yaw[s]] = kind.yaw[at]
         x[:, index.pitch[s]] = kind.pitch[at]
-        kind.rows.append(self.tally.view(self.problem, s, poses(space, x)[:, s]))
+        kind.rows.append(self.tally.views(self.problem, {s: poses(space, x)[:, s]})[s])
         return len(np.unique(at))
 
     def kind_of(self, s: int) -> CandidateKind:

@@ -3,8 +3,9 @@
 Searches choose among candidate poses by it.
 """
 
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +46,10 @@ class CandidateViews(NamedTuple):
     chance: Float[np.ndarray, "K Q L"]
 
 
+Finish = Callable[[Sequence[Any]], CandidateViews]
+"""Makes views of what the jobs for them return."""
+
+
 def view_from_poses(
     grid: RayGrid,
     half: float,
@@ -59,6 +64,19 @@ def view_from_poses(
     scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
     find road users are of a sensor alone, as in detectability, if ``asked`` has that metric.
     """
+    jobs, finish = view_jobs(grid, half, poses, tiled, asked, pixels)
+    return finish(run(jobs))
+
+
+def view_jobs(
+    grid: RayGrid,
+    half: float,
+    poses: Float[Array, "K 6"],
+    tiled: TiledScene,
+    asked: Asked,
+    pixels: float = 1.0,
+) -> tuple[list[Job], Finish]:
+    """Jobs for the views of :func:`view_from_poses`, and what makes views of their results."""
     (chunk,) = tiled.chunks
     assert chunk.solid is not None  # the scene has masks
     rays = grid.rays
@@ -73,14 +91,18 @@ def view_from_poses(
     jobs: list[Job] = [
         (key, partial(given, part)) for part in parts_of(np.asarray(poses), TOGETHER)
     ]
-    views, seen, chance = (
-        np.concatenate(part)[: len(poses)] for part in zip(*run(jobs), strict=True)
-    )
-    tiles, (count, number, classes, columns) = tiled.tiles, chance.shape
-    chance = chance.reshape(count, tiles.slabs, number // tiles.slabs, classes, columns).sum(1)
-    chance = chance.swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
-    chance = chance[..., np.asarray(tiles.place)]
-    return CandidateViews(tiles.by_voxel(views), tiles.by_voxel(seen), chance)
+
+    def finish(parts: Sequence[Any]) -> CandidateViews:
+        views, seen, chance = (
+            np.concatenate(part)[: len(poses)] for part in zip(*parts, strict=True)
+        )
+        tiles, (count, number, classes, columns) = tiled.tiles, chance.shape
+        chance = chance.reshape(count, tiles.slabs, number // tiles.slabs, classes, columns).sum(1)
+        chance = chance.swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
+        chance = chance[..., np.asarray(tiles.place)]
+        return CandidateViews(tiles.by_voxel(views), tiles.by_voxel(seen), chance)
+
+    return jobs, finish
 
 
 @partial(jax.jit, static_argnames="asked")

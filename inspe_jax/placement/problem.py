@@ -5,7 +5,7 @@ results report it. *Rough*: also read hard, but on a sample of columns and frame
 gradients rank candidates by it. *Soft*: margins are read softly, on a sample; it has gradients.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, wraps
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from inspe_jax.core.arrays import on_device, on_host
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import Job, run
-from inspe_jax.placement.candidate_views import CandidateViews, view_from_poses
+from inspe_jax.placement.candidate_views import CandidateViews, view_jobs
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import COMBINATIONS, Objective
@@ -306,24 +306,36 @@ class Problem:
         n = len(parts)
         return VoxelWeights(*(np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True)))
 
-    def views(self, s: int, poses: Float[np.ndarray, "K 6"], sample: Sample) -> CandidateViews:
-        """What sensor ``s`` of the layout has in view, and sees in each frame, at each of K poses.
+    def views(
+        self, poses: Mapping[int, Float[np.ndarray, "K 6"]], sample: Sample
+    ) -> dict[int, CandidateViews]:
+        """What some sensors of the layout have in view, and see in each frame, each at K poses.
 
-        Poses are about the scene's centre. With :meth:`voxel_weights`, the metrics of a set of
-        sensors are sums: C of ``weight`` over the voxels that some sensor has in view, O of
-        ``free`` over the voxels and frames that some sensor sees, and, where visibility is
-        ``in_view``, IG of ``entropy``·(1 − ∏(1 − reliability·view)). If detectability has weight,
-        it is the mean over classes of ``places``·(1 − ∏(1 − chance)).
+        ``poses`` about the scene's centre are by the sensors' places in the layout. With
+        :meth:`voxel_weights`, the metrics of a set of sensors are sums: C of ``weight`` over the
+        voxels that some sensor has in view, O of ``free`` over the voxels and frames that some
+        sensor sees, and, where visibility is ``in_view``, IG of
+        ``entropy``·(1 − ∏(1 − reliability·view)). If detectability has weight, it is the mean over
+        classes of ``places``·(1 − ∏(1 − chance)).
         """
-        parts = []
-        for case, tiled, sensor_set in zip(
-            self.cases, sample.scenes, self.sensor_sets, strict=True
-        ):
-            grid = next(grid for grid, index in sensor_set.groups if s in index)
-            half = case.scene.voxels.size / 2
-            given = jnp.asarray(poses, float), tiled, self.asked, sensor_set.pixels[s]
-            parts.append(view_from_poses(grid, half, *given))
-        return CandidateViews(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
+        wanted, jobs = [], list[Job]()
+        for s, at in poses.items():
+            for case, tiled, sensor_set in zip(
+                self.cases, sample.scenes, self.sensor_sets, strict=True
+            ):
+                grid = next(grid for grid, index in sensor_set.groups if s in index)
+                half = case.scene.voxels.size / 2
+                given = jnp.asarray(at, float), tiled, self.asked, sensor_set.pixels[s]
+                new, finish = view_jobs(grid, half, *given)
+                wanted.append((s, finish, len(jobs), len(jobs) + len(new)))
+                jobs += new
+        done, found = run(jobs), dict[int, list[CandidateViews]]()
+        for s, finish, first, end in wanted:
+            found.setdefault(s, []).append(finish(done[first:end]))
+        return {
+            s: CandidateViews(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
+            for s, parts in found.items()
+        }
 
 
 def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]":

@@ -22,6 +22,8 @@ from inspe_jax.scene.traffic.frames import CLASSES
 PAPER = ("coverage", "occlusion", "information_gain")
 KNOWN = (*PAPER, FOUND)
 """The metrics that are sums over a row. Others count nothing here."""
+LEAST = 1e-6
+"""A gain that is smaller is rounding."""
 _PART = 256  # rows that are converted from bits to numbers at once
 
 
@@ -102,9 +104,11 @@ class SampleScore:
         bits = np.concatenate([of.view, of.seen.reshape(len(of.seen), -1)], 1)
         return Rows(bits, of.chance.reshape(len(bits), -1).astype(np.float32))
 
-    def view(self, problem: Problem, s: int, poses: Float[np.ndarray, "K 6"]) -> Rows:
-        """The rows of sensor ``s`` at K poses about the scene's centre."""
-        return self.rows(problem.views(s, poses, self.sample))
+    def views(
+        self, problem: Problem, poses: Mapping[int, Float[np.ndarray, "K 6"]]
+    ) -> dict[int, Rows]:
+        """The rows of some sensors, each at K poses about the scene's centre; on all cores."""
+        return {s: self.rows(of) for s, of in problem.views(poses, self.sample).items()}
 
     def _left(
         self, rows: SampledRows, there: frozenset[int]

@@ -75,17 +75,27 @@ def search(problem, method, each=lambda run, state: None, **budget):
     return run
 
 
-def test_where_the_gradient_is_never_ready_it_is_greedy(late):
-    """Score by score, with exchanges and moves of its own."""
-    states = []
-    found = search(late, GREEDY_ADAM, lambda run, state: states.append(state))
+def test_where_the_gradient_is_never_ready_units_are_exchanged_and_moved(late):
+    """Score by score it is greedy placement, up to the first moves; those are its own."""
+    states, scores = [], []
+
+    def each(run, state):
+        states.append(state)
+        if state["phase"] == "improve":
+            scores.append(len(run.history))
+
+    found = search(late, GREEDY_ADAM, each)
     assert len(late.callers) == 1  # and that one waits
-    assert {state["phase"] for state in states} >= {"look", "place", "exchange", "move"}
+    assert {state["phase"] for state in states} == {"look", "place", "exchange", "improve"}
     other = search(late, GREEDY)
-    assert [row.score for row in found.history] == [row.score for row in other.history]
+    alike = [[row.score for row in run.history[: scores[0]]] for run in (found, other)]
+    assert alike[0] == alike[1]
+    assert scores[-1] > scores[0]
+    assert not any(state.get("count") for state in states)  # of gradient steps
 
 
-def test_adam_is_tried_as_soon_as_the_gradient_is_ready(late):
+@pytest.mark.parametrize("phase", ["exchange", "improve"])
+def test_adam_is_tried_as_soon_as_the_gradient_is_ready(late, phase):
     """One gradient of nothing serves to tell: that it is ready, and that it gains nothing.
 
     It begins from the best layout so far, whatever greedy placement is at.
@@ -94,21 +104,24 @@ def test_adam_is_tried_as_soon_as_the_gradient_is_ready(late):
 
     def each(run, state):
         states.append(state)
-        if state["phase"] == "move" and not late.go.is_set():
+        if state["phase"] == phase and not late.go.is_set():
             late.go.set()
             run.wait(GRADIENT)
             at.append((len(states), run.best))
 
     search(late, GREEDY_ADAM, each)
     (number, best), *_ = at
+    if phase == "exchange":
+        assert states[number]["phase"] == "improve"
+        assert states[number]["value"] == best
+        number += 1
     assert states[number]["phase"] == "improve"
-    assert states[number]["value"] == best
-    assert states[number + 1]["count"] == greedy_adam.BURST
+    assert states[number]["count"] == greedy_adam.BURST
 
 
 def test_a_gradient_that_is_ready_too_late_is_left(late):
     def each(run, state):
-        assert state["phase"] != "improve"
+        assert not state.get("count")
         if run.done >= greedy_adam.UNTIL:
             late.go.set()
             run.wait(GRADIENT)
@@ -122,7 +135,8 @@ def test_a_gradient_that_will_not_be_ready_in_time_is_not_begun(late, monkeypatc
     states = []
     search(late, GREEDY_ADAM, lambda run, state: states.append(state))
     assert not late.callers
-    assert all(state["phase"] != "improve" for state in states)
+    assert states[-1]["phase"] == "improve"
+    assert not any(state.get("count") for state in states)
 
 
 def test_with_a_budget_in_evaluations_nothing_is_done_beside_the_search(late):

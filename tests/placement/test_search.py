@@ -11,6 +11,7 @@ from inspe_jax.placement import candidate_table as tables
 from inspe_jax.placement import candidate_views, candidates, sampled_scores
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods import batches, cma_es, greedy, grid, random_layouts
+from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
 from inspe_jax.placement.methods.registry import SEARCHES
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
@@ -402,7 +403,7 @@ def test_bits_add_up_to_the_score(scene, name):
     sample = problem.sample(np.random.default_rng(1), 96, 3)
     tally, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)
-    bits = {s: tally.view(problem, s, stand[:, s]) for s in range(5)}
+    bits = {s: tally.views(problem, {s: stand[:, s]})[s] for s in range(5)}
     for m, score in enumerate(problem.rough(x, sample)):
         rows = {s: row[m] for s, row in bits.items()}
         assert tally.value(rows) == pytest.approx(score, abs=2e-5)
@@ -426,12 +427,12 @@ def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     sample = problem.sample(np.random.default_rng(3), candidates.COLUMNS, candidates.FRAMES)
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
-    rough, (views, seen, _) = problem.rough(x, sample), problem.views(0, poses, sample)
+    rough, (views, seen, _) = problem.rough(x, sample), problem.views({0: poses}, sample)[0]
     compiled = sampled_scores.hard_scores._cache_size(), candidate_views._view._cache_size()
     assert len(rough) == len(views) == len(seen) == len(x)
     for count in (1, 3):
         np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
-        few = problem.views(0, poses[-count:], sample)
+        few = problem.views({0: poses[-count:]}, sample)[0]
         for part, whole in zip(few[:2], (views, seen), strict=True):
             np.testing.assert_array_equal(part, whole[-count:])
     assert (
@@ -582,13 +583,31 @@ def test_exchange_of_two_sensors_tries_every_foot(table):
     assert table.tally.value(table.rows(found)) >= max(values) - 1e-6
 
 
+def test_finer_moves_of_several_units_are_judged_one_beside_another(table, problem, start):
+    """Together they add what the sample says of the layout with all of them."""
+    space, tally, units = problem.space, table.tally, range(len(problem.layout.units))
+    rows = sights(problem, tally, start, range(5))
+    x, before = start, tally.value(rows)
+    for k in range(3):
+        x, rows = finer(problem, tally, x, rows, units, 0.5, np.random.default_rng(k), 16)
+        value = tally.value(rows)
+        assert value >= before - 1e-6
+        assert value == pytest.approx(problem.rough(x[None], tally.sample)[0], abs=2e-5)
+        before = value
+    assert not space.violations(space.layout(x))
+    moved = [(x != start)[of_unit(problem, u)].any() for u in units]
+    assert sum(moved) > 1
+    parts = np.concatenate([of_unit(problem, u) for u in units])
+    assert sorted(parts) == list(range(space.size))  # every coordinate is of one unit
+
+
 def test_finer_moves_are_of_one_unit_and_never_for_the_worse(table, problem, start):
     space, tally = problem.space, table.tally
     stand = candidates.poses(space, start[None])[0]
-    rows = {s: tally.view(problem, s, stand[s][None])[0] for s in range(5)}
+    rows = {s: tally.views(problem, {s: stand[s][None]})[s][0] for s in range(5)}
     x, moved = start, 0
     for k in range(6):
-        new, seen = greedy.finer(problem, tally, x, rows, 1, 0.5, np.random.default_rng(k), 64)
+        new, seen = finer(problem, tally, x, rows, (1,), 0.5, np.random.default_rng(k), 64)
         assert tally.value(seen) >= tally.value(rows)
         a, b = (candidates.poses(space, row[None])[0] for row in (x, new))
         assert np.allclose(a[[0, 1, 4]], b[[0, 1, 4]], atol=1e-5)

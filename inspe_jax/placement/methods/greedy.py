@@ -14,12 +14,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
-from inspe_jax.placement.candidates import COLUMNS, FRAMES, coordinates, poses, project
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.compile_ahead import CompileJob
+from inspe_jax.placement.methods.finer_moves import finer, sights
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Run
-from inspe_jax.placement.sample_score import KNOWN, Rows, SampleScore, Worth, times
+from inspe_jax.placement.sample_score import KNOWN, LEAST, Rows, SampleScore, Worth, times
 
 TRIES = 64
 """Finer moves tried for a unit in one step."""
@@ -43,8 +44,6 @@ views (2.0 to 2.6, 0.3 to 0.7, and 0.11 to 0.13)."""
 
 VIEWS = "views"
 """What is compiled ahead."""
-
-_LEAST = 1e-6  # a gain smaller than this is rounding
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def exchange(table: Table, picks: Picks, u: int) -> Picks:
         kind, gains = table.kind_of(s), table.gains(s, rows)
         np.maximum.at(most, kind.foot, gains)
         bound += most
-    best, value = picks, tally.value(table.rows(picks)) + _LEAST
+    best, value = picks, tally.value(table.rows(picks)) + LEAST
     for foot in np.argsort(-bound, kind="stable"):
         if nothing + bound[foot] <= value:
             break
@@ -169,53 +168,6 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
         picks[s] = k
         left.remove(s)
     return picks
-
-
-# ── Finer moves ─────────────────────────────────────────────────────────────
-
-
-def sights(
-    problem: Problem, tally: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
-) -> dict[int, Rows]:
-    """What some sensors of a layout see."""
-    stand = poses(problem.space, x[None])[0]
-    return {s: tally.view(problem, s, stand[s][None])[0] for s in sensors}
-
-
-def finer(
-    problem: Problem,
-    tally: SampleScore,
-    x: Float[np.ndarray, " N"],
-    rows: dict[int, Rows],
-    u: int,
-    width: float,
-    rng: np.random.Generator,
-    tries: int,
-) -> tuple[Float[np.ndarray, " N"], dict[int, Rows]]:
-    """The best of so many random moves of one unit and its sensors, if it is better.
-
-    Each changes half of the unit's coordinates, by 0.1 to 1 times ``width`` typical steps.
-    """
-    space, members = problem.space, problem.layout.members()[u]
-    index = coordinates(space)
-    own = [index.base[u], index.arm[u], index.height[[u]]]
-    own += [part[list(members)].ravel() for part in index[3:]]
-    at = np.concatenate(own)
-    at = at[space.scale[at] > 0]
-    length = width * 10 ** rng.uniform(-1, 0, (tries, 1))
-    moves = rng.normal(size=(tries, len(at))) * (rng.uniform(size=(tries, len(at))) < 0.5)
-    tried = np.tile(x, (tries, 1))
-    tried[:, at] += length * moves * space.scale[at]
-    tried = project(space, tried)
-    stand = poses(space, tried)
-    new = {s: tally.view(problem, s, stand[:, s]) for s in members}
-    others = {s: row for s, row in rows.items() if s not in members}
-    now = tally.gains(others, {s: rows[s][None] for s in members})[0]
-    gains = tally.gains(others, new)
-    best = int(gains.argmax())
-    if gains[best] <= now + _LEAST:
-        return x, rows
-    return tried[best], rows | {s: new[s][best] for s in members}
 
 
 # ── The method ──────────────────────────────────────────────────────────────
@@ -417,7 +369,7 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
         rows = sights(problem, tally, x, range(len(problem.layout)))
     views = wanted.tries * len(problem.layout.members()[u])
     charge(run, tally, (u == 0) * len(rows) + MOVE_COST * views)
-    new, rows = finer(problem, tally, x, rows, u, state.width, run.rng(2, *key), wanted.tries)
+    new, rows = finer(problem, tally, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
     _passes[run] = (*key[:2], u + 1), tally, rows
     moved = state.moved + (new is not x)
     state = replace(state, now=new, moved=moved, unit=u + 1)

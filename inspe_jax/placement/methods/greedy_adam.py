@@ -3,10 +3,11 @@
 Candidates find the places, which gradients do not jump between; gradients move all sensors at
 once, at a small price, where the score has a slope; and finer moves, which are judged hard, gain
 where it has none. As long as the gradient is not compiled, and in rounds that begin when little
-budget is left, it is greedy placement with its own exchanges and moves. So it is where there are
-only LiDARs: there exchanges gain more in the same time than bursts do. Where metrics other than
-the paper's have weight, it is CMA-ES: what candidates add to most of them is not known, and on
-detectability with cameras it comes further than Adam in the same time, and needs less compiled.
+budget is left, there are exchanges in place of bursts. With LiDARs alone it is greedy placement
+with its own exchanges and moves: there exchanges gain more in the same time than bursts do. Where
+metrics other than the paper's have weight, it is CMA-ES: what candidates add to most of them is not
+known, and on detectability with cameras it comes further than Adam in the same time, and needs less
+compiled.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,8 @@ from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
-from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge, finer, sights
+from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
+from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
@@ -27,7 +29,7 @@ from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 PLACING = 0.4
 """Share of the budget at which the first round's placement ends at the latest."""
 UNTIL = 0.85
-"""Share of the budget after which Adam does not begin: rounds from then on are greedy's."""
+"""Share of the budget after which Adam does not begin."""
 COMPILES = 3.0
 """How long the gradient compiles beside greedy placement, in what all that came before took: 19 s
 after 6 s, and 24 s after 9 s, on two cores."""
@@ -38,7 +40,7 @@ SOFTNESS, RATE = 0.5, 0.3
 CALMER = 0.6
 """What both shrink by where a burst gained nothing."""
 TRIES, GENERATIONS = 8, 8
-"""Moves of a unit that are tried at once, from the best so far, and how often for each sensor.
+"""Moves of each unit that are tried at once, from the best so far, and how often for each sensor.
 
 Eight times eight come as far as 64 at once in about half the charged work, on two scenes."""
 
@@ -47,9 +49,6 @@ GRADIENT = "gradient"
 
 ONE_LINE = np.zeros(1, int)
 """The line of a single layout."""
-
-Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
-"""A layout, and what its sensors see of a sample."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     return jobs | {GRADIENT: gradient}
 
 
-State = Placing | greedy.Exchanging | greedy.Moving | Improving
+State = Placing | greedy.Exchanging | Improving
 
 
 def step(run: Run, state: State) -> State:
@@ -117,7 +116,10 @@ def step(run: Run, state: State) -> State:
         return _pass(run, state)
     if not run.ready(GRADIENT) or run.done >= UNTIL:
         found = greedy.step(run, state)
-        return Placing(**vars(found)) if isinstance(found, greedy.Placing) else found
+        if isinstance(found, greedy.Moving):
+            return _improving(run, state, found.x, found.value)
+        assert isinstance(found, Placing | greedy.Exchanging)
+        return found
     late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
     if late or not isinstance(state, Placing):
         return _improving(run, state, run.best_x, run.best)
@@ -150,16 +152,21 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     if run.done < UNTIL and run.ready(GRADIENT):
         new, state = _bursts(run, state, tally, first[1])
         at, value = _better(run, at, value, new) if careful else (new, value)
-    for u, sensors in enumerate(members):
-        rng, new = run.rng(2, *key, u), at
-        for _ in range(GENERATIONS * len(sensors)):
-            charge(run, tally, MOVE_COST * TRIES * len(sensors))
-            new = finer(problem, tally, *new, u, state.width, rng, TRIES)
-        before = at
-        at, value = _better(run, at, value, new) if careful else (new, value)
-        moved += at[0] is not before[0]
-    if not careful:
-        at, value = _better(run, first, value, at)
+    new, rng = at, run.rng(2, *key)
+    for k in range(GENERATIONS * max(map(len, members))):
+        units = [u for u, sensors in enumerate(members) if k < GENERATIONS * len(sensors)]
+        charge(run, tally, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
+        new = finer(problem, tally, *new, units, state.width, rng, TRIES)
+    differs = new[0] != at[0]
+    changed = [u for u in range(len(members)) if differs[of_unit(problem, u)].any()]
+    if careful:
+        for u in changed:
+            before = at
+            at, value = _better(run, at, value, with_unit(problem, at, new, u))
+            moved += at is not before
+    else:
+        at, value = _better(run, first, value, new)
+        moved = len(changed)
     gained = value > start
     width = state.width * (FINER if not gained or 2 * moved < len(members) else 1.0)
     if width < greedy.NARROW:
@@ -212,7 +219,6 @@ _AIMED = method_of(
         "look": Placing,
         "place": Placing,
         "exchange": greedy.Exchanging,
-        "move": greedy.Moving,
         "improve": Improving,
     },
     begin,

@@ -700,7 +700,7 @@ def test_the_reference_has_scores_of_one_light_alone(viewer, scene, layout):
     late = replace(viewer.display.scored, scores=evaluate(scene, layout))
     viewer._on_scores(late)
     done(viewer, lambda: viewer.display.scored is late)
-    assert viewer.display._references == {3: night}
+    assert viewer.display.reference.scores == {3: night}
 
 
 def test_a_weather_of_many_digits_is_scored_and_shown(scene, layout, tmp_path):

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
-from inspe_jax.core.parallel import Job, parts_of, run
+from inspe_jax.core.parallel import Job, parts_of
 from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import detection_curves
@@ -50,24 +50,6 @@ Finish = Callable[[Sequence[Any]], CandidateViews]
 """Makes views of what the jobs for them return."""
 
 
-def view_from_poses(
-    grid: RayGrid,
-    half: float,
-    poses: Float[Array, "K 6"],
-    tiled: TiledScene,
-    asked: Asked,
-    pixels: float = 1.0,
-) -> CandidateViews:
-    """What one sensor has in view, and what it sees in each frame, from each of K poses.
-
-    ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
-    scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
-    find road users are of a sensor alone, as in detectability, if ``asked`` has that metric.
-    """
-    jobs, finish = view_jobs(grid, half, poses, tiled, asked, pixels)
-    return finish(run(jobs))
-
-
 def view_jobs(
     grid: RayGrid,
     half: float,
@@ -76,7 +58,13 @@ def view_jobs(
     asked: Asked,
     pixels: float = 1.0,
 ) -> tuple[list[Job], Finish]:
-    """Jobs for the views of :func:`view_from_poses`, and what makes views of their results."""
+    """Jobs for what one sensor has in view, and sees in each frame, from each of K poses, and what
+    makes views of their results.
+
+    ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
+    scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
+    find road users are of a sensor alone, as in detectability, if ``asked`` has that metric.
+    """
     (chunk,) = tiled.chunks
     assert chunk.solid is not None  # the scene has masks
     rays = grid.rays

@@ -19,7 +19,8 @@ from worlds import (
     world,
 )
 
-from inspe_jax.placement.candidate_views import view_from_poses
+from inspe_jax.core.parallel import run
+from inspe_jax.placement.candidate_views import view_jobs
 from inspe_jax.scoring import exact, metrics
 from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.asked import Asked
@@ -184,7 +185,8 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     assert_same(compiled_measure(field, poses, sensor_set, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    views, seen, _ = view_from_poses(grid, voxel / 2, s, sample, Asked())
+    jobs, finish = view_jobs(grid, voxel / 2, s, sample, Asked())
+    views, seen, _ = finish(run(jobs))
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])

@@ -9,13 +9,11 @@ import numpy as np
 from inspe_jax.report.scene_tables import resolution_of
 from inspe_jax.report.schedule import EXISTING_POLE, MaterialRow, SensorRow, UnitRow
 from inspe_jax.scene.intersection import BUILT_IN, Intersection
-from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import LidarSpec
 
-SUMO = "(SUMO)"
-"""How the source of a place ends that was read from a SUMO network."""
 ONE_POINT = 0.05
 """Sensors that are nearer to each other are at one point, and as high as each other [m]."""
 

@@ -27,11 +27,7 @@ from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
-from inspe_jax.report.mounting import (
-    model_words,
-    mounting_words,
-    origin_words,
-)
+from inspe_jax.report.mounting import model_words, mounting_words, origin_words
 from inspe_jax.report.progress import before_after, history_view, same_sensors
 from inspe_jax.report.scene3d import USER_COLOR
 from inspe_jax.report.scene3d_page import scene3d_page

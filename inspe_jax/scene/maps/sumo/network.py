@@ -29,6 +29,8 @@ from inspe_jax.scene.georeference import Georeference
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
+SUMO = "(SUMO)"
+"""How the source of a place ends that was read from a SUMO network."""
 GEOGRAPHIC = 20_000.0
 """A network moved by more than this [m] was projected from latitudes and longitudes."""
 

@@ -41,7 +41,7 @@ from inspe_jax.scene.maps.parts import (
     walking_routes,
 )
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
-from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, load_net
+from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, SUMO, load_net
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
 
@@ -155,7 +155,7 @@ def read_sumo(
     regions = {region: areas[region].intersection(disc) for region in Region}
     found = Intersection(
         name=f"{road.name} {place}",
-        source=f"{road.source} (SUMO)",
+        source=f"{road.source} {SUMO}",
         center=middle,
         regions=regions,
         arms=arms,

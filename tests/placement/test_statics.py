@@ -92,12 +92,10 @@ def test_samples_of_searches_know_the_bodies(planted):
     bare = Problem(planted.with_statics([]), layout).exact_of(problem.space.layout(x))
     assert exact < bare - 0.005
     assert problem.rough(x[None], sample)[0] == pytest.approx(exact, abs=1e-6)
-    poses, score = (
-        poses_about_center(planted, problem.space.layout(x)),
-        SampleScore(problem, sample),
-    )
-    rows = {s: score.view(problem, s, poses[s][None])[0] for s in range(len(layout))}
-    assert score.value(rows) == pytest.approx(exact, abs=1e-6)
+    poses = poses_about_center(planted, problem.space.layout(x))
+    score = SampleScore(problem, sample)
+    views = score.views(problem, {s: poses[s][None] for s in range(len(layout))})
+    assert score.value({s: rows[0] for s, rows in views.items()}) == pytest.approx(exact, abs=1e-6)
     softness = jnp.asarray(0.5, float)
     each = [
         problem.slope(poses, on, softness)

@@ -104,7 +104,8 @@ def _run() -> None:
         sys.exit(2)
     except OSError as e:
         where = f"{e.filename}: " if e.filename else ""
-        err.print(f"[bold red]Error:[/] {plain(where + (e.strerror or str(e)))}", soft_wrap=True)
+        words = e.strerror or str(e) or type(e).__name__  # a TimeoutError often says nothing
+        err.print(f"[bold red]Error:[/] {plain(where + words)}", soft_wrap=True)
         sys.exit(2)
 
 

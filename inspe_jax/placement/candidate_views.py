@@ -3,9 +3,9 @@
 Searches choose among candidate poses by it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.statics import past_statics_masks
-from inspe_jax.visibility.tiles import Tile
+from inspe_jax.visibility.tiles import Tile, Tiles
 from inspe_jax.visibility.view_masks import view_masks
 
 FOUND = "detectability"
@@ -46,8 +46,11 @@ class CandidateViews(NamedTuple):
     chance: Float[np.ndarray, "K Q L"]
 
 
-Finish = Callable[[Sequence[Any]], CandidateViews]
-"""Makes views of what the jobs for them return."""
+def joined(parts: Sequence[CandidateViews], axis: int = 0) -> CandidateViews:
+    """The views of all parts: from further poses or, along axis −1, of further scenes."""
+    if len(parts) == 1:
+        return parts[0]
+    return CandidateViews(*(np.concatenate(part, axis) for part in zip(*parts, strict=True)))
 
 
 def view_jobs(
@@ -57,10 +60,10 @@ def view_jobs(
     tiled: TiledScene,
     asked: Asked,
     pixels: float = 1.0,
-) -> tuple[list[Job], Finish]:
-    """Jobs for what one sensor has in view, and sees in each frame, from each of K poses, and what
-    makes views of their results.
+) -> list[Job]:
+    """Jobs for what one sensor has in view, and sees in each frame, from each of K poses.
 
+    Each gives the views of :data:`TOGETHER` poses; after the last pose, it is repeated.
     ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
     scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
     find road users are of a sensor alone, as in detectability, if ``asked`` has that metric.
@@ -76,21 +79,20 @@ def view_jobs(
     key = (_view, grid.kind, lengths, *shapes, asked)
     fixed = dict(chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, asked=asked)
     given = partial(_view, rays, half, pixels, **fixed)
-    jobs: list[Job] = [
-        (key, partial(given, part)) for part in parts_of(np.asarray(poses), TOGETHER)
-    ]
 
-    def finish(parts: Sequence[Any]) -> CandidateViews:
-        views, seen, chance = (
-            np.concatenate(part)[: len(poses)] for part in zip(*parts, strict=True)
-        )
-        tiles, (count, number, classes, columns) = tiled.tiles, chance.shape
-        chance = chance.reshape(count, tiles.slabs, number // tiles.slabs, classes, columns).sum(1)
-        chance = chance.swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
-        chance = chance[..., np.asarray(tiles.place)]
-        return CandidateViews(tiles.by_voxel(views), tiles.by_voxel(seen), chance)
+    def views(part: np.ndarray) -> CandidateViews:
+        return _by_voxel(tiled.tiles, *given(part))
 
-    return jobs, finish
+    return [(key, partial(views, part)) for part in parts_of(np.asarray(poses), TOGETHER)]
+
+
+def _by_voxel(tiles: Tiles, view: Array, seen: Array, chance: Array) -> CandidateViews:
+    """What :func:`_view` returns, in the scene's order of voxels and of columns."""
+    count, number, classes, columns = chance.shape
+    found = np.asarray(chance).reshape(count, tiles.slabs, number // tiles.slabs, classes, columns)
+    found = found.sum(1).swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
+    found = found[..., np.asarray(tiles.place)]
+    return CandidateViews(tiles.by_voxel(np.asarray(view)), tiles.by_voxel(np.asarray(seen)), found)
 
 
 @partial(jax.jit, static_argnames="asked")

@@ -5,7 +5,7 @@ results report it. *Rough*: also read hard, but on a sample of columns and frame
 gradients rank candidates by it. *Soft*: margins are read softly, on a sample; it has gradients.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, wraps
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from inspe_jax.core.arrays import on_device, on_host
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import Job, run
-from inspe_jax.placement.candidate_views import CandidateViews, view_jobs
+from inspe_jax.placement.candidate_views import CandidateViews, joined, view_jobs
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import COMBINATIONS, Objective
@@ -34,6 +34,7 @@ from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.queries import check_layout
 
@@ -318,24 +319,37 @@ class Problem:
         ``entropy``·(1 − ∏(1 − reliability·view)). If detectability has weight, it is the mean over
         classes of ``places``·(1 − ∏(1 − chance)).
         """
-        wanted, jobs = [], list[Job]()
-        for s, at in poses.items():
-            for case, tiled, sensor_set in zip(
-                self.cases, sample.scenes, self.sensor_sets, strict=True
-            ):
-                grid = next(grid for grid, index in sensor_set.groups if s in index)
-                half = case.scene.voxels.size / 2
-                given = jnp.asarray(at, float), tiled, self.asked, sensor_set.pixels[s]
-                new, finish = view_jobs(grid, half, *given)
-                wanted.append((s, finish, len(jobs), len(jobs) + len(new)))
+        jobs, wanted = list[Job](), list[tuple[list[int], int, int]]()
+        for case, tiled, sensor_set in zip(
+            self.cases, sample.scenes, self.sensor_sets, strict=True
+        ):
+            half = case.scene.voxels.size / 2
+            for grid, pixels, alike in _alike(sensor_set, poses):
+                at = jnp.asarray(np.concatenate([poses[s] for s in alike]), float)
+                new = view_jobs(grid, half, at, tiled, self.asked, pixels)
+                wanted.append((alike, len(jobs), len(jobs) + len(new)))
                 jobs += new
         done, found = run(jobs), dict[int, list[CandidateViews]]()
-        for s, finish, first, end in wanted:
-            found.setdefault(s, []).append(finish(done[first:end]))
-        return {
-            s: CandidateViews(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
-            for s, parts in found.items()
-        }
+        for alike, first, end in wanted:
+            views, begin = joined(done[first:end]), 0
+            for s in alike:
+                rows = slice(begin, begin + len(poses[s]))
+                found.setdefault(s, []).append(CandidateViews(*(part[rows] for part in views)))
+                begin = rows.stop
+        return {s: joined(parts, -1) for s, parts in found.items()}
+
+
+def _alike(
+    sensor_set: SensorSet, some: Iterable[int]
+) -> Iterator[tuple[RayGrid, float, list[int]]]:
+    """Of some sensors, those whose rays are the same, with their grid and the pixels of a ray."""
+    for grid, index in sensor_set.groups:
+        groups: dict[float, list[int]] = {}
+        for s in some:
+            if s in index:
+                groups.setdefault(sensor_set.pixels[s], []).append(s)
+        for pixels, alike in groups.items():
+            yield grid, pixels, alike
 
 
 def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]":

@@ -33,9 +33,21 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             yield there
         return
     count = workers or cores()
-    with (
-        _kept_memory(),
-        LocalCluster(
+    with _kept_memory(), _own_cluster(count) as cluster, Client(cluster) as here:
+        here.register_plugin(WorkerSetup(count))
+        # Without this, a worker that dies while it starts is not started again.
+        cluster.adapt(minimum=count, maximum=count, interval="1s")
+        yield here
+        # Dask cannot end a worker that is just being restarted.
+        with suppress(TimeoutError):
+            here.wait_for_workers(count, timeout=TIMEOUT)
+
+
+@contextmanager
+def _own_cluster(count: int) -> Iterator[LocalCluster]:
+    """So many processes on this machine. Raises InspeError where they do not start."""
+    try:
+        cluster = LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             # Dask does not know of JAX's memory, and would pause a worker because of it silently.
@@ -44,16 +56,17 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             silence_logs=logging.CRITICAL,
             # A job whose worker dies is tried once more, alone: see engine.py.
             scheduler_kwargs={"allowed_failures": 1},
-        ) as cluster,
-        Client(cluster) as here,
-    ):
-        here.register_plugin(WorkerSetup(count))
-        # Without this, a worker that dies while it starts is not started again.
-        cluster.adapt(minimum=count, maximum=count, interval="1s")
-        yield here
-        # Dask cannot end a worker that is just being restarted.
+        )
+    except TimeoutError as e:
+        raise InspeError(
+            f"{count} worker processes did not start in time; is the machine busy? Try fewer"
+        ) from e
+    try:
+        yield cluster
+    finally:
+        # On a busy machine Dask gives up waiting for the workers that it kills. All is done by now.
         with suppress(TimeoutError):
-            here.wait_for_workers(count, timeout=TIMEOUT)
+            cluster.close()
 
 
 @contextmanager

@@ -25,6 +25,8 @@ _IMAGE = (
     "Most is missed at A, by area, weight, and share of time and height unseen. The letters are "
     "given anew after every change:</div>"
 )
+TITLE = "Blind spots"
+"""Of the folder, while what is in it is of the layout in hand."""
 AWAY = np.array([0.0, -22.0, 20.0])
 """From a blind spot to the camera that looks at it [m]."""
 
@@ -85,7 +87,7 @@ class BlindSpotPanel:
         self._folder.visible = True
 
     def _title(self, when: str) -> None:
-        self._folder.label = f"Blind spots{when}"
+        self._folder.label = TITLE + when
 
     def _bind(self, k: int, button: Any) -> None:
         @button.on_click

@@ -185,8 +185,8 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     assert_same(compiled_measure(field, poses, sensor_set, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    jobs, finish = view_jobs(grid, voxel / 2, s, sample, Asked())
-    views, seen, _ = finish(run(jobs))
+    (together,) = run(view_jobs(grid, voxel / 2, s, sample, Asked()))
+    views, seen = (part[:3] for part in together[:2])
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])

@@ -54,9 +54,9 @@ def finer(
     )
     for u, part in zip(units, tried, strict=True):
         others = {s: row for s, row in rows.items() if s not in members[u]}
-        now = tally.gains(others, {s: rows[s][None] for s in members[u]})[0]
-        gains = tally.gains(others, {s: new[s] for s in members[u]})
-        best = int(gains.argmax())
+        choice = {s: Rows.joined([rows[s][None], new[s]]) for s in members[u]}
+        now, *gains = tally.gains(others, choice)
+        best = int(np.argmax(gains))
         if gains[best] > now + LEAST:
             moved = part[best], {s: new[s][best] for s in members[u]}
             x, rows = with_unit(problem, (x, rows), moved, u)

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, spread_badges
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.routes import center_distance
-from inspe_jax.report.sheet import HALO, frame_map, house_style
+from inspe_jax.report.sheet import frame_map, house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot
 from inspe_jax.scoring.evaluate import Scores
@@ -44,12 +45,13 @@ def plan_picture(
                 x, y, letter, size=9, weight="bold", ha="center", va="center_baseline",
                 zorder=10, bbox=dict(boxstyle="circle", fc="white", ec="black", lw=0.8),
             )  # fmt: skip
-        key = ax.inset_axes((0.03, 0.03, 0.26, 0.022))
+        behind = Rectangle((0.015, 0.015), 0.29, 0.085, transform=ax.transAxes)
+        ax.add_patch(behind).set(facecolor="white", edgecolor="none", zorder=9)
+        key = ax.inset_axes((0.03, 0.03, 0.26, 0.022), zorder=10)
         key.imshow(np.linspace(0, 1, 64)[None], cmap=layer.colors, aspect="auto")
         key.axis("off")
         for x, words, side in ((0.03, "never", "left"), (0.29, "always seen", "right")):
             ax.text(
-                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes,
-                path_effects=HALO,
-            )  # fmt: skip
+                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes, zorder=10
+            )
     return fig

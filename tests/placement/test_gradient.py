@@ -297,8 +297,10 @@ def passes(problem, evaluations, method=METHODS["greedy-adam"]):
     return run, states
 
 
-def test_one_burst_a_pass_where_they_gain_nothing(small):
-    """It is not taken, and the next one of that round is shorter."""
+def test_one_burst_a_pass_where_they_gain_nothing(small, monkeypatch):
+    """It is not taken, and the next one is shorter, until moves begin again at the widest. They do
+    if they gained since they last did; else there is another round."""
+    monkeypatch.setattr(greedy_adam, "NARROW", 0.5)  # after two passes that gain nothing
     run, states = passes(Flat(small, cameras(small)), 5000)
     moves = [state for state in states if state["phase"] == "improve"]
     first = [state for state in moves if state["round"] == 0]
@@ -306,7 +308,24 @@ def test_one_burst_a_pass_where_they_gain_nothing(small):
     assert len(first) > 3
     for k, state in enumerate(first):
         assert state["count"] == k * greedy_adam.BURST
-        assert state["rate"] == pytest.approx(greedy_adam.RATE * greedy_adam.CALMER**k)
+    again = 0
+    for before, after in pairwise(first):
+        if after["width"] > before["width"]:
+            again += 1
+            assert after["value"] == after["widest"] > before["widest"]
+            assert (after["width"], after["rate"]) == (greedy.WIDTH, greedy_adam.RATE)
+        else:
+            assert after["widest"] == before["widest"]
+            assert after["rate"] == pytest.approx(before["rate"] * greedy_adam.CALMER)
+    assert again
+    more = Run(run.problem, run.start, evaluations=10**6)
+    more.offer(more.start)
+    stuck = first[-1] | dict(value=2.0, width=0.5)  # above any score
+    step = METHODS["greedy-adam"].step
+    wide = step(more, stuck | dict(widest=1.9))
+    assert (wide["phase"], wide["width"], wide["widest"]) == ("improve", greedy.WIDTH, 2.0)
+    ended = step(more, stuck | dict(widest=2.0))
+    assert (ended["phase"], ended["round"]) == ("look", 1)
 
 
 def test_where_no_sensor_is_aimed_it_is_greedy(small):

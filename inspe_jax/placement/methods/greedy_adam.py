@@ -39,6 +39,11 @@ SOFTNESS, RATE = 0.5, 0.3
 """Softness [m] and length of a step, in typical steps, of the first burst of a round."""
 CALMER = 0.6
 """What both shrink by where a burst gained nothing."""
+NARROW = 0.1
+"""Where moves get narrower, in typical steps, they and bursts begin again at the widest.
+
+Without gradients, of six cameras at four places, 500 evaluations end 0.0014 higher in the mean of
+six searches than with new candidates after 0.02, and 800 end 0.004 higher."""
 TRIES, GENERATIONS = 8, 8
 """Moves of each unit that are tried at once, from the best so far, and how often for each sensor.
 
@@ -64,13 +69,15 @@ class Improving:
 
     Moves are at most ``width`` typical steps. The next burst has this ``softness`` [m] and
     ``rate``, in typical steps; ``count`` gradient steps were done. ``careful``: what is found is
-    judged exactly piece by piece, since a pass gained nothing.
+    judged exactly piece by piece, since a pass gained nothing. ``widest`` is the exact score when
+    moves were last at their widest.
     """
 
     round: int
     x: Float[np.ndarray, " N"]
     value: float
     count: int
+    widest: float
     width: float = greedy.WIDTH
     passes: int = field(default=0, metadata={KEY: "pass"})
     softness: float = SOFTNESS
@@ -133,7 +140,8 @@ def step(run: Run, state: State) -> State:
 def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> Improving:
     """Before the first pass of a round, from a layout and its exact score."""
     greedy.forget(run)
-    return Improving(state.round, x, value, state.count if isinstance(state, Placing) else 0)
+    count = state.count if isinstance(state, Placing) else 0
+    return Improving(state.round, x, value, count, widest=value)
 
 
 def _pass(run: Run, state: Improving) -> Placing | Improving:
@@ -141,7 +149,7 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
 
     At first all together. Once that gained nothing, what gains on a sample is as often a loss in
     the whole scene; from then on, the bursts and each unit's moves are judged, and taken back, on
-    their own.
+    their own. A round ends when moves of all widths, from the widest on, gained nothing.
     """
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
     tally = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
@@ -169,16 +177,13 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
         moved = len(changed)
     gained = value > start
     width = state.width * (FINER if not gained or 2 * moved < len(members) else 1.0)
-    if width < greedy.NARROW:
+    careful |= not gained
+    state = replace(state, x=at[0], value=value, passes=state.passes + 1, careful=careful)
+    if width >= NARROW:
+        return replace(state, width=width)
+    if value <= state.widest:  # since then, nothing was gained
         return Placing(state.round + 1, count=state.count)
-    return replace(
-        state,
-        x=at[0],
-        value=value,
-        width=width,
-        passes=state.passes + 1,
-        careful=careful or not gained,
-    )
+    return replace(state, widest=value, width=greedy.WIDTH, softness=SOFTNESS, rate=RATE)
 
 
 def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted, float]:

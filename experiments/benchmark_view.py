@@ -52,9 +52,9 @@ from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
-from inspe_jax.viewer.blind_spot_panel import TITLE
 from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.handle import HandleDrag
+from inspe_jax.viewer.panel import BLIND_SPOTS
 from inspe_jax.viewer.sensor_controls import POSE
 
 console = Console()
@@ -132,7 +132,7 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
             heard.setdefault("few", now)
             if whole:
                 heard.setdefault("all", now)
-        if "all" in heard and picture.content != drawn and spots.label == TITLE:
+        if "all" in heard and picture.content != drawn and spots.label == BLIND_SPOTS:
             heard.setdefault("plan", now)
     return heard
 

@@ -17,7 +17,7 @@ from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import JobQueue
-from inspe_jax.viewer.panel import SLATE
+from inspe_jax.viewer.panel import BLIND_SPOTS, SLATE
 
 _IMAGE = (
     '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
@@ -25,8 +25,6 @@ _IMAGE = (
     "Most is missed at A, by area, weight, and share of time and height unseen. The letters are "
     "given anew after every change:</div>"
 )
-TITLE = "Blind spots"
-"""Of the folder, while what is in it is of the layout in hand."""
 AWAY = np.array([0.0, -22.0, 20.0])
 """From a blind spot to the camera that looks at it [m]."""
 
@@ -87,7 +85,7 @@ class BlindSpotPanel:
         self._folder.visible = True
 
     def _title(self, when: str) -> None:
-        self._folder.label = TITLE + when
+        self._folder.label = BLIND_SPOTS + when
 
     def _bind(self, k: int, button: Any) -> None:
         @button.on_click

@@ -23,6 +23,8 @@ OF_SEARCH = (
 """What is said of a search before the first one."""
 SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
+BLIND_SPOTS = "Blind spots"
+"""The title of their folder, while what is in it is of the layout in hand."""
 REGIONS = "regions"
 GROUND: dict[str, str | None] = {REGIONS: None} | {f"finding a {name}": name for name in CLASSES}
 """What the ground can be coloured by: its regions, or the chance to find a road user there."""
@@ -120,7 +122,7 @@ class Panel:
             self.stop = gui.add_button("Stop", color="orange", visible=False)
             self.bar = gui.add_progress_bar(0.0, visible=False)
             self.course = gui.add_markdown(OF_SEARCH)
-        self.blind_spots = gui.add_folder("Blind spots", visible=False)
+        self.blind_spots = gui.add_folder(BLIND_SPOTS, visible=False)
         with gui.add_folder("Traffic, light and weather"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
             self.play = gui.add_checkbox("Play", False, disabled=frames < 2)

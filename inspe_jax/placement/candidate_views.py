@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
+from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import Job, parts_of
 from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.asked import Asked
@@ -56,7 +57,7 @@ def joined(parts: Sequence[CandidateViews], axis: int = 0) -> CandidateViews:
 def view_jobs(
     grid: RayGrid,
     half: float,
-    poses: Float[Array, "K 6"],
+    poses: Float[Array | np.ndarray, "K 6"],
     tiled: TiledScene,
     asked: Asked,
     pixels: float = 1.0,
@@ -83,7 +84,7 @@ def view_jobs(
     def views(part: np.ndarray) -> CandidateViews:
         return _by_voxel(tiled.tiles, *given(part))
 
-    return [(key, partial(views, part)) for part in parts_of(np.asarray(poses), TOGETHER)]
+    return [(key, partial(views, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
 
 
 def _by_voxel(tiles: Tiles, view: Array, seen: Array, chance: Array) -> CandidateViews:

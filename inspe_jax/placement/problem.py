@@ -325,7 +325,7 @@ class Problem:
         ):
             half = case.scene.voxels.size / 2
             for grid, pixels, alike in _alike(sensor_set, poses):
-                at = jnp.asarray(np.concatenate([poses[s] for s in alike]), float)
+                at = np.concatenate([poses[s] for s in alike])
                 new = view_jobs(grid, half, at, tiled, self.asked, pixels)
                 wanted.append((alike, len(jobs), len(jobs) + len(new)))
                 jobs += new

@@ -12,15 +12,16 @@ P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``p
 
 All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out: with that file at hand, on any machine and
-with an empty --keep, the run goes on with those that are left. To use several cores, begin it
-several times, one process on each core: each training is done by one of them. ``--models`` does
-some of the detectors.
+with an empty --keep, the run goes on with those that are left. Trainings run on all cores, or by a
+Dask scheduler. ``--models`` does some of the detectors.
 
 ``--quick`` trains one detector of each modality on eight frames, until it knows them.
 """
 
 import argparse
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,18 +38,25 @@ from common import (
     write_results,
     write_settings,
 )
-from filelock import FileLock, Timeout
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
 from table2 import HERE, begin, places, read_paper
 
 from inspe_jax.cli.common import progress
-from inspe_jax.dataset import Cache, cache, generate, load_generation
+from inspe_jax.dataset import Cache, cache, generate, load_generation, open_cache
 from inspe_jax.perception.detector import MODELS, TEACHER, model_of
 from inspe_jax.perception.evaluation import Evaluation
 from inspe_jax.perception.inputs import BevGrid
-from inspe_jax.perception.training import Predictor, Report, Run, Settings, train
+from inspe_jax.perception.training import (
+    Predictor,
+    Report,
+    Run,
+    Settings,
+    Training,
+    train,
+    train_all,
+)
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.simulation.frame import KINDS
 
@@ -107,8 +115,9 @@ def options() -> argparse.Namespace:
     parser.add_argument("--densities", nargs="+", default=["medium", "high"])
     parser.add_argument("--paper1", type=Path, metavar="FILE", help="the paper's Table 1 as CSV")
     parser.add_argument(
-        "--workers", type=int, help="processes that record; one a core if not given"
+        "--workers", type=int, help="processes that record and train; one a core if not given"
     )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, for trainings")
     given = parser.parse_args()
     for name in given.models.split(",") if given.models else ():
         if name not in NAMES:
@@ -138,13 +147,12 @@ def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -
         rate_hz=1, pictures="jpeg", image_size=size,
     )  # fmt: skip
     path = stem.with_suffix(".yaml")
-    with FileLock(stem.with_suffix(".lock")):  # another process may be at it
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        with progress(stem.name) as report:
-            made = generate(load_generation(path), stem, workers=processes(given), progress=report)
-        assert not made.failures, made.failures
-        with progress(f"decoding {stem.name}") as report:
-            return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with progress(stem.name) as report:
+        made = generate(load_generation(path), stem, workers=processes(given), progress=report)
+    assert not made.failures, made.failures
+    with progress(f"decoding {stem.name}") as report:
+        return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)
 
 
 # ── Trainings ───────────────────────────────────────────────────────────────
@@ -210,38 +218,54 @@ def done_in(path: Path, steps: int) -> Rows:
 
 
 def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
-    """Every training that is not done yet, and that no other process does; gives all rows."""
+    """Every training that is not done yet, placement by placement; gives all rows."""
     wanted = given.models.split(",") if given.models else NAMES
-    for job in every_job():
-        if job.model not in wanted:
+    done = {of_job(row) for row in done_in(path, given.steps)}
+    todo = [job for job in every_job() if job.model in wanted and job not in done]
+    for placement in dict.fromkeys(job.placement for job in todo):
+        data, later = (recorded(given, into, placement, part) for part in SETS)
+        if given.record:
             continue
-        try:
-            held = FileLock(into / f"{job.folder}.lock").acquire(timeout=0)
-        except Timeout:
-            continue
-        with held:
-            if job in map(of_job, done_in(path, given.steps)):
-                continue
-            data = recorded(given, into, job.placement, "train")
-            later = recorded(given, into, job.placement, "later")
-            if not given.record:
-                append_rows(path, train_and_measure(given, job, data, later, into / job.folder))
+        trainings = [
+            Training(
+                data.path,
+                into.resolve() / job.folder,
+                Settings(model=job.model, steps=given.steps, seed=job.seed),
+                BevGrid(),
+            )
+            for job in todo
+            if job.placement == placement
+        ]
+        with progress(placement) as bar:
+            for training, found in train_all(
+                trainings,
+                work=partial(train_and_measure, placement, later.path),
+                scheduler=given.scheduler,
+                workers=processes(given),
+                progress=bar,
+            ):
+                if isinstance(found, Exception):
+                    console.print(f"{training.folder.name}: {found}", highlight=False)
+                    continue
+                append_rows(path, found)
+                for of in dict.fromkeys(row["frames_of"] for row in found):
+                    ap = np.mean([row["ap"] for row in found if row["frames_of"] == of])
+                    console.print(f"{training.folder.name}, other {of}: mAP {ap:.1%}")
     return done_in(path, given.steps)
 
 
 def train_and_measure(
-    given: argparse.Namespace, job: Job, data: Cache, later: Cache, folder: Path
+    placement: str, later: Path, training: Training, report: Callable[[Report], None]
 ) -> Rows:
     """The rows of a training."""
-    settings = Settings(model=job.model, steps=given.steps, seed=job.seed)
+    job = Job(training.settings.model, placement, training.settings.seed)
     began = time.monotonic()
-    run = trained(data, folder, settings, BevGrid())
+    run = training.train(report)
     seconds = time.monotonic() - began
     rows, predictor = [], predictor_of(run)
-    for of, frames in (("places", data), ("time", later)):
-        found = measured(predictor, job.model, frames, "test")
+    for of, frames in (("places", training.data), ("time", later)):
+        found = measured(predictor, job.model, open_cache(frames), "test")
         rows += rows_of(job, of, found, run.steps, seconds)
-        console.print(f"{job.folder}, other {of}: mAP {found.mean_ap:.1%}", highlight=False)
     return rows
 
 

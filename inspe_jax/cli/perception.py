@@ -3,6 +3,7 @@
 Imports are inside the commands: Equinox is an extra, and JAX takes long to import.
 """
 
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,11 +23,12 @@ from inspe_jax.cli.common import (
     progress,
     show,
 )
+from inspe_jax.cli.options import SchedulerOption, WorkersOption
 from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
-    from inspe_jax.perception.training import Run
+    from inspe_jax.perception.training import Run, Settings
 
 BOX = ("x", "y", "z", "length", "width", "height", "yaw", "velocity_x", "velocity_y")
 """Names of a box's numbers in records [m, rad, m/s], about the middle of the intersection."""
@@ -50,11 +52,17 @@ SplitOption = Annotated[str, typer.Option(help="Split of the set.")]
 def train_detector(
     source: SetArgument,
     folder: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the training.")],
-    model: Annotated[str, typer.Option(help="Detector; see above.")] = "coalign",
+    model: Annotated[
+        list[str] | None,
+        typer.Option(help="Detector; see above. Repeat it for more. coalign if not given."),
+    ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Steps of training.")] = 1500,
     batch: Annotated[int, typer.Option(min=1, help="Frames of a step.")] = 2,
     rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
-    seed: Annotated[int, typer.Option(min=0, help="Of weights, order and augmentation.")] = 0,
+    seed: Annotated[
+        list[int] | None,
+        typer.Option(min=0, help="Of weights, order and augmentation. Repeat it for more."),
+    ] = None,
     every: Annotated[
         int, typer.Option(min=1, help="Steps after which the state is kept, and mAP measured.")
     ] = 250,
@@ -64,8 +72,10 @@ def train_detector(
     augment: Annotated[bool, typer.Option(help="Mirror, turn and scale frames at random.")] = True,
     pictures: PicturesOption = "400x300",
     cache: CacheOption = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
 ) -> None:
-    """Train a detector on the split train of a data set.
+    """Train a detector, or several, on the split train of a data set.
 
     The detectors of InSPE's Table 1 are lss-eff and lss-resnet (cameras), v2vnet, v2x-vit and
     coalign (LiDARs), attfuse, disconet and hm-vit (both). They are small: what two cores train in
@@ -74,10 +84,14 @@ def train_detector(
     RUN gets losses.csv, validation.csv and the last two states. To go on after a stop, give the
     same command again; on a CPU, losses are the same as without the stop.
 
+    With several models or seeds, each is trained by a process of its own, and has a folder of its
+    own in RUN, such as RUN/coalign_0.
+
     Examples:
 
     - `inspe train infra --model v2x-vit --out v2x-vit`
     - `inspe train infra_cache --model lss-eff --steps 3000 --out lss-eff`
+    - `inspe train infra --model v2x-vit --model coalign --seed 0 --seed 1 --out runs`
     """
     from inspe_jax.core.files import check_folder, check_model
 
@@ -85,30 +99,82 @@ def train_detector(
     from inspe_jax.perception.detector import model_of
 
     check_folder(folder)
-    given = dict(model=model, steps=steps, batch=batch, rate=rate, seed=seed, every=every)
+    given = dict(steps=steps, batch=batch, rate=rate, every=every)
     given |= dict(validate_frames=validate, augment=augment)
-    settings = check_model(training.Settings, given, "training")
-    model_of(model)  # before frames are decoded, which may take hours
+    wanted = []
+    for name, number in product(model or ["coalign"], seed or [0]):
+        model_of(name)  # before frames are decoded, which may take hours
+        own = dict(model=name, seed=number, **given)
+        wanted.append(check_model(training.Settings, own, "training"))
+    many = len(wanted) > 1 or workers is not None or scheduler is not None
     data = _cache(source, cache, picture_size(pictures))
     try:
-        with progress("compiling") as tell:
-
-            def report(now: Any) -> None:
-                facts = f"loss {now.loss:.2f}"
-                if now.mean_ap is not None:
-                    facts += f", mAP {now.mean_ap:.1%}"
-                if tell:
-                    tell(now.step, now.steps, now.model, facts)
-                elif now.step % every == 0:
-                    err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
-
-            run = training.train(data, folder, settings, progress=report)
+        if many:
+            _train_many(data, folder, wanted, workers, scheduler)
+        else:
+            _train_one(data, folder, wanted[0])
     except KeyboardInterrupt:
         err.print("stopped; give the same command again to go on", soft_wrap=True)
         raise typer.Exit(130) from None
+
+
+def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
+    """A training in this process, with a bar."""
+    with progress("compiling") as tell:
+
+        def report(now: Any) -> None:
+            facts = f"loss {now.loss:.2f}"
+            if now.mean_ap is not None:
+                facts += f", mAP {now.mean_ap:.1%}"
+            if tell:
+                tell(now.step, now.steps, now.model, facts)
+            elif now.step % settings.every == 0:
+                err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
+
+        run = _training().train(data, folder, settings, progress=report)
+    out.print(f"{settings.model}: {_told(run)}\nwrote {folder}", highlight=False)
+
+
+def _train_many(
+    data: "Cache",
+    folder: Path,
+    wanted: "list[Settings]",
+    workers: int | None,
+    scheduler: str | None,
+) -> None:
+    """Trainings in processes of their own, with a bar of the steps of all."""
+    from inspe_jax.core.files import prepare_folder
+    from inspe_jax.perception.inputs import BevGrid
+
+    training = _training()
+    folders = [folder.resolve()]
+    if len(wanted) > 1:
+        folders = [folders[0] / f"{own.model}_{own.seed}" for own in wanted]
+        prepare_folder(folder)
+    jobs = [
+        training.Training(data.path.resolve(), into, own, BevGrid())
+        for into, own in zip(folders, wanted, strict=True)
+    ]
+    failed = 0
+    with progress("steps") as tell:
+        for job, found in training.train_all(
+            jobs, workers=workers, scheduler=scheduler, progress=tell
+        ):
+            if isinstance(found, Exception):
+                failed += 1
+                err.print(f"{job.folder.name}: {found}", highlight=False, soft_wrap=True)
+            else:
+                out.print(f"{job.folder.name}: {_told(found)}", highlight=False)
+    if failed:
+        raise InspeError(f"{failed} of {len(jobs)} trainings failed, see above")
+    out.print(f"wrote {folder}", highlight=False)
+
+
+def _told(run: "Run") -> str:
+    """What a training came to."""
     rows = run.rows("validation.csv")
     found = f", mAP {rows[-1]['mean_ap']:.1%} on the split validate" if rows else ""
-    out.print(f"{model}: {run.steps:,} steps{found}\nwrote {folder}", highlight=False)
+    return f"{run.steps:,} steps{found}"
 
 
 @app.command("evaluate")

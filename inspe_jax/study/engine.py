@@ -52,6 +52,24 @@ def load_cluster() -> Any:
     return cluster
 
 
+class Messages:
+    """What jobs tell the process that runs them while they are at it.
+
+    ``heard`` is called with each message, in a thread of the client. Jobs send to the ``topic``.
+    """
+
+    def __init__(self, client: Any, heard: Callable[[Any], None]) -> None:
+        self.topic = f"inspe-{uuid4().hex[:8]}"
+        client.subscribe_topic(self.topic, lambda event: heard(event[1]))
+
+    @staticmethod
+    def send(topic: str, message: Any) -> None:
+        """Send from a job; a message is of numbers, texts and lists."""
+        from distributed import get_worker
+
+        get_worker().log_event(topic, message)
+
+
 def run_jobs(
     client: Any,
     jobs: Sequence[J],

@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 from loading_sets import write_set
 from typer.testing import CliRunner
 
 from inspe_jax.cli.common import app
+from inspe_jax.perception.training import open_run
+from inspe_jax.perception.training.run import LOSSES
 from inspe_jax.simulation.frame import KINDS
 
 TRAIN = ("--model", "early-fusion", "--steps", "2", "--every", "1", "--pictures", "32x24")
@@ -25,6 +28,23 @@ def trained(tmp_path_factory):
     assert "early-fusion: 2 steps\nwrote" in found.output
     assert (root / "set_cache" / "cache.json").is_file()
     return root
+
+
+def test_several_are_trained_by_processes_of_their_own(trained, tmp_path):
+    words = ("--seed", 0, "--seed", 1, "--workers", 1, "--out", tmp_path / "runs")
+    found = run("train", trained / "set_cache", *TRAIN, *words)
+    assert found.exit_code == 0, found.output
+    assert "early-fusion_0: 2 steps\n" in found.output
+    assert "early-fusion_1: 2 steps\n" in found.output
+    first, second = (open_run(tmp_path / "runs" / f"early-fusion_{k}") for k in (0, 1))
+    alone, *by_workers = (
+        np.array([row["heat"] for row in run.rows(LOSSES)])
+        for run in (open_run(trained / "run"), first, second)
+    )
+    # Another process may add up the loss of 65,000 cells and classes in another order:
+    # 6e-8 × √65,000.
+    np.testing.assert_allclose(by_workers[0], alone, rtol=1.5e-5)
+    assert np.abs(by_workers[1] / alone - 1).min() > 1e-4
 
 
 def test_evaluate_tells_by_class(trained, tmp_path):

@@ -12,7 +12,7 @@ from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.inputs import BevGrid
-from inspe_jax.perception.training import Settings, open_run, train
+from inspe_jax.perception.training import Settings, Training, open_run, train, train_all
 from inspe_jax.perception.training.run import LOSSES, VALIDATION
 from inspe_jax.perception.training.source import cache_of, check_pictures
 
@@ -70,6 +70,34 @@ def test_a_stopped_training_goes_on_to_the_same_losses(stopped_and_not):
     losses = [row["heat"] + row["values"] for row in whole.rows(LOSSES)]
     assert all(np.isfinite(losses))
     assert len(set(losses)) == 4
+
+
+def test_trainings_by_workers_are_the_same_and_one_that_fails_stops_no_other(
+    stopped_and_not, cached, tmp_path
+):
+    whole, _ = stopped_and_not
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "notes.txt").write_text("of somebody else")
+    trainings = [Training(cached.path, tmp_path / name, SETTINGS, GRID) for name in ("bad", "good")]
+    told = []
+    found = {
+        training.folder.name: result
+        for training, result in train_all(
+            trainings, workers=1, progress=lambda done, steps: told.append((done, steps))
+        )
+    }
+    assert isinstance(found["bad"], InspeError)
+    assert "has other files" in str(found["bad"])
+    assert found["good"].done
+    assert found["good"].rows(LOSSES) == whole.rows(LOSSES)
+    assert told[-1] == (8, 8)
+    assert {done for done, _ in told} >= {5, 6}  # of single steps
+
+
+def test_two_trainings_in_one_folder_are_refused(cached, tmp_path):
+    same = Training(cached.path, tmp_path / "run", SETTINGS, GRID)
+    with pytest.raises(InspeError, match="two trainings"):
+        list(train_all([same, same]))
 
 
 def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, cached, tmp_path):

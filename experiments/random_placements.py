@@ -8,7 +8,8 @@ those. All placements at a place see the same traffic. Tells the correlation of 
 and of each, with P_sm, C, O, IG and detectability D, with intervals from resampling the placements:
 over all of them with what differs between the two places taken out, and also with what the number
 of LiDARs alone explains taken out. Then what the search gained over the placements by hand, and the
-placements that P_sm ranks worst.
+placements that P_sm ranks worst, with a picture of four: how often each place is seen, and which
+road users the detector finds and which it misses.
 
 Sets, caches and the training are in the folder of --keep. A run that was stopped goes on there.
 """
@@ -40,15 +41,18 @@ import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.cli.common import progress
 from inspe_jax.core.files import csv_text, write_text
+from inspe_jax.core.words import counted
 from inspe_jax.dataset import Cache, Generation, Loader, cache, generate
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detections import Detections, truth_of
 from inspe_jax.perception.evaluation import Evaluation, evaluate
+from inspe_jax.perception.evaluation.matching import matched
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Run, Settings
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.studies.pareto import starting_layout
+from inspe_jax.report.figures import OUTLINE, column_raster, draw_regions
 from inspe_jax.sensing.layout import save_layout
 from inspe_jax.simulation.frame import KINDS
 from inspe_jax.study.sources import SceneSource
@@ -63,6 +67,13 @@ SCORES = {"surrogate": "P_sm", **METRICS, "detectability": "D"}
 """What is compared with mAP: names in records, and symbols."""
 RESAMPLES = 1000
 MODEL = "coalign"
+FOUND: dict[bool, dict[str, Any]] = {
+    True: dict(c="#0072b2", marker="o", s=10),
+    False: dict(c="#d55e00", marker="x", s=22),
+}
+"""Marks of road users that are found, and missed."""
+SURE = 0.3
+"""Least score of a detection that is drawn as found; as in ``inspe detect``."""
 
 console = Console()
 Rows = list[dict[str, Any]]
@@ -281,19 +292,76 @@ def told(rows: Rows) -> list[str]:
                 f"| {place} | {name} | {' | '.join(numbers)} | {aps[0]:.1f} | {aps[1]:.1f} "
                 f"| {gain} |"
             )
-    x, y = (
-        within(np.array([float(r[key]) for r in rows]), (r["place"] for r in rows))
-        for key in ("surrogate", "mean_ap")
-    )
-    off = y - np.polyval(np.polyfit(x, y, 1), x)
+    off = off_the_line(rows)
     for k in np.argsort(-np.abs(off))[:5]:
         row = rows[int(k)]
         lines.append(
-            f"{row['place']}, {row['layout']}, {row['lidars']} LiDARs: P_sm "
+            f"{row['place']}, {row['layout']}, {counted(int(row['lidars']), 'LiDAR')}: P_sm "
             f"{float(row['surrogate']):.3f}, mAP {float(row['mean_ap']):.1f}, "
             f"{off[k]:+.1f} from the line"
         )
     return lines
+
+
+def off_the_line(rows: Rows) -> np.ndarray:
+    """How far mAP is off the line over P_sm, without the mean of each place, in points."""
+    x, y = (
+        within(np.array([float(r[key]) for r in rows]), (r["place"] for r in rows))
+        for key in ("surrogate", "mean_ap")
+    )
+    return y - np.polyval(np.polyfit(x, y, 1), x)
+
+
+def draw_furthest(rows: Rows, found: Found, scenes: dict[str, Scene], into: Path) -> Figure:
+    """The two placements furthest above the line and the two furthest below it: how often each
+    column is seen, and the road users that the detector finds, and misses."""
+    off = off_the_line(rows)
+    order = np.argsort(off)
+    figure = Figure(figsize=(12.4, 12.6), layout="constrained")
+    for ax, k in zip(figure.subplots(2, 2).ravel(), [*order[:-3:-1], *order[:2]], strict=True):
+        row = rows[int(k)]
+        scene, at = scenes[row["place"]], (row["place"], row["layout"])
+        layout = inspe_jax.load_layout(into / "layouts" / row["place"] / f"{row['layout']}.yaml")
+        scores = inspe_jax.evaluate(scene, layout)
+        raster, extent = column_raster(scene.voxels, np.asarray(scores.seen_share))
+        image = ax.imshow(
+            raster, extent=extent, origin="lower", cmap="gray", vmin=-0.5, vmax=1.05, zorder=0
+        )
+        draw_regions(ax, scene, lambda _: OUTLINE)
+        poses = np.asarray(layout.poses)
+        ax.plot(*poses[:, :2].T, "w*", ms=16, mec="k", zorder=8, label="LiDAR")
+        for hit, look in FOUND.items():
+            own = np.concatenate(
+                [boxes[taken == hit, :2] for boxes, taken in map(taken_of, *found[at])]
+            )
+            there = scene.intersection.center[:2] + own
+            words = f"{'found' if hit else 'missed'}: {len(own)} road users"
+            ax.scatter(*there.T, zorder=6, label=words, **look)
+        ax.legend(loc="lower left", fontsize=8)
+        ax.set_title(
+            f"{row['place']}, {row['layout']}, {counted(int(row['lidars']), 'LiDAR')}\nP_sm "
+            f"{float(row['surrogate']):.2f}, mAP {float(row['mean_ap']):.1f}: {off[k]:+.1f} points",
+            fontsize=10,
+        )
+        ax.set_xticks([])
+        ax.set_yticks([])
+    bar = figure.colorbar(
+        image,
+        ax=figure.axes,
+        location="bottom",
+        shrink=0.4,
+        aspect=40,
+        boundaries=np.linspace(0, 1),
+    )
+    bar.set_ticks([0, 0.5, 1])
+    bar.set_label("share of frames and levels in which a column is seen")
+    return figure
+
+
+def taken_of(found: Detections, truth: Detections) -> tuple[np.ndarray, np.ndarray]:
+    """The road users of a frame, and whether a detection that is sure enough is of each."""
+    sure = Detections(*(part[found.score >= SURE] for part in found))
+    return truth.boxes, np.isin(np.arange(len(truth.kind)), matched(sure, truth))
 
 
 def draw(rows: Rows, related: Rows) -> Figure:
@@ -355,6 +423,12 @@ def main() -> None:
             for place in dict.fromkeys(at[0] for at in found)
             for scores in read_rows(into / "layouts" / place / "scores.csv")
         ]
+        sources = {s.source.name: s.source for s in plan.scenarios}
+        scenes = {
+            place: scene_of(sources[place], dict(seed=given.seed, **size.scene))
+            for place in dict.fromkeys(row["place"] for row in rows)
+        }
+        furthest = draw_furthest(rows, found, scenes, into)
     path = given.out / f"{stem}.csv"
     write_results(path, rows, dict(vars(given), size=size._asdict()))
     related = correlations(rows)
@@ -368,7 +442,8 @@ def main() -> None:
             )
     console.print("\n".join(told(rows)), highlight=False)
     draw(rows, related).savefig(path.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {path}, .json and .png", highlight=False)
+    furthest.savefig(path.with_name(f"{stem}_furthest.png"), dpi=110)
+    console.print(f"wrote {path}, .json and two .png", highlight=False)
 
 
 if __name__ == "__main__":

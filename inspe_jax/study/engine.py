@@ -39,6 +39,14 @@ class Schedulable(Protocol):
 J = TypeVar("J", bound=Schedulable)
 
 
+def check_workers(scheduler: str | None, workers: int | None) -> None:
+    """Raise InspeError unless workers are given by number, by a scheduler's address, or not."""
+    if workers is not None and (workers < 1 or scheduler is not None):
+        raise InspeError(
+            f"workers {workers}: give 1 or more; with a scheduler give none, since it has its own"
+        )
+
+
 def load_cluster() -> Any:
     """Import and return :mod:`inspe_jax.study.cluster`. Raises InspeError if Dask is missing."""
     try:

@@ -4,8 +4,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from inspe_jax.core.errors import InspeError
-from inspe_jax.study.engine import load_cluster, run_jobs
+from inspe_jax.study.engine import check_workers, load_cluster, run_jobs
 from inspe_jax.study.plan import Study, StudyJob
 from inspe_jax.study.results import Results
 from inspe_jax.study.work import Row, failure_columns, row_head, run_job, scene_of_job, versions
@@ -40,10 +39,7 @@ def sweep(
     Raises InspeError if Dask is missing, if no scheduler answers or its workers have other
     versions, or as :class:`~inspe_jax.study.results.Results` does.
     """
-    if workers is not None and (workers < 1 or scheduler is not None):
-        raise InspeError(
-            f"workers {workers}: give 1 or more; with a scheduler give none, since it has its own"
-        )
+    check_workers(scheduler, workers)
     with Results(study, folder) as results:
         if retry:
             results.forget_failures()

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.loading import open_cache
 from inspe_jax.perception.detector import model_of
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training.run import Run
 from inspe_jax.perception.training.settings import Settings
 from inspe_jax.perception.training.train import Report, train
-from inspe_jax.study.engine import Messages, load_cluster, run_jobs
+from inspe_jax.study.engine import Messages, check_workers, load_cluster, run_jobs
 
 Progress = Callable[[Report], None]
 """What is called after each step of a training."""
@@ -69,13 +70,15 @@ def train_all(
     what that gives takes the place of the run.
 
     ``scheduler``: address of a running Dask scheduler, whose workers reach caches and runs at the
-    same paths. ``workers``: without a scheduler, number of processes on this machine, one per core
-    by default. Raises InspeError if two trainings have the same folder, if Dask is missing, or if
-    no scheduler answers.
+    same paths. ``workers``: without a scheduler, number of processes on this machine, which share
+    its cores; by default one per core, but no more than trainings. Raises InspeError if two
+    trainings have the same folder, if both of these are given, if Dask is missing, or if no
+    scheduler answers.
     """
     folders = [training.folder for training in trainings]
     if twice := [folder for folder in folders if folders.count(folder) > 1]:
         raise InspeError(f"{twice[0]}: is the folder of two trainings: give each its own")
+    check_workers(scheduler, workers)
     if not trainings:
         return
     done = dict.fromkeys((training.key for training in trainings), 0)
@@ -87,7 +90,8 @@ def train_all(
         if progress:
             progress(sum(done.values()), steps)
 
-    with load_cluster().client(scheduler, workers) as client:
+    count = workers or min(cores(), len(trainings))
+    with load_cluster().client(scheduler, count) as client:
         messages = Messages(client, heard)
         jobs = sorted(trainings, key=lambda training: training.scene)
         for training, found in run_jobs(

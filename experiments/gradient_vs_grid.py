@@ -259,34 +259,36 @@ def draw(history: list[dict[str, str]], clock: str, path: Path) -> None:
     ``clock`` says what was counted.
     """
     found = courses(history)
-    places = list(dict.fromkeys(at[0] for at in found))
-    mixes = list(dict.fromkeys(at[1] for at in found))
-    figure = Figure(figsize=(3.4 * len(mixes), 2.1 * len(places) + 1.2), layout="constrained")
-    axes = figure.subplots(len(places), len(mixes), squeeze=False)
-    for i, place in enumerate(places):
-        for j, mix in enumerate(mixes):
-            ax = axes[i, j]
-            all_runs = [runs for at, runs in found.items() if at[:2] == (place, mix)]
-            if not all_runs:
-                ax.set_axis_off()
+    places, mixes = (list(dict.fromkeys(at[k] for at in found)) for k in range(2))
+    cells = [(place, mix) for place in places for mix in mixes]
+    columns = len(mixes) if len(mixes) > 1 else min(4, len(places))
+    rows = -(-len(cells) // columns)
+    figure = Figure(figsize=(3.4 * columns, 2.1 * rows + 1.2), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.flat[len(cells) :]:
+        ax.set_axis_off()
+    for ax, cell_ in zip(axes.flat, cells, strict=False):
+        all_runs = [runs for at, runs in found.items() if at[:2] == cell_]
+        if not all_runs:
+            ax.set_axis_off()
+            continue
+        end = max(t for runs in all_runs for steps in runs.values() for t, _ in steps)
+        last = [np.median([s[-1][1] for s in runs.values()]) for runs in all_runs]
+        ax.set_ylim(min(last) - 0.05, max(last) + 0.01)  # the start is far below
+        for k, name in enumerate(METHODS):
+            runs = found.get((*cell_, name))
+            if not runs:
                 continue
-            end = max(t for runs in all_runs for steps in runs.values() for t, _ in steps)
-            last = [np.median([s[-1][1] for s in runs.values()]) for runs in all_runs]
-            ax.set_ylim(min(last) - 0.05, max(last) + 0.01)  # the start is far below
-            for k, name in enumerate(METHODS):
-                runs = found.get((place, mix, name))
-                if not runs:
-                    continue
-                times = np.linspace(0, end, 200)
-                best = [[best_at(steps, t) for t in times] for steps in runs.values()]
-                style = "-" if name in GRADIENT else "--"
-                ax.plot(times, np.median(best, 0), style, label=name, color=f"C{k}")
-            ax.set_title(f"{place}, {mix}", fontsize=9)
-            ax.tick_params(labelsize=8)
-            if i == len(places) - 1:
-                ax.set_xlabel(clock, fontsize=9)
-            if j == 0:
-                ax.set_ylabel("exact P_sm", fontsize=9)
+            times = np.linspace(0, end, 200)
+            best = [[best_at(steps, t) for t in times] for steps in runs.values()]
+            style = "-" if name in GRADIENT else "--"
+            ax.plot(times, np.median(best, 0), style, label=name, color=f"C{k}")
+        ax.set_title(", ".join(cell_), fontsize=9)
+        ax.tick_params(labelsize=8)
+    for ax in axes[-1]:
+        ax.set_xlabel(clock, fontsize=9)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("exact P_sm", fontsize=9)
     keys: dict[str, Any] = {}
     for ax in axes.flat:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):

@@ -1,8 +1,9 @@
 """Claim: detectors find more where the surrogate metrics rank a placement higher (Table 1, Fig. 4).
 
-Records the ten intersections under each of the paper's nine placements, and trains the eight
-detectors on three placements each, all for the same number of steps. Each is measured on two
-intersections that it has not seen, and on another time at all ten. Tells nuScenes' mAP by
+Records the ten intersections under the paper's three placements of cameras and LiDARs, of which the
+other six are parts, and trains the eight detectors on three placements each, all for the same
+number of steps. Each is measured on two intersections that it has not seen, and on another time at
+all ten. Tells nuScenes' mAP by
 detector, placement and class beside the paper's (``--paper1 FILE``, with the columns model,
 placement, class, map_percent), the correlation of the mean mAP of a placement with its P_sm, C, O
 and IG (``table2.csv``), with intervals from resampling the placements, and what the paper
@@ -66,6 +67,8 @@ BY_SENSORS = {
     ("lidar", "camera"): ("Cam-c/L-c", "Cam-d1/L-d1", "Cam-d2/L-d2"),
 }
 """The three placements that a detector is trained on, by its sensors."""
+RECORDED = BY_SENSORS["lidar", "camera"]
+"""What is recorded: the LiDARs of Cam-d1/L-d1 are those of L-d1, the cameras those of Cam-d1."""
 NAMES = {
     "lss-eff": "LSS-Eff", "lss-resnet": "LSS-ResNet", "v2vnet": "V2VNet", "v2x-vit": "V2X-ViT",
     "coalign": "CoAlign", "attfuse": "AttFuse", "disconet": "DiscoNet", "hm-vit": "HM-ViT",
@@ -97,6 +100,11 @@ class Job(NamedTuple):
     model: str
     placement: str
     seed: int
+
+    @property
+    def recorded(self) -> str:
+        """The placement of :data:`RECORDED` that its own is a part of."""
+        return RECORDED[BY_SENSORS[model_of(self.model).sensors].index(self.placement)]
 
     @property
     def folder(self) -> str:
@@ -218,47 +226,54 @@ def done_in(path: Path, steps: int) -> Rows:
 
 
 def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
-    """Every training that is not done yet, placement by placement; gives all rows."""
+    """Every training that is not done yet, recording by recording; gives all rows."""
     wanted = given.models.split(",") if given.models else NAMES
     done = {of_job(row) for row in done_in(path, given.steps)}
     todo = [job for job in every_job() if job.model in wanted and job not in done]
-    for placement in dict.fromkeys(job.placement for job in todo):
+    for seed, placement in dict.fromkeys((job.seed, job.recorded) for job in todo):
         data, later = (recorded(given, into, placement, part) for part in SETS)
         if given.record:
             continue
-        trainings = [
-            Training(
-                data.path,
-                into.resolve() / job.folder,
-                Settings(model=job.model, steps=given.steps, seed=job.seed),
-                BevGrid(),
-            )
-            for job in todo
-            if job.placement == placement
-        ]
-        with progress(placement) as bar:
-            for training, found in train_all(
-                trainings,
-                work=partial(train_and_measure, placement, later.path),
-                scheduler=given.scheduler,
-                workers=processes(given),
-                progress=bar,
-            ):
-                if isinstance(found, Exception):
-                    console.print(f"{training.folder.name}: {found}", highlight=False)
-                    continue
-                append_rows(path, found)
-                for of in dict.fromkeys(row["frames_of"] for row in found):
-                    ap = np.mean([row["ap"] for row in found if row["frames_of"] == of])
-                    console.print(f"{training.folder.name}, other {of}: mAP {ap:.1%}")
+        some = [job for job in todo if (job.seed, job.recorded) == (seed, placement)]
+        train_some(given, {into.resolve() / job.folder: job for job in some}, data, later, path)
     return done_in(path, given.steps)
 
 
+def train_some(
+    given: argparse.Namespace, jobs: dict[Path, Job], data: Cache, later: Cache, path: Path
+) -> None:
+    """The trainings on one recording, by folder; appends their rows as they come."""
+    trainings = [
+        Training(
+            data.path,
+            folder,
+            Settings(model=job.model, steps=given.steps, seed=job.seed),
+            BevGrid(),
+        )
+        for folder, job in jobs.items()
+    ]
+    with progress(data.path.name) as bar:
+        for training, found in train_all(
+            trainings,
+            work=partial(train_and_measure, jobs, later.path),
+            scheduler=given.scheduler,
+            workers=processes(given),
+            progress=bar,
+        ):
+            if isinstance(found, Exception):
+                console.print(f"{training.folder.name}: {found}", highlight=False)
+                continue
+            append_rows(path, found)
+            for of in dict.fromkeys(row["frames_of"] for row in found):
+                ap = np.mean([row["ap"] for row in found if row["frames_of"] == of])
+                console.print(f"{training.folder.name}, other {of}: mAP {ap:.1%}", highlight=False)
+
+
 def train_and_measure(
-    placement: str, later: Path, training: Training, report: Callable[[Report], None]
+    jobs: dict[Path, Job], later: Path, training: Training, report: Callable[[Report], None]
 ) -> Rows:
     """The rows of a training."""
-    job = Job(training.settings.model, placement, training.settings.seed)
+    job = jobs[training.folder]
     began = time.monotonic()
     run = training.train(report)
     seconds = time.monotonic() - began
@@ -320,7 +335,8 @@ def read_paper1(path: Path | None) -> Means:
 def table(found: Means, paper: Means) -> str:
     """Detectors and placements × classes in Markdown, the paper's in brackets."""
     lines = ["| detector | placement | " + " | ".join(KINDS) + " | mean |", "|---" * 7 + "|"]
-    for model, placement in dict.fromkeys(at[:2] for at in found):
+    there = {at[:2] for at in found}
+    for model, placement in dict.fromkeys(job[:2] for job in every_job() if job[:2] in there):
         cells = []
         for get in (found, paper):
             own = [get.get((model, placement, kind), np.nan) for kind in KINDS]

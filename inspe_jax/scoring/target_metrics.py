@@ -6,9 +6,10 @@
 - localisation L, how much of the error of its place is removed: :func:`localisation`;
 - redundancy R, the share of voxels that two units see: :func:`redundancy`.
 
-A road user of each class stands at each column, with traffic around it. All are means over the
-columns, weighted by region as coverage is, and over the classes. What is seen is a share of frames;
-of several sensors it is taken as independent, as information gain does.
+A road user of each class stands at each column, with traffic around it. The functions give the
+value of each column; a metric is their mean, weighted by region as coverage is: Σ w_l x_l / Σ w_l.
+What is seen is a share of frames; of several sensors it is taken as independent, as information
+gain does.
 """
 
 from collections.abc import Callable
@@ -29,55 +30,44 @@ UNKNOWN = 2.0
 about half a lane."""
 
 
-def detectability(chance: Float[Array, "R K L"], weight: Float[Array, " L"]) -> Float[Array, " R"]:
-    """D = Σ w_l · mean over classes of p_lk / Σ w_l, the chance that a road user is found.
+def detectability(chance: Float[Array, "R K L"], width: Width = None) -> Float[Array, "R L"]:
+    """D: the chance that a road user is found, mean over classes of p_lk.
 
     ``chance`` is p = 1 − ∏_s (1 − p_s), with p_s that of sensor s alone. In a frame in which the
     road user is in sight from height z up, p_s = g(n(z)), with n(z) the returns or pixels on what
     is above z and g of :mod:`inspe_jax.scoring.detection`; p_s is its mean over frames.
     """
-    return weighted_mean(chance.mean(1), weight)
+    return chance.mean(1)
 
 
-def points_on_target(
-    returns: Float[Array, "R K L"], weight: Float[Array, " L"], width: Width = None
-) -> Float[Array, " R"]:
-    """P: the weighted share of places and classes with at least :data:`FEW` LiDAR returns.
+def points_on_target(returns: Float[Array, "R K L"], width: Width = None) -> Float[Array, "R L"]:
+    """P: the share of classes with at least :data:`FEW` LiDAR returns.
 
     ``returns`` n are expected numbers of all sensors together, mean over frames. The margin is how
     much further off the road user could stand, from :data:`SCALE` metres: n falls as the square of
     the distance.
     """
     further = SCALE * (jnp.sqrt(jnp.maximum(returns, 1e-6) / FEW) - 1.0)
-    return weighted_mean(step(further, width).mean(1), weight)
+    return step(further, width).mean(1)
 
 
-def _totals(each: Float[Array, "S ..."], failures: Groups | None) -> Float[Array, "1+G ..."]:
-    """The sum over all sensors, and over all but each group's."""
-    if failures is None:
-        return each.sum(0)[None]
-    return without_each(each, failures, jnp.add, jnp.zeros_like(each[0]))
-
-
-def pixel_density(sharp: Float[Array, "R L"], weight: Float[Array, " L"]) -> Float[Array, " R"]:
-    """X: the weighted share of places where some camera has 25 pixels per metre or more.
+def pixel_density(sharp: Float[Array, "R L"], width: Width = None) -> Float[Array, "R L"]:
+    """X: whether some camera has 25 pixels per metre or more.
 
     That is the task "detect" of EN 62676-4, here at half the height of a pedestrian and without
     traffic.
     """
-    return weighted_mean(sharp, weight)
+    return sharp
 
 
-def localisation(
-    precision: Float[Array, "R 3 L"], weight: Float[Array, " L"]
-) -> Float[Array, " R"]:
-    """L = 1 − mean error / error before: how much of the uncertainty of a place is removed.
+def localisation(precision: Float[Array, "R 3 L"], width: Width = None) -> Float[Array, "R L"]:
+    """L = 1 − error / error before: how much of the uncertainty of a place is removed.
 
     The error is the root of the trace of (J₀ + J)⁻¹ (van Trees' bound). ``precision`` J, as xx, xy
     and yy [1/m²], is the sum of all sensors' information, mean over frames; J₀ is that of
     :data:`UNKNOWN`.
     """
-    return weighted_mean(1.0 - position_error(precision) / (2.0**0.5 * UNKNOWN), weight)
+    return 1.0 - position_error(precision) / (2.0**0.5 * UNKNOWN)
 
 
 def position_error(precision: Float[Array, "R 3 L"]) -> Float[Array, "R L"]:
@@ -145,75 +135,80 @@ Fuse = Callable[[Float[Array, "S ..."], Groups | None], Float[Array, "1+G ..."]]
 """Fuses all sensors, and all but each group's."""
 
 
-def _of_targets(name: str, fuse: Fuse) -> Callable[[TileEvidence], Array]:
-    """What each sensor has on road users, by the name of a field of
-    :class:`~inspe_jax.scoring.target_evidence.TargetEvidence`.
-
-    Where a tile has whole columns it is fused at once: tiles are the work of all cores.
-    """
-
-    def terms(at: TileEvidence) -> Array:
-        each = getattr(at.targets, name)
-        return fuse(each, at.failures) if at.whole else each
-
-    return terms
+def _totals(each: Float[Array, "S ..."], failures: Groups | None) -> Float[Array, "1+G ..."]:
+    """The sum over all sensors, and over all but each group's."""
+    if failures is None:
+        return each.sum(0)[None]
+    return without_each(each, failures, jnp.add, jnp.zeros_like(each[0]))
 
 
-def _fused(found: Evidence, name: str, fuse: Fuse) -> Float[Array, "1+G ... L"]:
-    """A metric's terms of columns, of all sensors and without each group."""
-    columns = found.columns(name)
-    return columns if found.slabs == 1 else fuse(columns, found.failures)
+def _row(name: str, symbol: str, summary: str, **how: Any) -> Metric:
+    """A row of a metric that is computed where it is asked for, and weighs regions."""
+    return Metric(name, symbol, 0.0, summary, sight=True, usual=False, by_region=True, **how)
 
 
-def _row(
-    name: str,
+def _of_targets(
+    of_columns: Callable[[Array, Width], Float[Array, "1+G L"]],
     symbol: str,
     summary: str,
-    value: Callable[[Evidence], Float[Array, " 1+G"]],
-    terms: Callable[[TileEvidence], Any],
+    field: str,
+    fuse: Fuse,
 ) -> Metric:
-    """A row of a metric that is computed where it is asked for, and weighs regions."""
-    flags = dict(sight=True, usual=False, by_region=True)
-    return Metric(name, symbol, 0.0, summary, value, terms, **flags)
+    """The row of a metric that ``of_columns`` gives of what sensors have on road users.
+
+    ``field`` is that of :class:`~inspe_jax.scoring.target_evidence.TargetEvidence`. Where tiles
+    have whole columns, they are fused tile by tile, which is the work of all cores.
+    """
+    name = of_columns.__name__
+
+    def terms(at: TileEvidence) -> Array:
+        each = getattr(at.targets, field)
+        return of_columns(fuse(each, at.failures), at.reading.width) if at.whole else each
+
+    def value(found: Evidence) -> Float[Array, " 1+G"]:
+        columns = found.columns(name)
+        if found.slabs > 1:
+            columns = of_columns(fuse(columns, found.failures), found.width)
+        return weighted_mean(columns, found.weight)
+
+    return _row(name, symbol, summary, value=value, terms=terms)
 
 
 ROWS = (
-    _row(
-        "detectability",
+    _of_targets(
+        detectability,
         "D",
         "chance that a detector finds a road user, mean over places, classes and frames",
-        lambda found: detectability(_fused(found, "detectability", leave_one_out), found.weight),
-        _of_targets("chance", leave_one_out),
+        "chance",
+        leave_one_out,
     ),
-    _row(
-        "points_on_target",
+    _of_targets(
+        points_on_target,
         "P",
         f"share of places where a road user gets {FEW:g} LiDAR returns or more",
-        lambda found: points_on_target(
-            _fused(found, "points_on_target", _totals), found.weight, found.width
-        ),
-        _of_targets("returns", _totals),
+        "returns",
+        _totals,
     ),
-    _row(
-        "pixel_density",
+    _of_targets(
+        pixel_density,
         "X",
         f"share of places with {BANDS['detect']:g} pixels per metre or more, without traffic",
-        lambda found: pixel_density(_fused(found, "pixel_density", leave_one_out), found.weight),
-        _of_targets("sharp", leave_one_out),
+        "sharp",
+        leave_one_out,
     ),
-    _row(
-        "localisation",
+    _of_targets(
+        localisation,
         "L",
         f"share of the error of a road user's place, {2**0.5 * UNKNOWN:.1f} m, that is removed",
-        lambda found: localisation(_fused(found, "localisation", _totals), found.weight),
-        _of_targets("precision", _totals),
+        "precision",
+        _totals,
     ),
     _row(
         "redundancy",
         "R",
         "share of voxels that two units or more see, behind traffic",
-        lambda found: redundancy(found.level_means("redundancy"), found.weight),
-        seen_twice,
+        value=lambda found: redundancy(found.level_means("redundancy"), found.weight),
+        terms=seen_twice,
     ),
 )
 """The rows of the registry for these metrics."""

@@ -97,15 +97,17 @@ def train_detector(
 
     training = _training()
     from inspe_jax.perception.detector import model_of
+    from inspe_jax.study.engine import check_workers
 
     check_folder(folder)
     given = dict(steps=steps, batch=batch, rate=rate, every=every)
     given |= dict(validate_frames=validate, augment=augment)
     wanted = []
-    for name, number in product(model or ["coalign"], seed or [0]):
+    for name, number in dict.fromkeys(product(model or ["coalign"], seed or [0])):
         model_of(name)  # before frames are decoded, which may take hours
         own = dict(model=name, seed=number, **given)
         wanted.append(check_model(training.Settings, own, "training"))
+    check_workers(scheduler, workers)
     many = len(wanted) > 1 or workers is not None or scheduler is not None
     data = _cache(source, cache, picture_size(pictures))
     try:

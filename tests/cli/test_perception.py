@@ -47,6 +47,12 @@ def test_several_are_trained_by_processes_of_their_own(trained, tmp_path):
     assert np.abs(by_workers[1] / alone - 1).min() > 1e-4
 
 
+def test_workers_are_refused_before_anything_is_decoded(tmp_path):
+    words = ("--workers", 2, "--scheduler", "tcp://host:1", "--out", tmp_path / "run")
+    found = run("train", tmp_path / "no set", *words)
+    assert "workers 2: give 1 or more; with a scheduler give none" in str(found.exception)
+
+
 def test_evaluate_tells_by_class(trained, tmp_path):
     table = tmp_path / "table.csv"
     found = run("evaluate", trained / "run", trained / "set", "--json", "-", "--csv", table)

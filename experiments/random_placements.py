@@ -174,6 +174,11 @@ def placed(
 # ── Data, training, measuring ───────────────────────────────────────────────
 
 
+def scored_on(given: argparse.Namespace, size: Size) -> dict[str, Any]:
+    """The settings of the scenes that placements are drawn, searched and scored on."""
+    return dict(seed=given.seed, **size.scene)
+
+
 def planned(given: argparse.Namespace, size: Size, into: Path) -> Generation:
     """The set: each place's own placements in the same traffic; two places are for testing."""
     scenarios: list[Any] = []
@@ -190,8 +195,7 @@ def planned(given: argparse.Namespace, size: Size, into: Path) -> Generation:
             splits={"test" if test else "train": 1},
         )  # fmt: skip
         source = make_generation(content, into).scenarios[0].source
-        wanted = dict(seed=given.seed, **size.scene)
-        own = placed(source, wanted, test, size, given.seed, into)
+        own = placed(source, scored_on(given, size), test, size, given.seed, into)
         content["layouts"] = [dict(file=str(path), name=path.stem) for path in own]
         scenarios += make_generation(content, into).scenarios
     return Generation("random", tuple(scenarios))
@@ -425,7 +429,7 @@ def main() -> None:
         ]
         sources = {s.source.name: s.source for s in plan.scenarios}
         scenes = {
-            place: scene_of(sources[place], dict(seed=given.seed, **size.scene))
+            place: scene_of(sources[place], scored_on(given, size))
             for place in dict.fromkeys(row["place"] for row in rows)
         }
         furthest = draw_furthest(rows, found, scenes, into)

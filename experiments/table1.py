@@ -3,11 +3,10 @@
 Records the ten intersections under the paper's three placements of cameras and LiDARs, of which the
 other six are parts, and trains the eight detectors on three placements each, all for the same
 number of steps. Each is measured on two intersections that it has not seen, and on another time at
-all ten. Tells nuScenes' mAP by
-detector, placement and class beside the paper's (``--paper1 FILE``, with the columns model,
-placement, class, map_percent), the correlation of the mean mAP of a placement with its P_sm, C, O
-and IG (``table2.csv``), with intervals from resampling the placements, and what the paper
-concludes from its table, yes or no with numbers.
+all ten. Tells nuScenes' mAP by detector, placement and class beside the paper's (``--paper1 FILE``,
+with the columns model, placement, class, map_percent), the correlation of the mean mAP of a
+placement with its P_sm, C, O and IG (``table2.csv``), with intervals from resampling the
+placements, and what the paper concludes from its table, yes or no with numbers.
 
 P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``paper``.
 

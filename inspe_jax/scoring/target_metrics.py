@@ -6,10 +6,10 @@
 - localisation L, how much of the error of its place is removed: :func:`localisation`;
 - redundancy R, the share of voxels that two units see: :func:`redundancy`.
 
-A road user of each class stands at each column, with traffic around it. The functions give the
-value of each column; a metric is their mean, weighted by region as coverage is: Σ w_l x_l / Σ w_l.
-What is seen is a share of frames; of several sensors it is taken as independent, as information
-gain does.
+A road user of each class stands at each column, with traffic around it. The functions of the first
+four give the value of each column; a metric is the mean, weighted by region as coverage is:
+Σ w_l x_l / Σ w_l. What is seen is a share of frames; of several sensors it is taken as independent,
+as information gain does.
 """
 
 from collections.abc import Callable

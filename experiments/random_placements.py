@@ -3,18 +3,19 @@
 The paper has nine placements, made by hand. Here one detector of LiDARs is trained on random
 placements that can be mounted, of one to four LiDARs, at eight of the ten intersections, some of
 each for every one. It is then measured at the two others: under thirty random placements, the
-paper's three by hand with LiDARs, and three that a search for P_sm found with as many LiDARs as
-those. All placements at a place see the same traffic. Tells the correlation of mAP, of all classes
-and of each, with P_sm, C, O, IG and detectability D, with intervals from resampling the placements:
-over all of them with what differs between the two places taken out, and also with what the number
-of LiDARs alone explains taken out. Then what the search gained over the placements by hand, and the
-placements that P_sm ranks worst, with a picture of four: how often each place is seen, and which
-road users the detector finds and which it misses.
+paper's three by hand with LiDARs, and what searches for P_sm and for detectability D found from
+each of those three. All placements at a place see the same traffic. Tells the correlation of mAP,
+of all classes and of each, with P_sm, C, O, IG and D, with intervals from resampling the
+placements: over all of them with what differs between the two places taken out, and also with what
+the number of LiDARs alone explains taken out. Then what the searches gained over the placements by
+hand, and the placements that P_sm ranks worst, with a picture of four: how often each place is
+seen, and which road users the detector finds and which it misses.
 
 Sets, caches and the training are in the folder of --keep. A run that was stopped goes on there.
 """
 
 import argparse
+import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +39,7 @@ from table1 import predictor_of, trained
 from table2 import begin, places
 
 import inspe_jax
-from inspe_jax import Layout, Scene
+from inspe_jax import Layout, Objective, Scene
 from inspe_jax.cli.common import progress
 from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
@@ -65,6 +66,10 @@ COUNTS = (1, 2, 3, 4)
 """Numbers of LiDARs, in turns."""
 SCORES = {"surrogate": "P_sm", **METRICS, "detectability": "D"}
 """What is compared with mAP: names in records, and symbols."""
+SEARCHED = ("surrogate", "detectability")
+"""What is searched for, from each placement by hand."""
+GAINED = {"surrogate": "+.3f", "detectability": "+.3f", "mean_ap": "+.1f"}
+"""What a search is told to have gained: columns of records, and how they are written."""
 RESAMPLES = 1000
 MODEL = "coalign"
 FOUND: dict[bool, dict[str, Any]] = {
@@ -72,6 +77,8 @@ FOUND: dict[bool, dict[str, Any]] = {
     False: dict(c="#d55e00", marker="x", s=22),
 }
 """Marks of road users that are found, and missed."""
+FOUND_BY = {"*": "found for P_sm", "P": "found for D"}
+"""Marks of placements that a search found, and what their names begin with."""
 SURE = 0.3
 """Least score of a detection that is drawn as found; as in ``inspe detect``."""
 
@@ -133,14 +140,23 @@ def drawn(scene: Scene, number: int, seed: int) -> dict[str, Layout]:
 
 
 def picked(scene: Scene, size: Size, seed: int) -> dict[str, Layout]:
-    """The placements by hand, and what a search found from each."""
+    """The placements by hand, and what a search for each of :data:`SEARCHED` found from each."""
     found = {}
     for name in size.by_hand:
         start = inspe_jax.strategy(scene, name)
         found[name] = start
-        result = inspe_jax.optimise(scene, start, evaluations=size.search, seed=seed)
-        found[f"found from {name}"] = result.layout
+        for metric in SEARCHED:
+            objective = None if metric == "surrogate" else Objective(weights={metric: 1.0})
+            result = inspe_jax.optimise(
+                scene, start, evaluations=size.search, seed=seed, objective=objective
+            )
+            found[found_from(name, metric)] = result.layout
     return found
+
+
+def found_from(name: str, metric: str) -> str:
+    """The name of what a search for a metric found from a placement."""
+    return f"found for {SCORES[metric]} from {name}"
 
 
 def placed(
@@ -151,7 +167,8 @@ def placed(
     scores = folder / "scores.csv"
     known = sorted(folder.glob("*.yaml"))
     number = size.measured_on if test else size.trained_on
-    if len(known) == number + test * 2 * len(size.by_hand) and scores.is_file() == test:
+    more = (1 + len(SEARCHED)) * len(size.by_hand) if test else 0
+    if len(known) == number + more and scores.is_file() == test:
         return known
     folder.mkdir(parents=True, exist_ok=True)
     scene = scene_of(source, settings)
@@ -283,19 +300,15 @@ def correlations(rows: Rows) -> Rows:
 
 
 def told(rows: Rows) -> list[str]:
-    """What the search gained, and where P_sm is furthest off, in lines."""
-    lines = ["| place | from | P_sm | found | mAP | found | |", "|---" * 7 + "|"]
+    """What the searches gained, and where P_sm is furthest off, in lines."""
+    lines = ["| place | from | searched | gain in P_sm | in D | in mAP |", "|---" * 6 + "|"]
     for place in dict.fromkeys(row["place"] for row in rows):
         own = {row["layout"]: row for row in rows if row["place"] == place}
-        for name in [name for name in own if f"found from {name}" in own]:
-            by, found = own[name], own[f"found from {name}"]
-            numbers = [f"{float(row['surrogate']):.3f}" for row in (by, found)]
-            aps = [float(row["mean_ap"]) for row in (by, found)]
-            gain = f"{aps[1] - aps[0]:+.1f}"
-            lines.append(
-                f"| {place} | {name} | {' | '.join(numbers)} | {aps[0]:.1f} | {aps[1]:.1f} "
-                f"| {gain} |"
-            )
+        for name, metric in itertools.product(own, SEARCHED):
+            if found := own.get(found_from(name, metric)):
+                better = {key: float(found[key]) - float(own[name][key]) for key in GAINED}
+                gains = " | ".join(f"{better[key]:{form}}" for key, form in GAINED.items())
+                lines.append(f"| {place} | {name} | {SCORES[metric]} | {gains} |")
     off = off_the_line(rows)
     for k in np.argsort(-np.abs(off))[:5]:
         row = rows[int(k)]
@@ -377,7 +390,7 @@ def draw(rows: Rows, related: Rows) -> Figure:
     ):
         for row in rows:
             sign = f"${row['lidars']}$" if at_random(row) else "s"
-            sign = "*" if "found" in row["layout"] else sign
+            sign = next((m for m, words in FOUND_BY.items() if words in row["layout"]), sign)
             ax.plot(
                 float(row[metric]),
                 float(row["mean_ap"]),
@@ -393,14 +406,14 @@ def draw(rows: Rows, related: Rows) -> Figure:
         ax.set_title(f"r = {r['value']:.3f} [{r['low']:.3f}, {r['high']:.3f}]", fontsize=10)
     for n, place in enumerate(places_):
         figure.axes[0].plot([], [], "o", color=f"C{n}", label=place)
-    signs = (("$4$", "4 LiDARs at random"), ("s", "by hand"), ("*", "found by the search"))
-    for sign, words in signs:
+    signs = {"$4$": "4 LiDARs at random", "s": "by hand", **FOUND_BY}
+    for sign, words in signs.items():
         fill = "none" if sign == "s" else None
         figure.axes[0].plot(
             [], [], marker=sign, linestyle="none", color="0.3", markerfacecolor=fill, label=words
         )
     figure.axes[0].set_ylabel("mAP [%]")
-    figure.legend(loc="outside upper center", ncols=5, fontsize=9)
+    figure.legend(loc="outside upper center", ncols=6, fontsize=9)
     return figure
 
 

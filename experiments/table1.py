@@ -15,7 +15,8 @@ training that is done has its rows in the CSV in --out: with that file at hand, 
 with an empty --keep, the run goes on with those that are left. Trainings run on all cores, or by a
 Dask scheduler. ``--models`` does some of the detectors.
 
-``--quick`` trains one detector of each modality on eight frames, until it knows them.
+``--quick`` trains detectors on eight frames until they know them: one of LiDARs and one of cameras,
+or those of ``--models``.
 """
 
 import argparse
@@ -88,6 +89,9 @@ STEPS = 1500
 RESAMPLES = 10_000
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
+KNOWS = ("coalign", "lss-resnet")
+KNOWN_AFTER = {("camera",): 240, ("lidar",): 120, ("lidar", "camera"): 240}
+"""The detectors of --quick, and the steps that it takes them, by their sensors."""
 
 console = Console()
 Rows = list[dict[str, Any]]
@@ -284,11 +288,12 @@ def train_and_measure(
 
 
 def quick(given: argparse.Namespace, into: Path) -> Rows:
-    """One detector of LiDARs and one of cameras, until they know eight frames."""
+    """Some detectors, until they know eight frames."""
     rows = []
-    for model, placement, steps in (("coalign", "L-d1", 120), ("lss-resnet", "Cam-d1", 240)):
-        job = Job(model, placement, 0)
-        data = recorded(given, into, placement, "train")
+    for model in given.models.split(",") if given.models else KNOWS:
+        sensors = model_of(model).sensors
+        job, steps = Job(model, BY_SENSORS[sensors][1], 0), KNOWN_AFTER[sensors]
+        data = recorded(given, into, job.placement, "train")
         settings = Settings(
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )

@@ -21,7 +21,8 @@ or those of ``--models``.
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,6 +61,7 @@ from inspe_jax.perception.training import (
 )
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.simulation.frame import KINDS
+from inspe_jax.study.sources import LayoutSource
 
 BY_SENSORS = {
     ("camera",): ("Cam-c", "Cam-d1", "Cam-d2"),
@@ -140,9 +142,19 @@ def options() -> argparse.Namespace:
 # ── Data ────────────────────────────────────────────────────────────────────
 
 
-def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:
-    """The frames of a placement, recorded and decoded as far as they are not there."""
-    stem = into / f"{part}__{placement.replace('/', '_')}"
+def recorded(
+    given: argparse.Namespace,
+    into: Path,
+    placement: str,
+    part: str,
+    instead: Mapping[str, LayoutSource] | None = None,
+) -> Cache:
+    """The frames of a placement, recorded and decoded as far as they are not there.
+
+    ``instead`` has a layout for each scene, that takes the place of the placement.
+    """
+    name = next(iter(instead.values())).name if instead else placement
+    stem = into / f"{part}__{name.replace('/', '_')}"
     lights, densities, content = given.lights, given.densities, dict(SETS[part])
     seconds = content.pop("seconds")
     settings: dict[str, Any] = dict(mix="fleet", seed=content.pop("seed"))
@@ -159,8 +171,12 @@ def recorded(given: argparse.Namespace, into: Path, placement: str, part: str) -
     )  # fmt: skip
     path = stem.with_suffix(".yaml")
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    plan = load_generation(path)
+    if instead:
+        own = (replace(s, layout=instead[s.source.name]) for s in plan.scenarios)
+        plan = replace(plan, scenarios=tuple(own))
     with progress(stem.name) as report:
-        made = generate(load_generation(path), stem, workers=processes(given), progress=report)
+        made = generate(plan, stem, workers=processes(given), progress=report)
     assert not made.failures, made.failures
     with progress(f"decoding {stem.name}") as report:
         return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)

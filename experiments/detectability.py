@@ -1,4 +1,4 @@
-"""Claim: detectability tells layouts apart where P_sm does not, and a search raises it.
+"""Claim: detectability tells apart layouts that nearly all score 1 in P_sm, and a search raises it.
 
 On the built-in four-way, under both profiles: detectability D and P_sm of the paper's nine
 placements, and of 100 random layouts that can be mounted for each of several numbers of LiDARs and

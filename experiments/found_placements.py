@@ -2,34 +2,40 @@
 
 At each of the ten intersections a search for P_sm, under the default profile, begins at each of the
 paper's placements of LiDARs, with the same sensors. Then all is as in ``table1.py``: the same
-traffic is recorded under what was found, a detector is trained for as many steps from the same
-seeds, and measured at two intersections that it has not seen, and on another time at all ten. Tells
-its mAP beside that under the placements by hand (``--beside``, the rows of ``table1.py``).
+traffic is recorded under what was found, a detector is trained for as many steps, and measured at
+two intersections that it has not seen, and on another time at all ten. Tells its mAP beside that
+under the placements by hand (``--beside``, the rows of ``table1.py``), of the seeds that both have.
 
 Searches, sets and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out.
 """
 
 import argparse
+import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import command_line, kept_folder, read_rows, write_results, write_settings
+from common import command_line, kept_folder, write_results, write_settings
 from rich.console import Console
 from table1 import (
+    SETS,
     Job,
     Rows,
     done_in,
     measured,
+    of_job,
+    planned,
     predictor_of,
     recorded,
     rows_of,
     train_some,
     trained,
 )
-from table2 import HERE, MAPS, QUICK_SIZE, begin, places, run
+from table2 import HERE, MAPS, QUICK_SIZE, Row, begin, places, run
 
+from inspe_jax.dataset import Cache
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Settings
 from inspe_jax.simulation.frame import KINDS
@@ -48,16 +54,19 @@ def options() -> argparse.Namespace:
     parser = command_line(__doc__)
     parser.add_argument("--keep", type=Path, help="folder that all stays in: 5 GB")
     parser.add_argument("--steps", type=int, default=STEPS, help="of each training")
-    parser.add_argument("--seeds", type=int, default=2, help="trainings of each placement")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of each placement")
     parser.add_argument("--search", type=float, default=SEARCH, help="in exact scores' work")
     parser.add_argument("--lights", nargs="+", default=["midday", "night"])
     parser.add_argument("--densities", nargs="+", default=["medium", "high"])
-    parser.add_argument("--beside", type=Path, default=HERE / "table1.csv", metavar="FILE")
+    parser.add_argument("--beside", type=Path, default=HERE / "table1.csv", metavar="FILE",
+                        help="rows of trainings by hand, of as many steps")  # fmt: skip
     parser.add_argument(
         "--workers", type=int, help="processes that search, record and train; one a core"
     )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler")
+    parser.set_defaults(scheduler=None)
     given = parser.parse_args()
+    if not given.beside.is_file():
+        parser.error(f"--beside {given.beside}: no such file; table1.py writes it")
     given.out.mkdir(parents=True, exist_ok=True)
     return given
 
@@ -73,78 +82,109 @@ def searches(given: argparse.Namespace) -> Study:
     return make_study(content, MAPS, "intersections.yaml", "found_placements")
 
 
-Searched = dict[str, dict[str, LayoutSource]]
-Scores = dict[str, list[float]]
+Layouts = dict[str, LayoutSource]
+Searched = dict[str, Layouts]
 
 
-def searched(given: argparse.Namespace, folder: Path) -> tuple[Searched, Scores]:
-    """What was found, by placement and intersection; and P_sm of each placement and of what was
-    found from it, the mean over the intersections."""
+def searched(given: argparse.Namespace, folder: Path) -> tuple[Searched, list[Row]]:
+    """What was found, by placement and intersection, and the rows of the searches."""
     study = searches(given)
     rows = run(study, folder, given)
-    assert len(rows) == len(study.jobs), "searches failed: see above"
+    if len(rows) < len(study.jobs):
+        raise SystemExit("some searches failed, see above; the same command does those again")
     found: Searched = {}
     for job in study.jobs:
         text = (folder / "layouts" / f"{job.key}.yaml").read_text(encoding="utf-8")
-        own = LayoutSource(f"found from {job.layout.name}", text=text)
+        own = LayoutSource(found_from(job.layout.name), text=text)
         found.setdefault(job.layout.name, {})[job.source.name] = own
-    scores = {
-        name: [
-            float(np.mean([float(row[key]) for row in rows if row["layout"] == name]))
-            for key in ("surrogate_before", "surrogate")
-        ]
-        for name in found
-    }
-    return found, scores
+    return found, rows
+
+
+def found_from(placement: str) -> str:
+    """The name of what was found from a placement."""
+    return f"found from {placement}"
+
+
+# ── Data and trainings ──────────────────────────────────────────────────────
+
+
+def of_found(
+    given: argparse.Namespace, into: Path, placement: str, part: str, found: Layouts
+) -> Cache:
+    """A part of the sets of ``table1.py``, under what was found from a placement."""
+    plan = planned(given, placement, part)
+    own = tuple(
+        replace(s, layout=found[s.source.name], name=s.name.replace(placement, f"from-{placement}"))
+        for s in plan.scenarios
+    )
+    stem = into / f"{part}__from-{placement}"
+    return recorded(given, replace(plan, scenarios=own), stem)
 
 
 def run_all(given: argparse.Namespace, into: Path, found: Searched, path: Path) -> Rows:
     """Every training that is not done yet, placement by placement; gives all rows."""
-    done = {(row["placement"], int(row["seed"])) for row in done_in(path, given.steps)}
-    for name, instead in found.items():
-        jobs = [Job(MODEL, f"found from {name}", seed) for seed in range(given.seeds)]
-        todo = [job for job in jobs if job[1:] not in done]
+    done = {of_job(row) for row in done_in(path, given.steps)}
+    for name, layouts in found.items():
+        jobs = [Job(MODEL, found_from(name), seed) for seed in range(given.seeds)]
+        todo = [job for job in jobs if job not in done]
         if todo:
-            data, later = (
-                recorded(given, into, name, part, instead) for part in ("train", "later")
-            )
+            data, later = (of_found(given, into, name, part, layouts) for part in SETS)
             train_some(given, {into.resolve() / job.folder: job for job in todo}, data, later, path)
     return done_in(path, given.steps)
 
 
 def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
     """A few steps on eight frames."""
-    [(name, instead)] = found.items()
-    data = recorded(given, into, name, "train", instead)
-    job = Job(MODEL, f"found from {name}", 0)
+    [(name, layouts)] = found.items()
+    data = of_found(given, into, name, "train", layouts)
+    job = Job(MODEL, found_from(name), 0)
     settings = Settings(model=MODEL, steps=8, validate_frames=0)
     run_ = trained(data, into / job.folder, settings, BevGrid(half=25.6))
     return rows_of(job, "training", measured(predictor_of(run_), MODEL, data, "train"), 8, 0)
 
 
-def table(rows: Rows, beside: Rows, scores: Scores) -> str:
+# ── What it tells ───────────────────────────────────────────────────────────
+
+
+def scores_of(rows: list[Row], placement: str, scenes: set[str]) -> dict[str, float]:
+    """P_sm by name of the placement and of what was found from it, the mean over intersections."""
+    own = [row for row in rows if row["layout"] == placement and row["scene"] in scenes]
+    return {
+        placement: float(np.mean([float(row["surrogate_before"]) for row in own])),
+        found_from(placement): float(np.mean([float(row["surrogate"]) for row in own])),
+    }
+
+
+def table(given: argparse.Namespace, rows: Rows, beside: Rows, searched_: list[Row]) -> str:
     """By placement: P_sm and AP by hand and as found, the mean over seeds, in Markdown."""
     lines = [
-        "| frames of other | placement | P_sm | " + " | ".join(KINDS) + " | mean | each seed |",
+        "| held out | placement | P_sm | " + " | ".join(KINDS) + " | mean | each seed |",
         "|---" * 9 + "|",
     ]
-    for of in dict.fromkeys(row["frames_of"] for row in rows):
-        for name, both in scores.items():
-            for at, own, score in zip(
-                (name, f"found from {name}"), (beside, rows), both, strict=True
-            ):
-                here = [r for r in own if (r["placement"], r["frames_of"]) == (at, of)]
-                ap = {
-                    seed: [float(r["ap"]) * 100 for r in here if r["seed"] == seed]
-                    for seed in dict.fromkeys(r["seed"] for r in here)
-                }
-                if not ap:
-                    continue
-                each = np.mean(list(ap.values()), axis=0)
-                cells = [f"{score:.3f}", *(f"{x:.1f}" for x in (*each, each.mean()))]
-                seeds = ", ".join(f"{np.mean(x):.1f}" for x in ap.values())
-                lines.append(f"| {of} | {at} | {' | '.join(cells)} | {seeds} |")
+    parts = {"places": "train", "time": "later"}
+    for of, placement in itertools.product(parts, BY_HAND):
+        plan = planned(given, placement, parts[of])
+        scenes = {s.source.name for s in plan.splits["test"]}
+        means = {
+            name: means_of(of, name, own)
+            for name, own in ((placement, beside), (found_from(placement), rows))
+        }
+        common = set.intersection(*(set(each) for each in means.values()))
+        for name, score in scores_of(searched_, placement, scenes).items() if common else ():
+            each = np.array([means[name][seed] for seed in sorted(common)])
+            cells = [f"{score:.3f}", *(f"{x:.1f}" for x in (*each.mean(0), each.mean()))]
+            seeds = ", ".join(f"{x:.1f}" for x in each.mean(1))
+            lines.append(f"| {of} | {name} | {' | '.join(cells)} | {seeds} |")
     return "\n".join(lines)
+
+
+def means_of(of: str, placement: str, rows: Rows) -> dict[str, list[float]]:
+    """AP of each class [%], by seed."""
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        if (row["frames_of"], row["placement"]) == (of, placement):
+            found.setdefault(row["seed"], []).append(100 * float(row["ap"]))
+    return found
 
 
 def main() -> None:
@@ -152,6 +192,7 @@ def main() -> None:
     given = options()
     stem = begin(given, "found_placements")
     path = given.out / f"{stem}.csv"
+    by_hand = [row for row in done_in(given.beside, given.steps) if row["model"] == MODEL]
     with kept_folder(given.keep) as into:
         found, scores = searched(given, into / "searches")
         if given.quick:
@@ -159,8 +200,7 @@ def main() -> None:
             return
         rows = run_all(given, into, found, path)
     write_settings(path.with_suffix(".json"), dict(vars(given)))
-    beside = [row for row in read_rows(given.beside) if row["model"] == MODEL]
-    console.print(table(rows, beside, scores), highlight=False, soft_wrap=True)
+    console.print(table(given, rows, by_hand, scores), highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -28,14 +28,13 @@ from common import (
     command_line,
     kept_folder,
     on_maps,
-    processes,
     read_rows,
     write_results,
 )
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
-from table1 import predictor_of, trained
+from table1 import predictor_of, recorded, trained
 from table2 import begin, places
 
 import inspe_jax
@@ -43,7 +42,7 @@ from inspe_jax import Layout, Objective, Scene
 from inspe_jax.cli.common import progress
 from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
-from inspe_jax.dataset import Cache, Generation, Loader, cache, generate
+from inspe_jax.dataset import Cache, Generation, Loader
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detections import Detections, truth_of
 from inspe_jax.perception.evaluation import Evaluation, evaluate
@@ -89,7 +88,7 @@ Rows = list[dict[str, Any]]
 class Size(NamedTuple):
     """How much is recorded, searched and trained."""
 
-    trained_on: int  # random placements at each intersection of the training
+    trained_on: int  # random placements at each intersection of the training, of all COUNTS
     measured_on: int  # and at each that is held out
     train_seconds: int  # of each scenario, with a frame a second
     test_seconds: int
@@ -106,7 +105,7 @@ WHOLE = Size(
     *(dict(frames=100, radius=50.0), BevGrid()),
 )
 QUICK = Size(
-    *(1, 4, 2, 2, ("high",), ("L-c",), 4, 8),
+    *(4, 4, 1, 2, ("high",), ("L-c",), 4, 8),
     dict(frames=4, radius=25.0, voxel=1.0),
     BevGrid(half=25.6),
 )
@@ -165,14 +164,16 @@ def placed(
     """The files of a place's placements, with their scores in a CSV beside them if measured on."""
     folder = into / "layouts" / source.name
     scores = folder / "scores.csv"
-    known = sorted(folder.glob("*.yaml"))
-    number = size.measured_on if test else size.trained_on
-    more = (1 + len(SEARCHED)) * len(size.by_hand) if test else 0
-    if len(known) == number + more and scores.is_file() == test:
-        return known
+    names = [f"random {k}" for k in range(size.measured_on if test else size.trained_on)]
+    if test:
+        for name in size.by_hand:
+            names += [name, *(found_from(name, metric) for metric in SEARCHED)]
+    files = [folder / f"{name}.yaml" for name in names]
+    if all(file.is_file() for file in files) and scores.is_file() == test:
+        return files
     folder.mkdir(parents=True, exist_ok=True)
     scene = scene_of(source, settings)
-    layouts = drawn(scene, number, seed)
+    layouts = drawn(scene, size.measured_on if test else size.trained_on, seed)
     if test:
         layouts |= picked(scene, size, seed)
         rows = []
@@ -185,7 +186,7 @@ def placed(
     for name, layout in layouts.items():
         save_layout(replace(layout, name=name), folder / f"{name}.yaml")
     jax.clear_caches()  # else the compiled code of many places exhausts the memory maps
-    return sorted(folder.glob("*.yaml"))
+    return files
 
 
 # ── Data, training, measuring ───────────────────────────────────────────────
@@ -196,12 +197,13 @@ def scored_on(given: argparse.Namespace, size: Size) -> dict[str, Any]:
     return dict(seed=given.seed, **size.scene)
 
 
-def planned(given: argparse.Namespace, size: Size, into: Path) -> Generation:
-    """The set: each place's own placements in the same traffic; two places are for testing."""
+def planned(given: argparse.Namespace, size: Size, test: bool, into: Path) -> Generation:
+    """The set to train on, or to ``test``: each place's own placements in the same traffic."""
     scenarios: list[Any] = []
     scenes = places(given) if given.quick else on_maps(places(given))
     for number, scene in enumerate(scenes, 1):
-        test = number == len(scenes) if given.quick else scene["name"] in HELD_OUT
+        if test != (number == len(scenes) if given.quick else scene["name"] in HELD_OUT):
+            continue
         settings: dict[str, Any] = dict(
             mix="fleet", density=list(size.densities), seed=given.seed,
             seconds=size.test_seconds if test else size.train_seconds,
@@ -390,7 +392,9 @@ def draw(rows: Rows, related: Rows) -> Figure:
     ):
         for row in rows:
             sign = f"${row['lidars']}$" if at_random(row) else "s"
-            sign = next((m for m, words in FOUND_BY.items() if words in row["layout"]), sign)
+            sign = next(
+                (m for m, words in FOUND_BY.items() if row["layout"].startswith(words)), sign
+            )
             ax.plot(
                 float(row[metric]),
                 float(row["mean_ap"]),
@@ -423,18 +427,15 @@ def main() -> None:
     stem = begin(given, "random_placements")
     size = QUICK if given.quick else WHOLE
     with kept_folder(given.keep) as into:
-        plan = planned(given, size, into)
-        with progress("recording") as report:
-            made = generate(plan, into / "set", workers=processes(given), progress=report)
-        assert not made.failures, made.failures
-        with progress("decoding") as report:
-            data = cache(into / "set", into / "cache", pictures=None, progress=report)
+        plan = planned(given, size, True, into)
+        training = recorded(given, planned(given, size, False, into), into / "training")
+        testing = recorded(given, plan, into / "testing")
         settings = Settings(
             model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
         )
-        run = trained(data, into / "run", settings, size.grid)
+        run = trained(training, into / "run", settings, size.grid)
         which = {s.name: (s.source.name, s.layout.name) for s in plan.scenarios}
-        found = detected(run, data, which)
+        found = detected(run, testing, which)
         rows = [
             row_of(place, scores, evaluate(*found[place, scores["layout"]]))
             for place in dict.fromkeys(at[0] for at in found)

@@ -15,21 +15,20 @@ training that is done has its rows in the CSV in --out: with that file at hand, 
 with an empty --keep, the run goes on with those that are left. Trainings run on all cores, or by a
 Dask scheduler. ``--models`` does some of the detectors.
 
-``--quick`` trains detectors on eight frames until they know them: one of LiDARs and one of cameras,
-or those of ``--models``.
+``--quick`` trains detectors until they overfit eight frames: one of LiDARs and one of cameras, or
+those of ``--models``.
 """
 
 import argparse
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from common import (
+    MAPS,
     METRICS,
     append_rows,
     command_line,
@@ -46,7 +45,8 @@ from scipy.stats import pearsonr, spearmanr
 from table2 import HERE, begin, places, read_paper
 
 from inspe_jax.cli.common import progress
-from inspe_jax.dataset import Cache, cache, generate, load_generation, open_cache
+from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
+from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, model_of
 from inspe_jax.perception.evaluation import Evaluation
 from inspe_jax.perception.inputs import BevGrid
@@ -61,7 +61,6 @@ from inspe_jax.perception.training import (
 )
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.simulation.frame import KINDS
-from inspe_jax.study.sources import LayoutSource
 
 BY_SENSORS = {
     ("camera",): ("Cam-c", "Cam-d1", "Cam-d2"),
@@ -78,7 +77,8 @@ NAMES = {
 """The paper's names of the detectors."""
 SPREAD = ("lss-resnet", "coalign", "attfuse")
 """One detector of each modality, trained from three seeds."""
-PICTURES = (300, 400)
+PICTURES = (400, 300)
+"""Width and height that models take [pixels]."""
 SETS: dict[str, dict[str, Any]] = {
     "train": dict(
         seed=0, seconds=15, splits=dict(train=7, validate=1, test=2), split_by="intersection"
@@ -91,9 +91,9 @@ STEPS = 1500
 RESAMPLES = 10_000
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
-KNOWS = ("coalign", "lss-resnet")
-KNOWN_AFTER = {("camera",): 240, ("lidar",): 120, ("lidar", "camera"): 240}
-"""The detectors of --quick, and the steps that it takes them, by their sensors."""
+QUICK_MODELS = ("coalign", "lss-resnet")
+QUICK_STEPS = {("camera",): 240, ("lidar",): 120, ("lidar", "camera"): 240}
+"""What --quick trains if ``--models`` does not say, and for how many steps, by sensors."""
 
 console = Console()
 Rows = list[dict[str, Any]]
@@ -142,44 +142,42 @@ def options() -> argparse.Namespace:
 # ── Data ────────────────────────────────────────────────────────────────────
 
 
-def recorded(
-    given: argparse.Namespace,
-    into: Path,
-    placement: str,
-    part: str,
-    instead: Mapping[str, LayoutSource] | None = None,
-) -> Cache:
-    """The frames of a placement, recorded and decoded as far as they are not there.
-
-    ``instead`` has a layout for each scene, that takes the place of the placement.
-    """
-    name = next(iter(instead.values())).name if instead else placement
-    stem = into / f"{part}__{name.replace('/', '_')}"
-    lights, densities, content = given.lights, given.densities, dict(SETS[part])
+def planned(given: argparse.Namespace, placement: str, part: str) -> Generation:
+    """What is recorded of a placement: a part of :data:`SETS`."""
+    lights, densities, size, content = given.lights, given.densities, PICTURES, dict(SETS[part])
     seconds = content.pop("seconds")
     settings: dict[str, Any] = dict(mix="fleet", seed=content.pop("seed"))
-    size = list(PICTURES[::-1])
     if given.quick:
         content = dict(splits=dict(train=1))
-        lights, densities, seconds, size = ["midday"], ["high"], 8, [200, 150]
+        lights, densities, size, seconds = ["midday"], ["high"], (200, 150), 8
         settings |= dict(radius=25.0, voxel=1.0)
     settings |= dict(density=densities, light=lights, seconds=seconds)
     scenes = places(given)[:1] if given.quick else on_maps(places(given))
     content |= dict(
-        name=part, scenes=scenes, layouts=[placement], settings=settings,
-        rate_hz=1, pictures="jpeg", image_size=size,
+        name=part, scenes=scenes, layouts=[placement], settings=settings, rate_hz=1,
+        pictures="jpeg", image_size=list(size),
     )  # fmt: skip
-    path = stem.with_suffix(".yaml")
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    plan = load_generation(path)
-    if instead:
-        own = (replace(s, layout=instead[s.source.name]) for s in plan.scenarios)
-        plan = replace(plan, scenarios=tuple(own))
+    return make_generation(content, MAPS)
+
+
+def recorded(given: argparse.Namespace, plan: Generation, stem: Path) -> Cache:
+    """A plan's frames, recorded and decoded as far as they are not there.
+
+    They are in the folder ``stem``, and what is decoded is beside it.
+    """
     with progress(stem.name) as report:
         made = generate(plan, stem, workers=processes(given), progress=report)
     assert not made.failures, made.failures
+    pictures = plan.scenarios[0].recording.image_size
     with progress(f"decoding {stem.name}") as report:
-        return cache(stem, f"{stem}_cache", pictures=(size[1], size[0]), progress=report)
+        size = pictures and (pictures[1], pictures[0])
+        return cache(stem, f"{stem}_cache", pictures=size, progress=report)
+
+
+def of_placement(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:
+    """A part of :data:`SETS` under a placement."""
+    stem = into / f"{part}__{placement.replace('/', '_')}"
+    return recorded(given, planned(given, placement, part), stem)
 
 
 # ── Trainings ───────────────────────────────────────────────────────────────
@@ -250,7 +248,7 @@ def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
     done = {of_job(row) for row in done_in(path, given.steps)}
     todo = [job for job in every_job() if job.model in wanted and job not in done]
     for seed, placement in dict.fromkeys((job.seed, job.recorded) for job in todo):
-        data, later = (recorded(given, into, placement, part) for part in SETS)
+        data, later = (of_placement(given, into, placement, part) for part in SETS)
         if given.record:
             continue
         some = [job for job in todo if (job.seed, job.recorded) == (seed, placement)]
@@ -304,12 +302,12 @@ def train_and_measure(
 
 
 def quick(given: argparse.Namespace, into: Path) -> Rows:
-    """Some detectors, until they know eight frames."""
+    """Some detectors, until they overfit eight frames."""
     rows = []
-    for model in given.models.split(",") if given.models else KNOWS:
+    for model in given.models.split(",") if given.models else QUICK_MODELS:
         sensors = model_of(model).sensors
-        job, steps = Job(model, BY_SENSORS[sensors][1], 0), KNOWN_AFTER[sensors]
-        data = recorded(given, into, job.placement, "train")
+        job, steps = Job(model, BY_SENSORS[sensors][1], 0), QUICK_STEPS[sensors]
+        data = of_placement(given, into, job.placement, "train")
         settings = Settings(
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )

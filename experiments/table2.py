@@ -102,13 +102,14 @@ def plan(given: argparse.Namespace, **settings: Any) -> Study:
 
 
 def run(study: Study, folder: Path, given: argparse.Namespace) -> list[Row]:
-    """All jobs, with a bar; failures are told."""
+    """All jobs, with a bar; failures are told, and tried again by the next run."""
     with progress(study.name) as report:
         rows = sweep(
             study,
             folder,
             scheduler=given.scheduler,
             workers=processes(given),
+            retry=True,
             progress=report,
         )
     for row in rows:

@@ -3,8 +3,9 @@
 import logging
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any, TypeVar
 
 import dask
 import jax
@@ -13,6 +14,8 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import cores
 from inspe_jax.study.work import versions
+
+Started = TypeVar("Started")
 
 
 @contextmanager
@@ -33,7 +36,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             yield there
         return
     count = workers or cores()
-    with _kept_memory(), _own_cluster(count) as cluster, Client(cluster) as here:
+    with _kept_memory(), _own_cluster(count) as cluster, _in_time(count, Client, cluster) as here:
         here.register_plugin(WorkerSetup(count))
         # Without this, a worker that dies while it starts is not started again.
         cluster.adapt(minimum=count, maximum=count, interval="1s")
@@ -46,27 +49,34 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 @contextmanager
 def _own_cluster(count: int) -> Iterator[LocalCluster]:
     """So many processes on this machine. Raises InspeError where they do not start."""
-    try:
-        cluster = LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            # Dask does not know of JAX's memory, and would pause a worker because of it silently.
-            memory_limit=None,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-            # A job whose worker dies is tried once more, alone: see engine.py.
-            scheduler_kwargs={"allowed_failures": 1},
-        )
-    except TimeoutError as e:
-        raise InspeError(
-            f"{count} worker processes did not start in time; is the machine busy? Try fewer"
-        ) from e
+    cluster = _in_time(
+        count,
+        LocalCluster,
+        n_workers=count,
+        threads_per_worker=1,
+        # Dask does not know of JAX's memory, and would pause a worker because of it silently.
+        memory_limit=None,
+        dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+        # A job whose worker dies is tried once more, alone: see engine.py.
+        scheduler_kwargs={"allowed_failures": 1},
+    )
     try:
         yield cluster
     finally:
         # On a busy machine Dask gives up waiting for the workers that it kills. All is done by now.
         with suppress(TimeoutError):
             cluster.close()
+
+
+def _in_time(count: int, start: Callable[..., Started], *given: Any, **options: Any) -> Started:
+    """What Dask starts. Raises InspeError where it gives up waiting for its processes."""
+    try:
+        return start(*given, **options)
+    except TimeoutError as e:
+        raise InspeError(
+            f"{count} worker processes did not start in time; is the machine busy? Try fewer"
+        ) from e
 
 
 @contextmanager

@@ -50,11 +50,14 @@ def test_a_cluster_that_is_slow_to_end_loses_nothing(monkeypatch):
         raise TimeoutError("of the work")
 
 
-def test_a_cluster_that_does_not_start_says_so(monkeypatch):
-    def never(**given):
+@pytest.mark.parametrize("late", ["LocalCluster", "Client"])
+def test_a_cluster_that_does_not_start_says_so(monkeypatch, late):
+    def never(*given, **options):
         raise TimeoutError
 
-    monkeypatch.setattr(cluster, "LocalCluster", never)
+    monkeypatch.setattr(cluster, "LocalCluster", Cluster)
+    monkeypatch.setattr(cluster, "Client", Client)
+    monkeypatch.setattr(cluster, late, never)
     wrong = pytest.raises(InspeError, match="3 worker processes did not start in time")
     with wrong, cluster.client(None, 3):
         pass

@@ -11,7 +11,6 @@ training that is done has its rows in the CSV in --out.
 """
 
 import argparse
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from table1 import (
     Job,
     Rows,
     done_in,
+    means,
     measured,
     of_job,
     planned,
@@ -63,7 +63,7 @@ def options() -> argparse.Namespace:
     parser.add_argument(
         "--workers", type=int, help="processes that search, record and train; one a core"
     )
-    parser.set_defaults(scheduler=None)
+    parser.set_defaults(scheduler=None)  # its workers could not import table1.py
     given = parser.parse_args()
     if not given.beside.is_file():
         parser.error(f"--beside {given.beside}: no such file; table1.py writes it")
@@ -108,7 +108,7 @@ def found_from(placement: str) -> str:
 # ── Data and trainings ──────────────────────────────────────────────────────
 
 
-def of_found(
+def recording_of(
     given: argparse.Namespace, into: Path, placement: str, part: str, found: Layouts
 ) -> Cache:
     """A part of the sets of ``table1.py``, under what was found from a placement."""
@@ -128,7 +128,7 @@ def run_all(given: argparse.Namespace, into: Path, found: Searched, path: Path) 
         jobs = [Job(MODEL, found_from(name), seed) for seed in range(given.seeds)]
         todo = [job for job in jobs if job not in done]
         if todo:
-            data, later = (of_found(given, into, name, part, layouts) for part in SETS)
+            data, later = (recording_of(given, into, name, part, layouts) for part in SETS)
             train_some(given, {into.resolve() / job.folder: job for job in todo}, data, later, path)
     return done_in(path, given.steps)
 
@@ -136,11 +136,11 @@ def run_all(given: argparse.Namespace, into: Path, found: Searched, path: Path) 
 def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
     """A few steps on eight frames."""
     [(name, layouts)] = found.items()
-    data = of_found(given, into, name, "train", layouts)
+    data = recording_of(given, into, name, "train", layouts)
     job = Job(MODEL, found_from(name), 0)
     settings = Settings(model=MODEL, steps=8, validate_frames=0)
-    run_ = trained(data, into / job.folder, settings, BevGrid(half=25.6))
-    return rows_of(job, "training", measured(predictor_of(run_), MODEL, data, "train"), 8, 0)
+    predictor = predictor_of(trained(data, into / job.folder, settings, BevGrid(half=25.6)))
+    return rows_of(job, "training", measured(predictor, MODEL, data, "train"), 8, 0)
 
 
 # ── What it tells ───────────────────────────────────────────────────────────
@@ -155,36 +155,30 @@ def scores_of(rows: list[Row], placement: str, scenes: set[str]) -> dict[str, fl
     }
 
 
-def table(given: argparse.Namespace, rows: Rows, beside: Rows, searched_: list[Row]) -> str:
-    """By placement: P_sm and AP by hand and as found, the mean over seeds, in Markdown."""
+def table(given: argparse.Namespace, rows: Rows, searches_of: list[Row]) -> str:
+    """By placement: P_sm and AP by hand and as found, the mean over the seeds of both, in
+    Markdown."""
     lines = [
         "| held out | placement | P_sm | " + " | ".join(KINDS) + " | mean | each seed |",
         "|---" * 9 + "|",
     ]
-    parts = {"places": "train", "time": "later"}
-    for of, placement in itertools.product(parts, BY_HAND):
-        plan = planned(given, placement, parts[of])
-        scenes = {s.source.name for s in plan.splits["test"]}
-        means = {
-            name: means_of(of, name, own)
-            for name, own in ((placement, beside), (found_from(placement), rows))
-        }
-        common = set.intersection(*(set(each) for each in means.values()))
-        for name, score in scores_of(searched_, placement, scenes).items() if common else ():
-            each = np.array([means[name][seed] for seed in sorted(common)])
-            cells = [f"{score:.3f}", *(f"{x:.1f}" for x in (*each.mean(0), each.mean()))]
-            seeds = ", ".join(f"{x:.1f}" for x in each.mean(1))
-            lines.append(f"| {of} | {name} | {' | '.join(cells)} | {seeds} |")
+    for of, part in {"places": "train", "time": "later"}.items():
+        # Splits are of intersections: the same ones for every placement.
+        held_out = {s.source.name for s in planned(given, BY_HAND[0], part).splits["test"]}
+        for placement in BY_HAND:
+            scores = scores_of(searches_of, placement, held_out)
+            seeds = set.intersection(
+                *({row["seed"] for row in rows if row["placement"] == name} for name in scores)
+            )
+            each = [
+                means([row for row in rows if row["seed"] == seed], of) for seed in sorted(seeds)
+            ]
+            for name, score in scores.items() if seeds else ():
+                ap = np.array([[own[MODEL, name, kind] for kind in KINDS] for own in each])
+                cells = [f"{score:.3f}", *(f"{x:.1f}" for x in (*ap.mean(0), ap.mean()))]
+                by_seed = ", ".join(f"{x:.1f}" for x in ap.mean(1))
+                lines.append(f"| {of} | {name} | {' | '.join(cells)} | {by_seed} |")
     return "\n".join(lines)
-
-
-def means_of(of: str, placement: str, rows: Rows) -> dict[str, list[float]]:
-    """AP of each class [%], by seed."""
-    found: dict[str, list[float]] = {}
-    for row in rows:
-        if (row["frames_of"], row["placement"]) == (of, placement):
-            found.setdefault(row["seed"], []).append(100 * float(row["ap"]))
-    return found
 
 
 def main() -> None:
@@ -194,13 +188,13 @@ def main() -> None:
     path = given.out / f"{stem}.csv"
     by_hand = [row for row in done_in(given.beside, given.steps) if row["model"] == MODEL]
     with kept_folder(given.keep) as into:
-        found, scores = searched(given, into / "searches")
+        found, searches_of = searched(given, into / "searches")
         if given.quick:
             write_results(path, quick(given, into, found), dict(vars(given)))
             return
         rows = run_all(given, into, found, path)
     write_settings(path.with_suffix(".json"), dict(vars(given)))
-    console.print(table(given, rows, by_hand, scores), highlight=False, soft_wrap=True)
+    console.print(table(given, by_hand + rows, searches_of), highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

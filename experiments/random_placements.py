@@ -164,7 +164,8 @@ def placed(
     """The files of a place's placements, with their scores in a CSV beside them if measured on."""
     folder = into / "layouts" / source.name
     scores = folder / "scores.csv"
-    names = [f"random {k}" for k in range(size.measured_on if test else size.trained_on)]
+    number = size.measured_on if test else size.trained_on
+    names = [f"random {k}" for k in range(number)]
     if test:
         for name in size.by_hand:
             names += [name, *(found_from(name, metric) for metric in SEARCHED)]
@@ -173,7 +174,7 @@ def placed(
         return files
     folder.mkdir(parents=True, exist_ok=True)
     scene = scene_of(source, settings)
-    layouts = drawn(scene, size.measured_on if test else size.trained_on, seed)
+    layouts = drawn(scene, number, seed)
     if test:
         layouts |= picked(scene, size, seed)
         rows = []

@@ -174,7 +174,7 @@ def recorded(given: argparse.Namespace, plan: Generation, stem: Path) -> Cache:
         return cache(stem, f"{stem}_cache", pictures=size, progress=report)
 
 
-def of_placement(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:
+def recording_of(given: argparse.Namespace, into: Path, placement: str, part: str) -> Cache:
     """A part of :data:`SETS` under a placement."""
     stem = into / f"{part}__{placement.replace('/', '_')}"
     return recorded(given, planned(given, placement, part), stem)
@@ -248,7 +248,7 @@ def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
     done = {of_job(row) for row in done_in(path, given.steps)}
     todo = [job for job in every_job() if job.model in wanted and job not in done]
     for seed, placement in dict.fromkeys((job.seed, job.recorded) for job in todo):
-        data, later = (of_placement(given, into, placement, part) for part in SETS)
+        data, later = (recording_of(given, into, placement, part) for part in SETS)
         if given.record:
             continue
         some = [job for job in todo if (job.seed, job.recorded) == (seed, placement)]
@@ -307,7 +307,7 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
     for model in given.models.split(",") if given.models else QUICK_MODELS:
         sensors = model_of(model).sensors
         job, steps = Job(model, BY_SENSORS[sensors][1], 0), QUICK_STEPS[sensors]
-        data = of_placement(given, into, job.placement, "train")
+        data = recording_of(given, into, job.placement, "train")
         settings = Settings(
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )

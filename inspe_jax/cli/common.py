@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -87,13 +87,18 @@ def main() -> None:
         # Only if a search has compiled: importing this takes longer than most commands.
         ahead = sys.modules.get("inspe_jax.placement.compile_ahead")
         if ahead is not None and ahead.compiles():
-            from inspe_jax.core.compiling import leave
-
-            for stream in (sys.stdout, sys.stderr):
-                with suppress(OSError):  # the reader of the pipe has gone
-                    stream.flush()
-            leave(e.code if isinstance(e.code, int) else int(e.code is not None))
+            leave_at_once(e.code if isinstance(e.code, int) else int(e.code is not None))
         raise
+
+
+def leave_at_once(status: int) -> NoReturn:
+    """End the process, whatever its other threads compile or score."""
+    from inspe_jax.core.compiling import leave
+
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):  # the reader of the pipe has gone
+            stream.flush()
+    leave(status)
 
 
 def _run() -> None:

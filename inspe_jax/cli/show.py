@@ -22,6 +22,7 @@ from inspe_jax.cli.common import (
     app,
     busy,
     layout_on,
+    leave_at_once,
     note,
     out,
     progress,
@@ -245,12 +246,13 @@ def view(
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         out.print("Ctrl-C ends", highlight=False)
         while True:
-            time.sleep(3600)
+            time.sleep(1)  # a signal that another thread gets is noticed only after it
     except KeyboardInterrupt:
         pass
     finally:
         with busy("ending"):
-            viewer.close()
+            viewer.close(wait=False)
     if not viewer.store.holds(viewer.layout):
         kept = viewer.store.unsaved
         out.print(f"not saved; the layout is kept in {kept}", highlight=False, soft_wrap=True)
+    leave_at_once(0)

@@ -113,12 +113,16 @@ class Viewer(FileActions):
         """The layout as it is now."""
         return self.session.layout
 
-    def close(self) -> None:
-        """Apply what is typed, stop the search, finish a report that is being written, and stop."""
+    def close(self, *, wait: bool = True) -> None:
+        """Apply what is typed, stop the search, finish a report that is being written, and stop.
+
+        Without ``wait``, scores that are being computed are dropped: compiling may take a minute,
+        and cannot be interrupted.
+        """
         self.settle()
         self._playing.cancel()
         self.searcher.close()
-        self.scorer.close()
+        self.scorer.close(wait=wait)
         self.store.close()
         self.display.close()
         self.queue.close()

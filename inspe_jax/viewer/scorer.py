@@ -103,12 +103,13 @@ class Scorer:
             self._todo |= {"found"}
             self._changed.notify()
 
-    def close(self) -> None:
-        """End the thread."""
+    def close(self, *, wait: bool = True) -> None:
+        """End the thread, once it has done what it is at; with ``wait``, come back then."""
         with self._changed:
             self._todo |= {"end"}
             self._changed.notify()
-        self._thread.join()
+        if wait:
+            self._thread.join()
 
     def _work(self) -> None:
         resumed = 0.0

@@ -133,20 +133,20 @@ def test_view_serves_until_it_is_stopped(files, stop):
         taken.listen()
         port = taken.getsockname()[1]
         arguments = ("view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml")
-        served = inspe_process(*arguments, cwd=files)
-        try:
-            url = served.stdout.readline().split()[-1]
-            assert "only this machine can" in served.stdout.readline()
-            assert "Ctrl-C ends" in served.stdout.readline()
-            with urlopen(url) as page:
-                assert b"<html" in page.read()
-            with pytest.raises(HTTPError) as refused:
-                urlopen(f"http://{urlsplit(url).netloc}/")
-            refused.value.close()
-            served.send_signal(stop)
-            words, said = served.communicate(timeout=120)
-        finally:
-            served.kill()
+        with inspe_process(*arguments, cwd=files) as served:
+            try:
+                url = served.stdout.readline().split()[-1]
+                assert "only this machine can" in served.stdout.readline()
+                assert "Ctrl-C ends" in served.stdout.readline()
+                with urlopen(url) as page:
+                    assert b"<html" in page.read()
+                with pytest.raises(HTTPError) as refused:
+                    urlopen(f"http://{urlsplit(url).netloc}/")
+                refused.value.close()
+                served.send_signal(stop)
+                words, said = served.communicate(timeout=120)
+            finally:
+                served.kill()
     assert served.returncode == 0
     assert url.startswith("http://127.0.0.1:")
     assert not url.startswith(f"http://127.0.0.1:{port}/")

@@ -161,6 +161,26 @@ def test_what_is_out_of_date_is_not_begun(layout, listening, monkeypatch):
     assert begun == [("first", 17), ("last", 17), ("last", 50)]
 
 
+def test_a_score_in_the_making_does_not_hold_up_the_end(scene, layout, monkeypatch):
+    """Compiling cannot be interrupted; a scorer that is closed without waiting goes on alone."""
+    begun, go, scores = threading.Event(), threading.Event(), Listener()
+
+    def slowly(*of, **options):
+        begun.set()
+        assert go.wait(60)
+        raise RuntimeError
+
+    monkeypatch.setattr(scorers, "evaluate", slowly)
+    scorer = Scorer(Case(scene), WEIGHTS, scores, lambda *_: None)
+    scorer.score(layout, whole=True)
+    assert begun.wait(60)
+    scorer.close(wait=False)
+    assert not scores.heard  # it has come back before the score
+    go.set()
+    scorer.close()
+    assert len(scores.heard) == 1  # the frames of the whole are not begun
+
+
 def test_a_layout_that_cannot_be_scored_is_said(layout, listening):
     scorer, scores, _ = listening
     away = replace(layout, poses=np.array(layout.poses) + [1e4, 0, 0, 0, 0, 0])

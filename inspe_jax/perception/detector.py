@@ -7,7 +7,7 @@ the same for all, so that what differs is what is compared.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -96,6 +96,15 @@ def model_of(name: str) -> Model:
     return MODELS[name]
 
 
+class Told(NamedTuple):
+    """What a detector tells: the head's heat and values, the fused map that they are made of, and
+    heat on the pictures, if it takes any; the latter two are for training."""
+
+    found: Found
+    fused: Float[Array, "B h w C"]
+    on_pictures: Float[Array, "n h w K"] | None
+
+
 class Detector(eqx.Module):
     """What a row of :data:`MODELS` says, with parameters drawn by ``key``."""
 
@@ -130,14 +139,16 @@ class Detector(eqx.Module):
         ]
         self.head = CenterHead(CHANNELS, f)
 
-    def __call__(self, inputs: Inputs) -> tuple[Found, Float[Array, "B h w C"]]:
-        """What the head tells, and the fused map."""
-        fused = self.fused(inputs)
-        return self.head(fused), fused
+    def __call__(self, inputs: Inputs) -> Told:
+        """What is told of a batch."""
+        encoded, present, on_pictures = self._encoded(inputs)
+        fused = self._fused(encoded, present)
+        return Told(self.head(fused), fused, on_pictures)
 
-    def fused(self, inputs: Inputs) -> Float[Array, "B h w C"]:
+    def _fused(
+        self, encoded: list[Float[Array, "B A H W C"]], present: Bool[Array, "B A"]
+    ) -> Float[Array, "B h w C"]:
         """The map of all agents together."""
-        encoded, present = self._encoded(inputs)
         maps = [pyramid(x) for pyramid, x in zip(self.pyramids, encoded, strict=True)]
         if self.model.every_scale:
             each: list[Maps] = maps
@@ -150,17 +161,18 @@ class Detector(eqx.Module):
 
     def _encoded(
         self, inputs: Inputs
-    ) -> tuple[list[Float[Array, "B A H W C"]], Bool[Array, "B A"]]:
-        """The maps of each modality's agents, and which agents are present."""
-        maps, present = [], jnp.asarray(inputs.present)
+    ) -> tuple[list[Float[Array, "B A H W C"]], Bool[Array, "B A"], Float[Array, "n h w K"] | None]:
+        """The maps of each modality's agents, which agents are present, and heat on pictures."""
+        maps, present, on_pictures = [], jnp.asarray(inputs.present), None
         joined = self.model.joined
         if self.pillars is not None:
             assert inputs.pillars is not None
             found = self.pillars(inputs.pillars)
             maps.append(found.max(1, keepdims=True) if joined else found)
         if self.pictures is not None:
-            maps.append(self.pictures(inputs))
-        return maps, present.any(1, keepdims=True) if joined else present
+            splatted, on_pictures = self.pictures(inputs)
+            maps.append(splatted)
+        return maps, present.any(1, keepdims=True) if joined else present, on_pictures
 
 
 def parameters(detector: Detector) -> int:

@@ -14,24 +14,19 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.dataset.loading import Targets
+from inspe_jax.perception.heat import HeatHead, bumps, drawn, focal_loss
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.layers import Block, Conv, enlarged
 from inspe_jax.simulation.frame import KINDS
 
 HIDDEN = 32
 VALUES = 8
-RARE = -2.19
-"""First bias of the heat: a chance of 0.1, so that the loss does not begin with every cell being
-wrong (Lin et al. 2017, focal loss)."""
 
 OVERLAP = 0.1
 """A box as far from its place as the Gaussian's radius still overlaps so much of the union."""
 LEAST_RADIUS = 2.0
 """Least radius of a Gaussian [cells], as in CenterPoint: a pedestrian would have none."""
 
-HARD, FAR = 2.0, 4.0
-"""Exponents of the focal loss: cells that are right already, and cells near a peak, count less
-(Law and Deng 2018)."""
 VALUE_WEIGHT = 0.5
 """Weight of the values' loss, which sums over eight; that of heat is 1."""
 
@@ -53,7 +48,7 @@ class CenterHead(eqx.Module):
     shared: Block
     heat_block: Block
     value_block: Block
-    heat: Conv
+    heat: HeatHead
     values: Conv
 
     def __init__(self, channels: int, key: Array) -> None:
@@ -61,10 +56,7 @@ class CenterHead(eqx.Module):
         self.shared = Block(channels, HIDDEN, a)
         self.heat_block = Block(HIDDEN, HIDDEN, b)
         self.value_block = Block(HIDDEN, HIDDEN, c)
-        heat = Conv(HIDDEN, len(KINDS), d, width=1)
-        self.heat = eqx.tree_at(
-            lambda conv: conv.bias, heat, jnp.full(len(KINDS), RARE, jnp.float32)
-        )
+        self.heat = HeatHead(HIDDEN, d)
         self.values = Conv(HIDDEN, VALUES, e, width=1)
 
     def __call__(self, x: Float[Array, "B h w c"]) -> Found:
@@ -104,22 +96,11 @@ def aims(targets: Targets, grid: BevGrid) -> Aims:
     row, column = (jnp.clip(cell[..., k], 0, grid.side - 1).astype(int) for k in range(2))
     # As is usual, a radius is three standard deviations of a Gaussian on 2 r + 1 cells.
     deviation = (2 * radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell) + 1) / 6
-    cells = jnp.arange(grid.side)[None, None]
     along, across = (
-        jnp.where(
-            mask[..., None],
-            jnp.exp(-0.5 * ((cells - at[..., None]).astype(float) / deviation[..., None]) ** 2),
-            0.0,
-        )
-        for at in (row, column)
+        bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column)
     )  # (B, M, side)
-    own = jax.nn.one_hot(jnp.asarray(targets.kind), len(KINDS))  # (B, M, K)
-
-    def heat(one_along: Array, one_across: Array, one_own: Array) -> Array:
-        bumps = one_along[:, :, None] * one_across[:, None]  # (M, H, W)
-        return jnp.stack([(bumps * k[:, None, None]).max(0) for k in one_own.T], -1)
-
-    return Aims(lax.map(lambda x: heat(*x), (along, across, own)), row, column, values, mask)
+    heat = drawn(along, across, jnp.asarray(targets.kind))
+    return Aims(heat, row, column, values, mask)
 
 
 def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -135,16 +116,13 @@ def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array
 
 def loss(found: Found, aim: Aims) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Those of heat and of values, for each road user on average."""
-    count = jnp.maximum(aim.mask.sum(), 1).astype(float)
-    chance = jax.nn.log_sigmoid(found.heat)
-    none = jax.nn.log_sigmoid(-found.heat)
-    peak = aim.heat == 1
-    right = -((1 - jnp.exp(chance)) ** HARD) * chance
-    wrong = -((1 - aim.heat) ** FAR) * jnp.exp(chance) ** HARD * none
-    heat = jnp.where(peak, right, wrong).sum() / count
+    count = aim.mask.sum()
+    heat = focal_loss(found.heat, aim.heat, count)
     frame = jnp.arange(len(aim.row))[:, None]
     off = jnp.abs(found.values[frame, aim.row, aim.column] - aim.values).sum(-1)
-    return heat, VALUE_WEIGHT * jnp.where(aim.mask, off, 0).sum() / count
+    return heat, VALUE_WEIGHT * jnp.where(aim.mask, off, 0).sum() / jnp.maximum(count, 1).astype(
+        float
+    )
 
 
 class Peaks(NamedTuple):

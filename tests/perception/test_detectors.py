@@ -11,10 +11,10 @@ from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.perception.detector import MODELS, Detector, model_of, parameters
-from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.perception.training.settings import agents_of
+from inspe_jax.perception.training.train import objective
 
 GRID = BevGrid(half=12.8)
 
@@ -54,8 +54,8 @@ def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
     @eqx.filter_jit
     @partial(eqx.filter_grad, has_aux=True)
     def slopes_of(detector, given):
-        found, fused = detector(given)
-        return sum(loss(found, aims(targets, GRID))), fused
+        total, _ = objective(detector, None, given, targets, GRID)
+        return total, detector(given).fused
 
     slopes, fused = slopes_of(detector, given)
     _, turned = slopes_of(detector, exchanged(given))

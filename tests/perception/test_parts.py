@@ -12,7 +12,7 @@ from shapely.geometry import box
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
-from inspe_jax.perception.encoders.lift_splat import DEPTHS, FARTHEST, NEAREST
+from inspe_jax.perception.encoders.lift_splat import HEIGHTS, LITTLE
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
 from inspe_jax.perception.fusion.windows import (
     from_grids,
@@ -24,7 +24,9 @@ from inspe_jax.perception.fusion.windows import (
 from inspe_jax.perception.head import LEAST_RADIUS, OVERLAP, Found, aims, loss, peaks, radius
 from inspe_jax.perception.inputs import BevGrid, Inputs
 from inspe_jax.perception.layers import Depthwise, Norm, attend
-from inspe_jax.simulation.frame import KINDS
+from inspe_jax.perception.perspective import perspective_aims, perspective_loss
+from inspe_jax.simulation.frame import KINDS, RoadUserBox
+from inspe_jax.simulation.projection import corners
 
 GRID = BevGrid(half=12.8)
 
@@ -113,10 +115,10 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
     np.testing.assert_allclose(found[0, 0, 7, 2], told, rtol=1e-4, atol=1e-5)
 
 
-def test_lifted_features_fall_into_the_cell_that_their_pixel_and_depth_show():
-    """The other way round: the middle of a cell's point, projected, is the pixel it came from."""
+def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
+    """The other way round: the point in a cell of the map, projected, is the pixel it came from."""
     grid, high, wide = BevGrid(half=51.2), 48, 64
-    pose = pose_matrix([-20, 5, 7, 0.1, 0.4, -0.3]).astype(np.float32)
+    pose = pose_matrix([-20, 5, 7, 0.1, -0.4, -0.3]).astype(np.float32)
     intrinsic = np.array([[40.0, 0, 30], [0, 42, 22], [0, 0, 1]], np.float32)
     splat = eqx.filter_eval_shape(LiftSplat, "resnet", grid, 2, 8, jax.random.key(0))
     inputs = Inputs(
@@ -132,20 +134,46 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_depth_show():
     assert (cells[2] == nowhere).all()  # a camera that is not there
     some = cells[0] != nowhere
     np.testing.assert_array_equal(cells[1][some], cells[0][some] + side**2)
-    depths = np.geomspace(NEAREST, FARTHEST, DEPTHS)
-    row, column, d = np.nonzero(some)
+    row, column, h = np.nonzero(some)
     assert len(row) > 80
+    assert set(h) == set(range(len(HEIGHTS)))
     at = np.column_stack([(column + 0.5) * 8, (row + 0.5) * 8])
-    body = np.column_stack(
-        [depths[d], -(at[:, 0] - 30) / 40 * depths[d], -(at[:, 1] - 22) / 42 * depths[d]]
-    )
-    world = body @ pose[:3, :3].T + pose[:3, 3]
+    body = np.column_stack([np.ones(len(at)), -(at[:, 0] - 30) / 40, -(at[:, 1] - 22) / 42])
+    ray = body @ pose[:3, :3].T
+    depth = (HEIGHTS[h] - pose[2, 3]) / ray[:, 2]
+    assert (depth > 0).all()
+    world = ray * depth[:, None] + pose[:3, 3]
     np.testing.assert_allclose(on_picture(world, pose, intrinsic)[:, :2], at, atol=1e-2)
     expected = np.floor((world[:, :2] + grid.half) / grid.cell).astype(int)
     wrong = cells[0][some] != expected[:, 0] * side + expected[:, 1]
     edge = (np.abs((world[:, :2] + grid.half) / grid.cell % 1 - 0.5) > 0.499).any(1)
     assert not (wrong & ~edge).any()
-    assert ((world[:, 2] > grid.low - 0.01) & (world[:, 2] < grid.high + 0.01)).all()
+    # All that fall into the map are there: the rest is at the sky, behind, or beyond.
+    rows, columns = np.mgrid[:6, :8]
+    body = np.stack(
+        [np.ones((6, 8)), -((columns + 0.5) * 8 - 30) / 40, -((rows + 0.5) * 8 - 22) / 42], -1
+    )
+    ray = body @ pose[:3, :3].T
+    ahead = ray[..., 2] < 0
+    point = ray / np.where(ahead, -ray[..., 2], 1)[..., None] * (pose[2, 3] - 1.2) + pose[:3, 3]
+    within = ahead & (np.abs(point[..., :2]) < grid.half).all(-1)
+    assert 10 < within.sum() < 48
+    np.testing.assert_array_equal(some[..., 4], within)  # 1.2 m
+
+
+def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
+    grid = BevGrid(half=12.8)
+    splat = made(lambda key: LiftSplat("resnet", grid, 1, 8, key))
+    chance, features = np.abs(noise(2, 3, 4, 5)), noise(2, 3, 4, 8, seed=1)
+    cell = np.random.default_rng(2).integers(0, grid.side**2 + 40, (2, 3, 4, 5))
+    cell = np.where(cell < grid.side**2, cell % 7, grid.side**2)  # some are outside
+    maps = np.asarray(splat._splat(chance, features, cell, 1))
+    assert maps.shape == (grid.side**2, 8)
+    for k in range(7):
+        there = np.where(cell == k, chance, 0).sum(-1)
+        mean = (there[..., None] * features).sum((0, 1, 2)) / (there.sum() + LITTLE)
+        np.testing.assert_allclose(maps[k], mean, rtol=1e-4, atol=1e-5)
+    assert not maps[7:].any()
 
 
 # ── Fusion ──────────────────────────────────────────────────────────────────
@@ -241,3 +269,65 @@ def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
         there = translate(here, r, r)
         overlap = here.intersection(there).area / here.union(there).area
         assert overlap == pytest.approx(OVERLAP, rel=1e-4)
+
+
+# ── Heat on pictures ────────────────────────────────────────────────────────
+
+
+def test_heat_on_pictures_is_where_they_show_road_users():
+    """Beside corners that are projected one by one."""
+    high, wide, cells = 48, 64, (12, 16)
+    intrinsic = np.array([[40.0, 0, 30], [0, 42, 22], [0, 0, 1]], np.float32)
+    pose = pose_matrix([-20, 5, 7, 0.1, -0.4, -0.3]).astype(np.float32)
+    boxes = np.zeros((1, 4, 9), np.float32)
+    boxes[0, :, :7] = [
+        [-8, 5, 0.8, 4.5, 1.9, 1.6, 0.4],
+        [-11, 9, 0.9, 0.6, 0.6, 1.8, 0],
+        [-8, 5, 0.8, 4.5, 1.9, 1.6, 0.4],  # not a road user
+        [-30, 5, 0.8, 4.5, 1.9, 1.6, 0],  # behind the camera
+    ]
+    pixels = np.full((1, 4, 3), 100, np.float32)
+    pixels[0, 1, 1] = 3  # hidden from the second camera
+    targets = Targets(
+        boxes=boxes,
+        kind=np.array([[0, 3, 0, 0]], np.int32),
+        track=np.arange(4, dtype=np.int32)[None],
+        returns=np.zeros((1, 4, 0), np.int32),
+        pixels=pixels,
+        mask=np.array([[True, True, False, True]]),
+    )
+    inputs = Inputs(
+        pillars=None,
+        pixels=np.zeros((1, 3, high, wide, 3), np.uint8),
+        intrinsic=np.stack([intrinsic] * 3)[None],
+        pose=np.stack([pose] * 3)[None],
+        unit=np.array([[0, 1, -1]], np.int32),
+        present=np.ones((1, 2), bool),
+    )
+    aim, shown = (np.asarray(x) for x in perspective_aims(inputs, targets, cells))
+    assert shown.tolist() == [[True, True, False, False], [True, False, False, False], [False] * 4]
+    assert not aim[2].any()
+    assert not aim[1, ..., 3].any()
+    assert not aim[..., 1:3].any()
+    for b, kind in ((0, 0), (1, 3)):
+        x = boxes[0, b]
+        own = RoadUserBox(
+            track=0, kind=KINDS[kind], name="", center=x[:3], yaw=float(x[6]), size=x[3:6],
+            velocity=np.zeros(3),
+        )  # fmt: skip
+        at = on_picture(corners([own])[0], pose, intrinsic)[:, :2] / 4
+        middle = (at.min(0) + at.max(0)) / 2
+        assert np.unravel_index(aim[0, ..., kind].argmax(), cells) == tuple(
+            np.floor(middle[::-1]).astype(int)
+        )
+        assert aim[0, ..., kind].max() == 1
+        spread = np.maximum((at.max(0) - at.min(0)) / 4, 0.5)
+        row = aim[0, int(middle[1]), :, kind]
+        off = np.arange(16) - np.floor(middle[0])
+        np.testing.assert_allclose(row, np.exp(-0.5 * (off / spread[0]) ** 2), atol=1e-5)
+    np.testing.assert_array_equal(aim[0, ..., 0], aim[1, ..., 0])
+    unknown = perspective_aims(inputs, targets._replace(pixels=np.full_like(pixels, -1)), cells)
+    np.testing.assert_array_equal(unknown[1][1], shown[0])  # all in the picture are taken
+    right = np.where(aim == 1, 20.0, -20.0).astype(np.float32)
+    assert float(perspective_loss(right, inputs, targets)) < 1e-3
+    assert float(perspective_loss(-right, inputs, targets)) > 10

@@ -27,7 +27,7 @@ def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
     forward, y left, z up); ``intrinsic`` is (3, 3). (0, 0) is the outer corner of the first pixel.
     ``xp`` is numpy or jax.numpy.
     """
-    body = (points - pose[:3, 3]) @ pose[:3, :3]
+    body = (points - pose[None, :3, 3]) @ pose[:3, :3]
     seen = xp.stack([-body[:, 1], -body[:, 2], body[:, 0]], -1) @ intrinsic.T
     return xp.concatenate([seen[:, :2] / seen[:, 2:], seen[:, 2:]], -1)
 

@@ -38,7 +38,7 @@ class NoTruth(InspeError):
 @eqx.filter_jit
 def _peaks(detector: Detector, inputs: Inputs, grid: BevGrid) -> Peaks:
     """Compiled once for a model and frames of one shape, whatever the weights."""
-    return peaks(detector(inputs)[0], grid)
+    return peaks(detector(inputs).found, grid)
 
 
 class Predictor:

@@ -18,6 +18,7 @@ from inspe_jax.perception.detector import TEACHER, Detector, model_of
 from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
+from inspe_jax.perception.perspective import perspective_loss
 from inspe_jax.perception.training.optimiser import Optimiser, optimiser
 from inspe_jax.perception.training.predict import NoTruth, Predictor, loader_of
 from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begin
@@ -46,6 +47,7 @@ class _Losses(NamedTuple):
     heat: Float[Array, ""]
     values: Float[Array, ""]
     taught: Float[Array, ""]
+    on_pictures: Float[Array, ""]
 
 
 def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
@@ -156,7 +158,7 @@ def _finite(detector: Detector) -> bool:
     return all(np.isfinite(np.asarray(leaf)).all() for leaf in leaves)
 
 
-def _objective(
+def objective(
     detector: Detector,
     teacher: Detector | None,
     inputs: Inputs,
@@ -164,12 +166,15 @@ def _objective(
     grid: BevGrid,
 ) -> tuple[Float[Array, ""], _Losses]:
     """What is made small, and its parts."""
-    found, fused = detector(inputs)
-    heat, values = loss(found, aims(targets, grid))
-    taught = jnp.zeros(())
+    told = detector(inputs)
+    heat, values = loss(told.found, aims(targets, grid))
+    taught = on_pictures = jnp.zeros(())
     if teacher is not None:
-        taught = distillation(fused, teacher.fused(inputs))
-    return heat + values + taught, _Losses(heat, values, taught)
+        taught = distillation(told.fused, teacher(inputs).fused)
+    if told.on_pictures is not None:
+        on_pictures = perspective_loss(told.on_pictures, inputs, targets)
+    losses = _Losses(heat, values, taught, on_pictures)
+    return sum(losses[1:], heat), losses
 
 
 @eqx.filter_jit(donate="all-except-first")
@@ -180,7 +185,7 @@ def _step(
 ) -> tuple[Detector, Any, _Losses]:
     """The detector and the moments after a step, and the losses before it."""
     *of, chain = constant
-    gradient, losses = eqx.filter_grad(_objective, has_aux=True)(detector, *of)
+    gradient, losses = eqx.filter_grad(objective, has_aux=True)(detector, *of)
     weights = eqx.filter(detector, eqx.is_inexact_array)
     with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions
         updates, moments = chain.update(gradient, moments, weights)

@@ -37,7 +37,7 @@ class Model:
     of agents with these modalities (0 LiDAR, 1 camera). With ``every_scale`` the maps of all three
     scales are fused, otherwise the one made of them. With ``joined``, all agents of a modality are
     one from the start, early fusion: cells have the maximum over the pillars of all units, and the
-    sum over all cameras. ``taught`` models learn from the maps of a teacher.
+    mean over all cameras. ``taught`` models learn from the maps of a teacher.
     """
 
     sensors: tuple[Sensor, ...]

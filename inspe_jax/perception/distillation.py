@@ -1,9 +1,8 @@
 """Learning from a teacher's maps (DiscoNet, Li et al. 2021).
 
 The teacher is a detector of the LiDARs' pillars, joined over all units before anything else sees
-them. At each cell, the student's
-features are to say what the teacher's say: the Kullback–Leibler divergence of their distributions
-over channels.
+them. At each cell, the student's features are to say what the teacher's say: the Kullback–Leibler
+divergence of their distributions over channels.
 """
 
 import jax

@@ -248,10 +248,13 @@ def view(
         while True:
             time.sleep(1)  # a signal that another thread gets is noticed only after it
     except KeyboardInterrupt:
-        pass
-    finally:
+        for again in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(again, lambda *_: leave_at_once(1))
         with busy("ending"):
             viewer.close(wait=False)
+    except BaseException:
+        viewer.close()
+        raise
     if not viewer.store.holds(viewer.layout):
         kept = viewer.store.unsaved
         out.print(f"not saved; the layout is kept in {kept}", highlight=False, soft_wrap=True)

@@ -96,9 +96,9 @@ def model_of(name: str) -> Model:
     return MODELS[name]
 
 
-class Told(NamedTuple):
-    """What a detector tells: the head's heat and values, the fused map that they are made of, and
-    heat on the pictures, if it takes any; the latter two are for training."""
+class Predictions(NamedTuple):
+    """The head's heat and values, the fused map that they are made of, and heat on the pictures, if
+    there are any. The latter two are for training."""
 
     found: Found
     fused: Float[Array, "B h w C"]
@@ -139,11 +139,11 @@ class Detector(eqx.Module):
         ]
         self.head = CenterHead(CHANNELS, f)
 
-    def __call__(self, inputs: Inputs) -> Told:
-        """What is told of a batch."""
+    def __call__(self, inputs: Inputs) -> Predictions:
+        """The predictions for a batch."""
         encoded, present, on_pictures = self._encoded(inputs)
         fused = self._fused(encoded, present)
-        return Told(self.head(fused), fused, on_pictures)
+        return Predictions(self.head(fused), fused, on_pictures)
 
     def _fused(
         self, encoded: list[Float[Array, "B A H W C"]], present: Bool[Array, "B A"]

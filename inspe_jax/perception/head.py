@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.dataset.loading import Targets
-from inspe_jax.perception.heat import HeatHead, bumps, drawn, focal_loss
+from inspe_jax.perception.heat import HeatHead, bumps, class_heat, focal_loss
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.layers import Block, Conv, enlarged
 from inspe_jax.simulation.frame import KINDS
@@ -99,7 +99,7 @@ def aims(targets: Targets, grid: BevGrid) -> Aims:
     along, across = (
         bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column)
     )  # (B, M, side)
-    heat = drawn(along, across, jnp.asarray(targets.kind))
+    heat = class_heat(along, across, jnp.asarray(targets.kind))
     return Aims(heat, row, column, values, mask)
 
 

@@ -37,7 +37,7 @@ def bumps(
     return jnp.where(mask[..., None], jnp.exp(-0.5 * off**2), 0.0)
 
 
-def drawn(
+def class_heat(
     down: Float[Array, "n M h"], across: Float[Array, "n M w"], kind: Int[Array, "n M"]
 ) -> Float[Array, "n h w K"]:
     """The heat of road users whose bumps along rows and columns are given: the highest of each

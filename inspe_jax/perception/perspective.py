@@ -12,13 +12,14 @@ from jaxtyping import Array, Bool, Float
 
 from inspe_jax.dataset.loading import Targets
 from inspe_jax.dataset.loading.geometry import on_picture
-from inspe_jax.perception.heat import bumps, drawn, focal_loss
+from inspe_jax.perception.heat import bumps, class_heat, focal_loss
 from inspe_jax.perception.inputs import Inputs
 
 WEIGHT = 1.0
 """Of this loss beside those of heat and values."""
 LEAST_PIXELS = 4
-"""Pixels that show a road user who is to be found on a picture: a quarter of a cell's."""
+"""Pixels that show a road user who is to be found on a picture: a quarter of a cell's. Others are
+as if they were not there."""
 NEAREST = 0.5
 """Least depth of a box whose place on a picture is told [m]; nearer ones are cut by its edge."""
 SPREAD, LEAST_SPREAD = 0.25, 0.5
@@ -47,8 +48,10 @@ def perspective_aims(
     boxes = jnp.asarray(targets.boxes)
     seen = _on_pictures(_corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic))
     pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
-    told = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
-    shown = told & jnp.asarray(targets.mask)[:, None] & (jnp.asarray(inputs.unit) >= 0)[..., None]
+    visible = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
+    shown = (
+        visible & jnp.asarray(targets.mask)[:, None] & (jnp.asarray(inputs.unit) >= 0)[..., None]
+    )
     shown &= seen[..., 2].min(-1) > NEAREST
 
     def along(axis: int) -> tuple[Array, Array, Array]:
@@ -64,7 +67,7 @@ def perspective_aims(
     down = bumps(row.reshape(mask.shape), high.reshape(mask.shape), cells[0], mask)
     across = bumps(column.reshape(mask.shape), wide.reshape(mask.shape), cells[1], mask)
     kind = jnp.broadcast_to(jnp.asarray(targets.kind)[:, None], shown.shape)
-    return drawn(down, across, kind.reshape(mask.shape)), mask
+    return class_heat(down, across, kind.reshape(mask.shape)), mask
 
 
 def _corners(boxes: Float[Array, "B M 9"]) -> Float[Array, "B M 8 3"]:

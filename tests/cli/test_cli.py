@@ -144,7 +144,7 @@ def test_view_serves_until_it_is_stopped(files, stop):
                     urlopen(f"http://{urlsplit(url).netloc}/")
                 refused.value.close()
                 served.send_signal(stop)
-                words, said = served.communicate(timeout=120)
+                words, said = served.communicate(timeout=60)  # also while it compiles
             finally:
                 served.kill()
     assert served.returncode == 0

@@ -54,8 +54,8 @@ def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
     @eqx.filter_jit
     @partial(eqx.filter_grad, has_aux=True)
     def slopes_of(detector, given):
-        total, _ = objective(detector, None, given, targets, GRID)
-        return total, detector(given).fused
+        _, losses = objective(detector, None, given, targets, GRID)
+        return losses.heat + losses.values, detector(given).fused
 
     slopes, fused = slopes_of(detector, given)
     _, turned = slopes_of(detector, exchanged(given))
@@ -66,7 +66,8 @@ def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
         for path, leaf in jax.tree_util.tree_leaves_with_path(slopes)
         if not np.asarray(leaf).any()
     ]
-    assert still == []
+    only_on_pictures = [".pictures.heat.weight", ".pictures.heat.bias"]
+    assert still == (only_on_pictures if agents_of(cached).cameras and detector.pictures else [])
     assert 4e5 < parameters(detector) < 2e6
     # Else the second step of a training is compiled once more.
     assert not any(leaf.weak_type for leaf in jax.tree.leaves(eqx.filter(detector, eqx.is_array)))

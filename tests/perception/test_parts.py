@@ -12,7 +12,7 @@ from shapely.geometry import box
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
-from inspe_jax.perception.encoders.lift_splat import HEIGHTS, LITTLE
+from inspe_jax.perception.encoders.lift_splat import EMPTY_WEIGHT, HEIGHTS
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
 from inspe_jax.perception.fusion.windows import (
     from_grids,
@@ -155,10 +155,10 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     )
     ray = body @ pose[:3, :3].T
     ahead = ray[..., 2] < 0
-    point = ray / np.where(ahead, -ray[..., 2], 1)[..., None] * (pose[2, 3] - 1.2) + pose[:3, 3]
+    point = ray / np.where(ahead, -ray[..., 2], 1)[..., None] * (pose[2, 3] - 1.0) + pose[:3, 3]
     within = ahead & (np.abs(point[..., :2]) < grid.half).all(-1)
     assert 10 < within.sum() < 48
-    np.testing.assert_array_equal(some[..., 4], within)  # 1.2 m
+    np.testing.assert_array_equal(some[..., 6], within)  # 1 m
 
 
 def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
@@ -171,7 +171,7 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
     assert maps.shape == (grid.side**2, 8)
     for k in range(7):
         there = np.where(cell == k, chance, 0).sum(-1)
-        mean = (there[..., None] * features).sum((0, 1, 2)) / (there.sum() + LITTLE)
+        mean = (there[..., None] * features).sum((0, 1, 2)) / (there.sum() + EMPTY_WEIGHT)
         np.testing.assert_allclose(maps[k], mean, rtol=1e-4, atol=1e-5)
     assert not maps[7:].any()
 

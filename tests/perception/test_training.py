@@ -228,3 +228,11 @@ def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
         check_pictures(stopped_and_not[0], other)
     assert cache_of(other.path, pictures=None).pictures == (24, 32)
+
+
+def test_a_run_of_an_earlier_version_is_refused(stopped_and_not, tmp_path):
+    shutil.copytree(stopped_and_not[0].path, tmp_path / "old")
+    record = tmp_path / "old" / "run.json"
+    record.write_text(record.read_text().replace('"inspe_jax run 2"', '"inspe_jax run 1"'))
+    with pytest.raises(InspeError, match="made by another version: train again into another"):
+        open_run(tmp_path / "old")

@@ -2,8 +2,8 @@
 
 Both give maps at a quarter of the picture's sides, where coarser maps, enlarged, are joined to
 finer ones twice: those at a sixteenth to those at an eighth, as in Lift, Splat, Shoot, and what
-comes of it to the stem's. On a picture of 400 x 300, an eighth is 6 m of road 30 m away. They have
-fewer blocks than their originals and are not pre-trained.
+comes of it to the stem's. On a picture of 400 x 300 from 7 m above the road, a cell of an eighth is
+6 m of the road 30 m away. They have fewer blocks than their originals and are not pre-trained.
 """
 
 from collections.abc import Callable
@@ -103,7 +103,8 @@ BLOCKS: dict[str, type[InvertedResidual] | type[Bottleneck]] = {
 
 
 class ImageEncoder(eqx.Module):
-    """A stem of two blocks, and two stages of two; each halves the sides. Then all joined."""
+    """A stem, whose two blocks each halve the sides; two stages of two blocks, of which the first
+    does; and their maps joined."""
 
     stem: tuple[Block, Block]
     stages: list[tuple[Any, Any]]

@@ -3,9 +3,10 @@
 Each cell of a picture has features and a distribution over depth. *Lift*: features times chance at
 each depth along the cell's ray. *Splat*: each cell of the map has the mean of what falls into it.
 
-The depths of a ray are those at which it is at certain heights above the ground, as in BEVHeight
-(Yang et al. 2023): sensors at the roadside look down on a road whose height is known, and a few
-heights tell a place as well as many depths do, of which most lie below the road.
+The depths of a ray are those at which it is at certain heights, as in BEVHeight (Yang et al. 2023):
+sensors at the roadside look down on a road that they know, and a few heights tell a place as well
+as many depths do, of which most lie below the road. Heights are those of the intersection's frame:
+a road user on a ramp that leads further down than the least of them is placed nearer than it is.
 """
 
 import equinox as eqx
@@ -21,12 +22,12 @@ from inspe_jax.perception.layers import Conv
 
 FEATURES = 32
 """Channels of a picture's cells before they are lifted."""
-HEIGHTS = np.linspace(-0.4, 2.4, 8, dtype=np.float32)
-"""Heights above the ground of what pixels show [m]. The middles of road users are at 0.8 to 1.8 m;
-the others are for cells of a picture whose middle is not where the road user stands."""
-LITTLE = 0.05
-"""Added to the chance that falls into a cell of the map: with hardly any, its features are near 0,
-as those of a cell that no pixel shows."""
+HEIGHTS = np.array([-2.4, -1.6, -0.8, -0.2, 0.2, 0.6, 1.0, 1.4, 1.8, 2.6], np.float32)
+"""Heights of what a cell of a picture shows [m]. On a level road, the middles of road users are at
+0.8 to 1.8 m. The others are for slopes, and for cells that a road user is not in the middle of."""
+EMPTY_WEIGHT = 0.05
+"""Weight of features of 0 in the mean of each cell of the map, so that a cell into which hardly any
+chance falls is much like one that no pixel shows."""
 
 
 class LiftSplat(eqx.Module):
@@ -72,7 +73,7 @@ class LiftSplat(eqx.Module):
             return zero.at[cell.reshape(-1)].add(x.reshape(-1, x.shape[-1]), mode="drop")
 
         lifted = total(chance[..., None] * features[..., None, :])
-        return lifted / (total(chance[..., None]) + LITTLE)
+        return lifted / (total(chance[..., None]) + EMPTY_WEIGHT)
 
     def _cells(
         self, inputs: Inputs, picture: tuple[int, int], cells: tuple[int, ...]

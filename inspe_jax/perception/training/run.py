@@ -33,7 +33,7 @@ from inspe_jax.perception.training.optimiser import optimiser
 from inspe_jax.perception.training.settings import Content
 
 RECORD, LOSSES, VALIDATION, LOCK = "run.json", "losses.csv", "validation.csv", ".run.lock"
-FORMAT = "inspe_jax run 1"
+FORMAT = "inspe_jax run 2"
 TEACHER_RUN = "teacher"
 """The folder in a run of a model that is taught: that of its teacher's training."""
 KEPT = 2

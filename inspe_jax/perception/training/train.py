@@ -166,13 +166,13 @@ def objective(
     grid: BevGrid,
 ) -> tuple[Float[Array, ""], _Losses]:
     """What is made small, and its parts."""
-    told = detector(inputs)
-    heat, values = loss(told.found, aims(targets, grid))
+    predicted = detector(inputs)
+    heat, values = loss(predicted.found, aims(targets, grid))
     taught = on_pictures = jnp.zeros(())
     if teacher is not None:
-        taught = distillation(told.fused, teacher(inputs).fused)
-    if told.on_pictures is not None:
-        on_pictures = perspective_loss(told.on_pictures, inputs, targets)
+        taught = distillation(predicted.fused, teacher(inputs).fused)
+    if predicted.on_pictures is not None:
+        on_pictures = perspective_loss(predicted.on_pictures, inputs, targets)
     losses = _Losses(heat, values, taught, on_pictures)
     return sum(losses[1:], heat), losses
 

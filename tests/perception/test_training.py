@@ -193,7 +193,7 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
     room = import_module("inspe_jax.perception.training.train")
 
     def broken(constant, detector, moments):
-        return detector, moments, room._Losses(np.nan, 0.0, 0.0)
+        return detector, moments, room._Losses(np.nan, 0.0, 0.0, 0.0)
 
     monkeypatch.setattr(room, "_step", broken)
     with pytest.raises(

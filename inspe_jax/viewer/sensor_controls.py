@@ -52,6 +52,7 @@ class SensorControls:
             self.new = gui.add_dropdown(
                 "New device", list(self._devices), hint="The device that Add mounts"
             )
+            self._offered = self.new.value
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
@@ -119,7 +120,10 @@ class SensorControls:
             self._devices[label] = spec.name
             self.device.options = (*self.device.options, label)
         set_value(self.device, label)
-        if not self._chosen and label in self.new.options:
+        # A value that is not the one offered last was chosen just now, and is about to be reported.
+        untouched = not self._chosen and self.new.value == self._offered
+        if untouched and label in self.new.options:
+            self._offered = label
             set_value(self.new, label)
 
     def show_table(

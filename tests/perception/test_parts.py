@@ -167,7 +167,7 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
     chance, features = np.abs(noise(2, 3, 4, 5)), noise(2, 3, 4, 8, seed=1)
     cell = np.random.default_rng(2).integers(0, grid.side**2 + 40, (2, 3, 4, 5))
     cell = np.where(cell < grid.side**2, cell % 7, grid.side**2)  # some are outside
-    maps = np.asarray(splat._splat(chance, features, cell, 1))
+    maps = np.asarray(jax.jit(lambda *of: splat._splat(*of, 1))(chance, features, cell))
     assert maps.shape == (grid.side**2, 8)
     for k in range(7):
         there = np.where(cell == k, chance, 0).sum(-1)
@@ -304,7 +304,9 @@ def test_heat_on_pictures_is_where_they_show_road_users():
         unit=np.array([[0, 1, -1]], np.int32),
         present=np.ones((1, 2), bool),
     )
-    aim, shown = (np.asarray(x) for x in perspective_aims(inputs, targets, cells))
+    aims_of = jax.jit(lambda targets: perspective_aims(inputs, targets, cells))
+    loss_of = jax.jit(lambda heat: perspective_loss(heat, inputs, targets))
+    aim, shown = (np.asarray(x) for x in aims_of(targets))
     assert shown.tolist() == [[True, True, False, False], [True, False, False, False], [False] * 4]
     assert not aim[2].any()
     assert not aim[1, ..., 3].any()
@@ -326,8 +328,8 @@ def test_heat_on_pictures_is_where_they_show_road_users():
         off = np.arange(16) - np.floor(middle[0])
         np.testing.assert_allclose(row, np.exp(-0.5 * (off / spread[0]) ** 2), atol=1e-5)
     np.testing.assert_array_equal(aim[0, ..., 0], aim[1, ..., 0])
-    unknown = perspective_aims(inputs, targets._replace(pixels=np.full_like(pixels, -1)), cells)
+    unknown = aims_of(targets._replace(pixels=np.full_like(pixels, -1)))
     np.testing.assert_array_equal(unknown[1][1], shown[0])  # all in the picture are taken
     right = np.where(aim == 1, 20.0, -20.0).astype(np.float32)
-    assert float(perspective_loss(right, inputs, targets)) < 1e-3
-    assert float(perspective_loss(-right, inputs, targets)) > 10
+    assert float(loss_of(right)) < 1e-3
+    assert float(loss_of(-right)) > 10

@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.dataset.loading import Targets
-from inspe_jax.perception.heat import HeatHead, bumps, class_heat, focal_loss
+from inspe_jax.perception.heat import HeatHead, bumps, class_heat, focal_loss, per_road_user
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.layers import Block, Conv, enlarged
 from inspe_jax.simulation.frame import KINDS
@@ -116,13 +116,10 @@ def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array
 
 def loss(found: Found, aim: Aims) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Those of heat and of values, for each road user on average."""
-    count = aim.mask.sum()
-    heat = focal_loss(found.heat, aim.heat, count)
+    heat = focal_loss(found.heat, aim.heat, aim.mask)
     frame = jnp.arange(len(aim.row))[:, None]
     off = jnp.abs(found.values[frame, aim.row, aim.column] - aim.values).sum(-1)
-    return heat, VALUE_WEIGHT * jnp.where(aim.mask, off, 0).sum() / jnp.maximum(count, 1).astype(
-        float
-    )
+    return heat, VALUE_WEIGHT * per_road_user(jnp.where(aim.mask, off, 0).sum(), aim.mask)
 
 
 class Peaks(NamedTuple):

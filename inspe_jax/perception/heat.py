@@ -51,11 +51,16 @@ def class_heat(
     return lax.map(lambda x: one(*x), (down, across, own))
 
 
+def per_road_user(total: Float[Array, ""], mask: Bool[Array, "*n"]) -> Float[Array, ""]:
+    """A sum of losses, for each road user in ``mask`` on average."""
+    return total / jnp.maximum(mask.sum(), 1).astype(float)
+
+
 def focal_loss(
-    heat: Float[Array, "*n K"], aim: Float[Array, "*n K"], count: Int[Array, ""]
+    heat: Float[Array, "*n K"], aim: Float[Array, "*n K"], mask: Bool[Array, "*m"]
 ) -> Float[Array, ""]:
-    """The loss of heat before the sigmoid, for each of ``count`` road users on average."""
+    """The loss of heat before the sigmoid, for each road user in ``mask`` on average."""
     chance, none = jax.nn.log_sigmoid(heat), jax.nn.log_sigmoid(-heat)
     right = -((1 - jnp.exp(chance)) ** HARD) * chance
     wrong = -((1 - aim) ** FAR) * jnp.exp(chance) ** HARD * none
-    return jnp.where(aim == 1, right, wrong).sum() / jnp.maximum(count, 1).astype(float)
+    return per_road_user(jnp.where(aim == 1, right, wrong).sum(), mask)

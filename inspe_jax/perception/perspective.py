@@ -31,7 +31,7 @@ def perspective_loss(
 ) -> Float[Array, ""]:
     """The focal loss of what is told on pictures, for each road user on each that shows one."""
     aim, shown = perspective_aims(inputs, targets, (heat.shape[1], heat.shape[2]))
-    return WEIGHT * focal_loss(heat, aim, shown.sum())
+    return WEIGHT * focal_loss(heat, aim, shown)
 
 
 def perspective_aims(
@@ -43,7 +43,6 @@ def perspective_aims(
     """
     assert inputs.pixels is not None
     assert inputs.unit is not None
-    count = inputs.pixels.shape[0] * inputs.pixels.shape[1]
     scale = np.array(cells) / inputs.pixels.shape[2:4]
     boxes = jnp.asarray(targets.boxes)
     seen = _on_pictures(_corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic))
@@ -63,11 +62,14 @@ def perspective_aims(
 
     (column, wide, some_wide), (row, high, some_high) = along(0), along(1)
     shown &= some_wide & some_high
-    mask = shown.reshape(count, -1)
-    down = bumps(row.reshape(mask.shape), high.reshape(mask.shape), cells[0], mask)
-    across = bumps(column.reshape(mask.shape), wide.reshape(mask.shape), cells[1], mask)
-    kind = jnp.broadcast_to(jnp.asarray(targets.kind)[:, None], shown.shape)
-    return class_heat(down, across, kind.reshape(mask.shape)), mask
+    of_frames = (
+        bumps(row, high, cells[0], shown),
+        bumps(column, wide, cells[1], shown),
+        jnp.broadcast_to(jnp.asarray(targets.kind)[:, None], shown.shape),
+        shown,
+    )
+    down, across, kind, shown = (x.reshape(-1, *x.shape[2:]) for x in of_frames)
+    return class_heat(down, across, kind), shown
 
 
 def _corners(boxes: Float[Array, "B M 9"]) -> Float[Array, "B M 8 3"]:

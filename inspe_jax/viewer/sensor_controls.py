@@ -47,12 +47,12 @@ class SensorControls:
         ``orders`` are the places in the panel of the four folders."""
         known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
         self._devices = {label_of(spec): spec.name for spec in known}
-        self._chosen = False  # a new sensor's device, by hand
         with gui.add_folder("New sensor", order=orders[0]):
             self.new = gui.add_dropdown(
                 "New device", list(self._devices), hint="The device that Add mounts"
             )
-            self._offered = self.new.value
+            # The label that was last put there; none once a person has chosen another.
+            self._offered: str | None = self.new.value
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
@@ -121,8 +121,7 @@ class SensorControls:
             self.device.options = (*self.device.options, label)
         set_value(self.device, label)
         # A value that is not the one offered last was chosen just now, and is about to be reported.
-        untouched = not self._chosen and self.new.value == self._offered
-        if untouched and label in self.new.options:
+        if self.new.value == self._offered and label in self.new.options:
             self._offered = label
             set_value(self.new, label)
 
@@ -139,7 +138,7 @@ class SensorControls:
             control.disabled = on
 
     def _choose(self) -> None:
-        self._chosen = True
+        self._offered = None
 
     def _typed(self, view: Any, key: str) -> None:
         view.type_number(key, float(self.pose[key].value))

@@ -35,6 +35,22 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 
+POSE = pose_matrix([-20, 5, 7, 0.1, -0.4, -0.3]).astype(np.float32)
+INTRINSIC = np.array([[40.0, 0, 30], [0, 42, 22], [0, 0, 1]], np.float32)
+
+
+def three_cameras(high: int, wide: int) -> Inputs:
+    """Pictures of two units' cameras at :data:`POSE`, and padding."""
+    return Inputs(
+        pillars=None,
+        pixels=np.zeros((1, 3, high, wide, 3), np.uint8),
+        intrinsic=np.stack([INTRINSIC] * 3)[None],
+        pose=np.stack([POSE] * 3)[None],
+        unit=np.array([[0, 1, -1]], np.int32),
+        present=np.ones((1, 2), bool),
+    )
+
+
 def made(part):
     """A part with weights, in one program instead of one for each shape."""
     return eqx.filter_jit(part)(jax.random.key(3))
@@ -118,17 +134,8 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
 def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     """The other way round: the point in a cell of the map, projected, is the pixel it came from."""
     grid, high, wide = BevGrid(half=51.2), 48, 64
-    pose = pose_matrix([-20, 5, 7, 0.1, -0.4, -0.3]).astype(np.float32)
-    intrinsic = np.array([[40.0, 0, 30], [0, 42, 22], [0, 0, 1]], np.float32)
     splat = eqx.filter_eval_shape(LiftSplat, "resnet", grid, 2, 8, jax.random.key(0))
-    inputs = Inputs(
-        pillars=None,
-        pixels=np.zeros((1, 3, high, wide, 3), np.uint8),
-        intrinsic=np.stack([intrinsic] * 3)[None],
-        pose=np.stack([pose] * 3)[None],
-        unit=np.array([[0, 1, -1]], np.int32),
-        present=np.ones((1, 2), bool),
-    )
+    inputs = three_cameras(high, wide)
     cells = np.asarray(jax.jit(lambda i: splat._cells(i, (high, wide), (6, 8)))(inputs))[0]
     nowhere, side = 2 * grid.side**2, grid.side
     assert (cells[2] == nowhere).all()  # a camera that is not there
@@ -139,11 +146,11 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     assert set(h) == set(range(len(HEIGHTS)))
     at = np.column_stack([(column + 0.5) * 8, (row + 0.5) * 8])
     body = np.column_stack([np.ones(len(at)), -(at[:, 0] - 30) / 40, -(at[:, 1] - 22) / 42])
-    ray = body @ pose[:3, :3].T
-    depth = (HEIGHTS[h] - pose[2, 3]) / ray[:, 2]
+    ray = body @ POSE[:3, :3].T
+    depth = (HEIGHTS[h] - POSE[2, 3]) / ray[:, 2]
     assert (depth > 0).all()
-    world = ray * depth[:, None] + pose[:3, 3]
-    np.testing.assert_allclose(on_picture(world, pose, intrinsic)[:, :2], at, atol=1e-2)
+    world = ray * depth[:, None] + POSE[:3, 3]
+    np.testing.assert_allclose(on_picture(world, POSE, INTRINSIC)[:, :2], at, atol=1e-2)
     expected = np.floor((world[:, :2] + grid.half) / grid.cell).astype(int)
     wrong = cells[0][some] != expected[:, 0] * side + expected[:, 1]
     edge = (np.abs((world[:, :2] + grid.half) / grid.cell % 1 - 0.5) > 0.499).any(1)
@@ -153,9 +160,9 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     body = np.stack(
         [np.ones((6, 8)), -((columns + 0.5) * 8 - 30) / 40, -((rows + 0.5) * 8 - 22) / 42], -1
     )
-    ray = body @ pose[:3, :3].T
+    ray = body @ POSE[:3, :3].T
     ahead = ray[..., 2] < 0
-    point = ray / np.where(ahead, -ray[..., 2], 1)[..., None] * (pose[2, 3] - 1.0) + pose[:3, 3]
+    point = ray / np.where(ahead, -ray[..., 2], 1)[..., None] * (POSE[2, 3] - 1.0) + POSE[:3, 3]
     within = ahead & (np.abs(point[..., :2]) < grid.half).all(-1)
     assert 10 < within.sum() < 48
     np.testing.assert_array_equal(some[..., 6], within)  # 1 m
@@ -277,8 +284,6 @@ def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
 def test_heat_on_pictures_is_where_they_show_road_users():
     """Beside corners that are projected one by one."""
     high, wide, cells = 48, 64, (12, 16)
-    intrinsic = np.array([[40.0, 0, 30], [0, 42, 22], [0, 0, 1]], np.float32)
-    pose = pose_matrix([-20, 5, 7, 0.1, -0.4, -0.3]).astype(np.float32)
     boxes = np.zeros((1, 4, 9), np.float32)
     boxes[0, :, :7] = [
         [-8, 5, 0.8, 4.5, 1.9, 1.6, 0.4],
@@ -296,14 +301,7 @@ def test_heat_on_pictures_is_where_they_show_road_users():
         pixels=pixels,
         mask=np.array([[True, True, False, True]]),
     )
-    inputs = Inputs(
-        pillars=None,
-        pixels=np.zeros((1, 3, high, wide, 3), np.uint8),
-        intrinsic=np.stack([intrinsic] * 3)[None],
-        pose=np.stack([pose] * 3)[None],
-        unit=np.array([[0, 1, -1]], np.int32),
-        present=np.ones((1, 2), bool),
-    )
+    inputs = three_cameras(high, wide)
     aims_of = jax.jit(lambda targets: perspective_aims(inputs, targets, cells))
     loss_of = jax.jit(lambda heat: perspective_loss(heat, inputs, targets))
     aim, shown = (np.asarray(x) for x in aims_of(targets))
@@ -317,7 +315,7 @@ def test_heat_on_pictures_is_where_they_show_road_users():
             track=0, kind=KINDS[kind], name="", center=x[:3], yaw=float(x[6]), size=x[3:6],
             velocity=np.zeros(3),
         )  # fmt: skip
-        at = on_picture(corners([own])[0], pose, intrinsic)[:, :2] / 4
+        at = on_picture(corners([own])[0], POSE, INTRINSIC)[:, :2] / 4
         middle = (at.min(0) + at.max(0)) / 2
         assert np.unravel_index(aim[0, ..., kind].argmax(), cells) == tuple(
             np.floor(middle[::-1]).astype(int)

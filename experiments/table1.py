@@ -21,6 +21,7 @@ those of ``--models``.
 """
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable
 from functools import partial
@@ -369,12 +370,29 @@ def table(found: Means, paper: Means) -> str:
     return "\n".join(lines)
 
 
+def seeds_table(rows: Rows, of: str) -> str:
+    """mAP of each seed and its standard deviation, of detectors with several, in Markdown."""
+    lines = ["| detector | placement | mAP of each seed | standard deviation |", "|---" * 4 + "|"]
+    for model, placement in dict.fromkeys(of_job(row)[:2] for row in rows):
+        own = [row for row in rows if of_job(row)[:2] == (model, placement)]
+        seeds = sorted({row["seed"] for row in own})
+        if len(seeds) > 1:
+            each = [
+                np.mean(list(means([row for row in own if row["seed"] == seed], of).values()))
+                for seed in seeds
+            ]
+            told = ", ".join(f"{ap:.1f}" for ap in each)
+            lines.append(f"| {NAMES[model]} | {placement} | {told} | {np.std(each, ddof=1):.1f} |")
+    return "\n".join(lines)
+
+
 def of_placements(found: Means, kind: str | None = None) -> dict[str, float]:
     """The mean mAP of each placement, over its detectors and over classes, or of one class."""
-    placements = dict.fromkeys(placement for _, placement, _ in found)
+    there = {placement for _, placement, _ in found}
     return {
         p: float(np.mean([v for (_, at, k), v in found.items() if at == p and kind in (None, k)]))
-        for p in placements
+        for p in itertools.chain(*BY_SENSORS.values())
+        if p in there
     }
 
 
@@ -401,12 +419,6 @@ def interval(of: Any, count: int, resamples: int = RESAMPLES) -> tuple[float, fl
     return found.confidence_interval
 
 
-def in_words(row: dict[str, Any], symbols: dict[str, str]) -> str:
-    """A row of correlations."""
-    measure = f"{symbols[row['metric']]}: {row['correlation']}"
-    return f"{measure} {row['value']} [{row['low']}, {row['high']}]"
-
-
 def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
     """Of mAP over placements, all classes and each, with each metric."""
     rows = []
@@ -423,6 +435,31 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
                          value=round(value, 3), low=round(low, 3), high=round(high, 3))
                 )  # fmt: skip
     return rows
+
+
+def placements_table(found: dict[str, Means], ours: Any) -> str:
+    """P_sm and the mean mAP of each placement in Markdown."""
+    own = [of_placements(each) for each in found.values()]
+    lines = ["| placement | P_sm | " + " | ".join(found) + " |", "|---" * (2 + len(own)) + "|"]
+    for placement in own[0]:
+        cells = [f"{ours[placement, 'surrogate'][0]:.3f}", *(f"{of[placement]:.1f}" for of in own)]
+        lines.append(f"| {placement} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def correlations_table(rows: list[dict[str, Any]]) -> str:
+    """Pearson's and Spearman's with each metric in Markdown, the intervals for all classes."""
+    symbols = [METRICS[metric] for metric in dict.fromkeys(row["metric"] for row in rows)]
+    lines = ["| mAP of | " + " | ".join(symbols) + " |", "|---" * (1 + len(symbols)) + "|"]
+    for of, kind in dict.fromkeys((row["frames_of"], row["road_user"]) for row in rows):
+        cells: dict[str, list[str]] = {}
+        for row in rows:
+            if (row["frames_of"], row["road_user"]) == (of, kind):
+                within = f" [{row['low']:.2f}, {row['high']:.2f}]" if kind == "all" else ""
+                cells.setdefault(row["metric"], []).append(f"{row['value']:.2f}{within}")
+        told = " | ".join(", ".join(both) for both in cells.values())
+        lines.append(f"| {of}, {kind} | {told} |")
+    return "\n".join(lines)
 
 
 def conclusions(found: Means) -> list[str]:
@@ -489,6 +526,11 @@ def draw(found: Means, ours: Any, paper: Means) -> Figure:
     return figure
 
 
+def say(text: str) -> None:
+    """Print Markdown as it is."""
+    console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
 def main() -> None:
     """Record, train, measure, tell."""
     given = options()
@@ -504,9 +546,7 @@ def main() -> None:
     of_own = {of: means(rows, of) for of in HELD_OUT}
     for of, title in HELD_OUT.items():
         beside = paper if of == "places" else {}
-        console.print(
-            f"# {title}\n\n{table(of_own[of], beside)}\n", highlight=False, soft_wrap=True
-        )
+        say(f"# {title}\n\n{table(of_own[of], beside)}\n\n{seeds_table(rows, of)}\n")
     left = set(every_job()) - {of_job(row) for row in rows}
     if left:
         console.print(
@@ -516,14 +556,15 @@ def main() -> None:
         console.print("what the placements tell together comes with the last of seed 0")
         return
     ours = read_paper(HERE / "table2.csv")
-    related = []
-    for of, found in (of_own | ({"paper": paper} if paper else {})).items():
-        some = correlations(found, ours)
-        console.print("\n".join([f"# {of}", *conclusions(found)]), highlight=False)
-        for row in some:
-            if row["road_user"] == "all":
-                console.print(in_words(row, METRICS), highlight=False)
-        related += [dict(frames_of=of, **row) for row in some]
+    every = of_own | ({"paper": paper} if paper else {})
+    related = [
+        dict(frames_of=of, **row)
+        for of, found in every.items()
+        for row in correlations(found, ours)
+    ]
+    say(f"# Placements\n\n{placements_table(every, ours)}\n\n{correlations_table(related)}\n")
+    for of, found in every.items():
+        say("\n".join([f"# What the paper concludes: {of}", *conclusions(found)]))
     write_results(given.out / f"{stem}_correlations.csv", related, dict(vars(given)))
     draw(of_own["places"], ours, paper).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)

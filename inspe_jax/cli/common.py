@@ -65,10 +65,8 @@ RecordOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE|-", help="Write the result as JSON; - prints it instead."),
 ]
-PicturesOption = Annotated[
-    str,
-    typer.Option("--pictures", metavar="WxH", help="Width and height of pictures, or none."),
-]
+PICTURES = "400x300"
+"""Width and height that pictures are decoded to if no option says [pixels]."""
 
 
 def picture_size(text: str) -> tuple[int, int] | None:

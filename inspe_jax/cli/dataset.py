@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from inspe_jax.cli.common import (
-    PicturesOption,
+    PICTURES,
     PlotOption,
     RecordOption,
     app,
@@ -156,7 +156,10 @@ def check_files(
 def decode(
     folder: SetArgument,
     into: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the cache.")],
-    size: PicturesOption = "400x300",
+    size: Annotated[
+        str,
+        typer.Option("--pictures", metavar="WxH", help="Width and height of pictures, or none."),
+    ] = PICTURES,
     workers: Annotated[
         int | None, typer.Option(help="Number of processes; one per core if not given.")
     ] = None,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inspe_jax.cli.common import (
-    PicturesOption,
+    PICTURES,
     PlotOption,
     RecordOption,
     app,
@@ -70,7 +70,13 @@ def train_detector(
         int, typer.Option(min=0, help="Frames of the split validate that mAP is measured on.")
     ] = 60,
     augment: Annotated[bool, typer.Option(help="Mirror, turn and scale frames at random.")] = True,
-    pictures: PicturesOption = "400x300",
+    pictures: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH",
+            help=f"Width and height of pictures, or none. {PICTURES} if not given.",
+        ),
+    ] = None,
     cache: CacheOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -109,7 +115,10 @@ def train_detector(
         wanted.append(check_model(training.Settings, own, "training"))
     check_workers(scheduler, workers)
     many = len(wanted) > 1 or workers is not None or scheduler is not None
-    data = _cache(source, cache, picture_size(pictures))
+    size = picture_size(pictures or PICTURES)
+    data = _cache(source, cache, size)
+    if pictures and data.pictures != size:
+        raise InspeError(f"{source}: is a cache without {pictures}: leave --pictures out")
     try:
         if many:
             _train_many(data, folder, wanted, workers, scheduler)
@@ -134,7 +143,7 @@ def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
                 err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
 
         run = _training().train(data, folder, settings, progress=report)
-    out.print(f"{settings.model}: {_told(run)}\nwrote {folder}", highlight=False)
+    out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}", highlight=False)
 
 
 def _train_many(
@@ -166,13 +175,13 @@ def _train_many(
                 failed += 1
                 err.print(f"{job.folder.name}: {found}", highlight=False, soft_wrap=True)
             else:
-                out.print(f"{job.folder.name}: {_told(found)}", highlight=False)
+                out.print(f"{job.folder.name}: {_summary(found)}", highlight=False)
     if failed:
         raise InspeError(f"{failed} of {len(jobs)} trainings failed, see above")
     out.print(f"wrote {folder}", highlight=False)
 
 
-def _told(run: "Run") -> str:
+def _summary(run: "Run") -> str:
     """What a training came to."""
     rows = run.rows("validation.csv")
     found = f", mAP {rows[-1]['mean_ap']:.1%} on the split validate" if rows else ""
@@ -212,7 +221,7 @@ def evaluate_detector(
         found = predictor.evaluate(loader, progress=tell)
     rows = [dict(row) for row in found.rows()]
     content = {"run": str(run.path), "split": split, "step": run.steps, "classes": rows}
-    show(evaluation_table(found), json_value(content), record)
+    show(evaluation_table(found, _unfinished(run)), json_value(content), record)
     if table:
         write_text(table, csv_text(rows))
         (err if record == "-" else out).print(f"wrote {table}", highlight=False)
@@ -266,10 +275,16 @@ def detect(
     show(detections_table(found, least), json_value({**where, "detections": boxes}), record)
     if plot:
         with busy("drawing"):
-            title = f"{run.content.settings.model}: {name}, frame {number}"
+            title = f"{run.content.settings.model}: {name}, frame {number}{_unfinished(run)}"
             whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[step]
             save_figure(draw(whole, 0, found, title, least_score=least), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+
+
+def _unfinished(run: "Run") -> str:
+    """What titles add for a training that is not done."""
+    steps = run.content.settings.steps
+    return "" if run.done else f", after {run.steps:,} of {steps:,} steps"
 
 
 def _training() -> ModuleType:

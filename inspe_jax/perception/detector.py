@@ -2,7 +2,8 @@
 
 The eight of the paper's Table 1 are rows of :data:`MODELS`. What makes each of them that detector
 is its encoder and its fusion, which are as in its paper but smaller; pyramid, head and training are
-the same for all, so that what differs is what is compared.
+the same for all, so that what differs is what is compared. Pictures are lifted by height in place
+of depth: see :mod:`~inspe_jax.perception.encoders.lift_splat`.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.perception.encoders import LiftSplat, Neck, PillarEncoder, Pyramid
 from inspe_jax.perception.encoders.pyramid import Maps
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
-from inspe_jax.perception.head import CenterHead, Found
+from inspe_jax.perception.head import CenterHead, HeadOutput
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs
 
 ENCODED, CHANNELS = 32, 48
@@ -100,7 +101,7 @@ class Predictions(NamedTuple):
     """The head's heat and values, the fused map that they are made of, and heat on the pictures, if
     there are any. The latter two are for training."""
 
-    found: Found
+    found: HeadOutput
     fused: Float[Array, "B h w C"]
     on_pictures: Float[Array, "n h w K"] | None
 
@@ -115,7 +116,6 @@ class Detector(eqx.Module):
     fusions: list[Any]
     head: CenterHead
     model: Model = eqx.field(static=True)
-    agents: Agents = eqx.field(static=True)
 
     def __init__(self, model: Model, agents: Agents, grid: BevGrid, key: Array) -> None:
         a, b, c, d, e, f = jax.random.split(key, 6)
@@ -123,15 +123,15 @@ class Detector(eqx.Module):
         cameras = agents.cameras if "camera" in model.sensors else 0
         if model.joined:
             lidars, cameras = min(lidars, 1), min(cameras, 1)
-        self.model, self.agents = model, Agents(lidars, cameras)
+        self.model = model
         self.pillars = PillarEncoder(grid.pillars(), ENCODED, a) if lidars else None
         self.pictures = LiftSplat(model.images, grid, cameras, ENCODED, b) if cameras else None
         modalities = (0,) * lidars + (1,) * cameras
-        ways = len(set(modalities))
-        self.pyramids = [Pyramid(ENCODED, own) for own in jax.random.split(c, ways)]
+        pyramids = len(set(modalities))
+        self.pyramids = [Pyramid(ENCODED, own) for own in jax.random.split(c, pyramids)]
         # Where every scale is fused, one neck comes after the fusion; else, one a modality before.
         self.necks = [
-            Neck(CHANNELS, own) for own in jax.random.split(d, 1 if model.every_scale else ways)
+            Neck(CHANNELS, own) for own in jax.random.split(d, 1 if model.every_scale else pyramids)
         ]
         scales = 3 if model.every_scale else 1
         self.fusions = [
@@ -141,11 +141,11 @@ class Detector(eqx.Module):
 
     def __call__(self, inputs: Inputs) -> Predictions:
         """The predictions for a batch."""
-        encoded, present, on_pictures = self._encoded(inputs)
-        fused = self._fused(encoded, present)
+        encoded, present, on_pictures = self.encoded(inputs)
+        fused = self.fused(encoded, present)
         return Predictions(self.head(fused), fused, on_pictures)
 
-    def _fused(
+    def fused(
         self, encoded: list[Float[Array, "B A H W C"]], present: Bool[Array, "B A"]
     ) -> Float[Array, "B h w C"]:
         """The map of all agents together."""
@@ -159,7 +159,7 @@ class Detector(eqx.Module):
         found: Array = self.fusions[0](jnp.concatenate(necked, 1), present)
         return found
 
-    def _encoded(
+    def encoded(
         self, inputs: Inputs
     ) -> tuple[list[Float[Array, "B A H W C"]], Bool[Array, "B A"], Float[Array, "n h w K"] | None]:
         """The maps of each modality's agents, which agents are present, and heat on pictures."""

@@ -35,7 +35,12 @@ MOST = 100
 nuScenes allows 500 of ten classes, and the densest traffic has 60 road users."""
 
 
-class Found(NamedTuple):
+LARGEST_LOG = 5.0
+"""Largest logarithm of a side of a box, either way: 7 mm and 148 m. A training that diverges tells
+larger ones, whose side is no number."""
+
+
+class HeadOutput(NamedTuple):
     """What the head tells: heat before the sigmoid, and the values."""
 
     heat: Float[Array, "B H W K"]
@@ -59,10 +64,10 @@ class CenterHead(eqx.Module):
         self.heat = HeatHead(HIDDEN, d)
         self.values = Conv(HIDDEN, VALUES, e, width=1)
 
-    def __call__(self, x: Float[Array, "B h w c"]) -> Found:
+    def __call__(self, x: Float[Array, "B h w c"]) -> HeadOutput:
         shared = self.shared(enlarged(x, 2))
         heat, values = self.heat_block(shared), self.value_block(shared)
-        return Found(self.heat(heat), self.values(values))
+        return HeadOutput(self.heat(heat), self.values(values))
 
 
 class Aims(NamedTuple):
@@ -114,7 +119,7 @@ def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array
     return jnp.maximum((both - apart) / 2, LEAST_RADIUS)
 
 
-def loss(found: Found, aim: Aims) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def loss(found: HeadOutput, aim: Aims) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Those of heat and of values, for each road user on average."""
     heat = focal_loss(found.heat, aim.heat, aim.mask)
     frame = jnp.arange(len(aim.row))[:, None]
@@ -130,7 +135,7 @@ class Peaks(NamedTuple):
     score: Float[Array, "B N"]
 
 
-def peaks(found: Found, grid: BevGrid) -> Peaks:
+def peaks(found: HeadOutput, grid: BevGrid) -> Peaks:
     """Cells whose heat is the largest of 3 × 3, and the boxes that are told there.
 
     Velocities are 0: one frame does not tell them.
@@ -145,8 +150,9 @@ def peaks(found: Found, grid: BevGrid) -> Peaks:
     values = found.values[jnp.arange(len(heat))[:, None], row, column]
     place = (jnp.stack([row, column], -1).astype(float) + values[..., :2]) * grid.cell - grid.half
     yaw = jnp.arctan2(values[..., 6], values[..., 7])[..., None]
+    size = jnp.exp(jnp.clip(values[..., 3:6], -LARGEST_LOG, LARGEST_LOG))
     boxes = jnp.concatenate(
-        [place, values[..., 2:3], jnp.exp(values[..., 3:6]), yaw, jnp.zeros((*yaw.shape[:-1], 2))],
+        [place, values[..., 2:3], size, yaw, jnp.zeros((*yaw.shape[:-1], 2))],
         -1,
     )
     return Peaks(boxes, kind, score)

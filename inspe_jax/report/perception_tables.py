@@ -12,10 +12,11 @@ SHOWN = {"translation": "ATE [m]", "scale": "ASE", "orientation": "AOE [rad]"}
 """Errors in the table, by nuScenes' short names. One frame does not tell velocity."""
 
 
-def evaluation_table(found: Evaluation) -> Table:
-    """AP by class and distance, and the mean errors of what was found at 2 m."""
+def evaluation_table(found: Evaluation, note: str = "") -> Table:
+    """AP by class and distance, and the mean errors of what was found at 2 m; ``note`` ends the
+    title."""
     table = table_of(
-        f"mAP {found.mean_ap:.1%} of {found.frames:,} frames",
+        f"mAP {found.mean_ap:.1%} of {found.frames:,} frames{note}",
         "class",
         "users",
         *(f"{distance:g} m" for distance in DISTANCES),

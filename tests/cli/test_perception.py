@@ -1,6 +1,7 @@
 """`inspe train`, `evaluate` and `detect`, from a set to a figure."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -82,6 +83,15 @@ def test_detect_lists_and_draws_a_frame(trained, tmp_path):
     ]
 
 
+def test_a_training_that_is_not_done_is_measured_as_such(trained, tmp_path):
+    shutil.copytree(trained / "run", tmp_path / "run")
+    record = tmp_path / "run" / "run.json"
+    record.write_text(record.read_text().replace('"steps": 2', '"steps": 1000'))
+    found = run("evaluate", tmp_path / "run", trained / "set_cache")
+    assert "of 3 frames, after 2 of 1,000 steps" in found.output
+    assert "steps" not in run("evaluate", trained / "run", trained / "set_cache").output
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -101,6 +111,8 @@ def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
     found = run("train", trained / "set", *words, "--out", tmp_path / "run")
     assert "lss-eff needs pictures, and the cache was made without" in str(found.exception)
     found = run("train", trained / "set", "--pictures", "big", "--out", tmp_path / "run")
-    found_too = run("train", trained / "set", "--rate", "-1", "--out", tmp_path / "run")
-    assert "training: rate: input should be greater than 0" in str(found_too.exception)
     assert "--pictures big: width and height such as 400x300, or none" in str(found.exception)
+    found = run("train", trained / "set_cache", "--pictures", "64x48", "--out", tmp_path / "run")
+    assert "set_cache: is a cache without 64x48: leave --pictures out" in str(found.exception)
+    found = run("train", trained / "set", "--rate", "-1", "--out", tmp_path / "run")
+    assert "training: rate: input should be greater than 0" in str(found.exception)

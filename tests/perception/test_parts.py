@@ -21,7 +21,16 @@ from inspe_jax.perception.fusion.windows import (
     to_grids,
     to_windows,
 )
-from inspe_jax.perception.head import LEAST_RADIUS, OVERLAP, Found, aims, loss, peaks, radius
+from inspe_jax.perception.head import (
+    LARGEST_LOG,
+    LEAST_RADIUS,
+    OVERLAP,
+    HeadOutput,
+    aims,
+    loss,
+    peaks,
+    radius,
+)
 from inspe_jax.perception.inputs import BevGrid, Inputs
 from inspe_jax.perception.layers import Depthwise, Norm, attend
 from inspe_jax.perception.perspective import perspective_aims, perspective_loss
@@ -232,6 +241,15 @@ def road_users() -> Targets:
     return Targets(boxes, kind, kind, np.zeros((2, 6, 0), np.int32), np.zeros((2, 6, 0)), mask)
 
 
+def test_sizes_are_numbers_whatever_the_head_tells():
+    values = np.full((1, GRID.side, GRID.side, 8), 1e4, np.float32)
+    values[..., 3] = -1e4
+    found = HeadOutput(np.zeros((1, GRID.side, GRID.side, len(KINDS)), np.float32), values)
+    sizes = np.asarray(jax.jit(lambda found: peaks(found, GRID))(found).boxes[..., 3:6])
+    np.testing.assert_allclose(sizes[..., 0], np.exp(-LARGEST_LOG), rtol=1e-5)
+    np.testing.assert_allclose(sizes[..., 1:], np.exp(LARGEST_LOG), rtol=1e-5)
+
+
 def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
     targets = road_users()
 
@@ -244,8 +262,13 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
             jnp.where(aim.mask[..., None], aim.values, 0.0)
         )
         heat = jnp.clip(aim.heat, 1e-6, 1 - 1e-6)
-        found = Found(jnp.log(heat / (1 - heat)), values)
-        return aim, peaks(found, GRID), loss(found, aim), loss(Found(-found.heat, values + 1), aim)
+        found = HeadOutput(jnp.log(heat / (1 - heat)), values)
+        return (
+            aim,
+            peaks(found, GRID),
+            loss(found, aim),
+            loss(HeadOutput(-found.heat, values + 1), aim),
+        )
 
     aim, found, right, wrong = jax.tree.map(np.asarray, around(targets))
     inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)

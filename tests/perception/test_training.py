@@ -1,7 +1,11 @@
 """Trainings: repeated, stopped, damaged, refused."""
 
+import os
 import shutil
+import subprocess
+import sys
 from importlib import import_module
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,8 +17,9 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Settings, Training, open_run, train, train_all
-from inspe_jax.perception.training.run import LOSSES, VALIDATION
+from inspe_jax.perception.training.run import LOSSES, VALIDATION, Run, begun
 from inspe_jax.perception.training.source import cache_of, check_pictures
+from inspe_jax.perception.training.train import content_of
 
 GRID = BevGrid(half=12.8)
 SETTINGS = Settings(model="coalign", steps=4, batch=2, every=2, validate_frames=2, rate=1e-3)
@@ -92,6 +97,51 @@ def test_trainings_by_workers_are_the_same_and_one_that_fails_stops_no_other(
     assert found["good"].rows(LOSSES) == whole.rows(LOSSES)
     assert told[-1] == (8, 8)
     assert {done for done, _ in told} >= {5, 6}  # of single steps
+
+
+ON_TWO = """
+import sys
+from importlib import import_module
+import jax
+from inspe_jax.dataset import open_cache
+from test_training import GRID, SETTINGS
+
+room = import_module("inspe_jax.perception.training.train")
+placed = room._placed
+
+def placed_and_told(arrays):
+    found = placed(arrays)
+    print(max(len(leaf.sharding.device_set) for leaf in jax.tree.leaves(found)))
+    return found
+
+room._placed = placed_and_told
+room.train(open_cache(sys.argv[1]), sys.argv[2], SETTINGS, grid=GRID)
+"""
+
+
+@pytest.mark.process
+def test_two_devices_share_a_batch(stopped_and_not, cached, tmp_path):
+    """Each has a frame, and losses are those of one device."""
+    flags = "--xla_force_host_platform_device_count=2"
+    here = Path(__file__).parent
+    ran = subprocess.run(
+        [sys.executable, "-c", ON_TWO, str(cached.path), str(tmp_path / "run")],
+        env=os.environ
+        | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}", "JAX_PLATFORMS": "cpu"}
+        | {"PYTHONPATH": os.pathsep.join(map(str, [here, here.parent, here.parent.parent]))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.split() == ["2"] * SETTINGS.steps
+    alone, shared = (run.rows(LOSSES) for run in (stopped_and_not[0], open_run(tmp_path / "run")))
+    for name in ("heat", "values"):
+        one, two = (np.array([row[name] for row in rows]) for rows in (alone, shared))
+        # Another order of a sum of 65,000 is off by 6e-8 × √65,000. Adam makes a whole step of a
+        # gradient near 0, whichever its sign: so the steps after the first are further off.
+        np.testing.assert_allclose(two[0], one[0], rtol=1.5e-5)
+        np.testing.assert_allclose(two, one, rtol=1e-3)
 
 
 def test_two_trainings_in_one_folder_are_refused(cached, tmp_path):
@@ -176,9 +226,6 @@ def test_other_settings_are_refused_in_the_same_folder(stopped_and_not, cached, 
             train(cached, folder, other, grid=GRID)
     with pytest.raises(InspeError, match=r"this run has half 12\.8, not 25\.6"):
         train(cached, folder, SETTINGS, grid=BevGrid(half=25.6))
-    (tmp_path / "mine.txt").touch()
-    with pytest.raises(InspeError, match=r"has other files, such as mine.txt"):
-        train(cached, tmp_path, SETTINGS, grid=GRID)
     with pytest.raises(InspeError, match="not a training run"):
         open_run(tmp_path)
 
@@ -195,7 +242,7 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
     def broken(constant, detector, moments):
         return detector, moments, room._Losses(np.nan, 0.0, 0.0, 0.0)
 
-    monkeypatch.setattr(room, "_step", broken)
+    monkeypatch.setattr(room, "training_step", broken)
     with pytest.raises(
         InspeError, match=r"step 3 gave no numbers: train into another folder.* 2 stays"
     ):
@@ -203,10 +250,24 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
     assert open_run(folder).steps == 2
 
 
-def test_only_one_process_trains_a_run(stopped_and_not, cached):
-    run = stopped_and_not[1]
-    with run.locked(), pytest.raises(InspeError, match="is in use by another run"):
-        train(cached, run.path, SETTINGS, grid=GRID)
+def test_only_one_process_trains_a_run(cached, tmp_path):
+    """Also before its first state, when another would replace its record."""
+    folder = tmp_path / "run"
+    with begun(folder, content_of(cached, SETTINGS, GRID)) as run:
+        for rate in (SETTINGS.rate, 0.1):
+            other = SETTINGS.model_copy(update={"rate": rate})
+            with pytest.raises(InspeError, match="is in use by another run"):
+                train(cached, folder, other, grid=GRID)
+        assert open_run(folder) == run
+    with begun(folder, content_of(cached, SETTINGS, GRID)) as again:
+        assert again == run
+
+
+def test_other_files_are_left_as_they_are(cached, tmp_path):
+    (tmp_path / "mine.txt").touch()
+    with pytest.raises(InspeError, match=r"has other files, such as mine.txt"):
+        train(cached, tmp_path, SETTINGS, grid=GRID)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
 def test_a_model_needs_its_sensors(cached, tmp_path):
@@ -225,9 +286,15 @@ def test_a_model_needs_its_sensors(cached, tmp_path):
 def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
     other = cache_of(tmp_path / "set", pictures=(24, 32), folder=tmp_path / "other")
+    run = stopped_and_not[0]
+    check_pictures(run, other)  # coalign takes none
+    settings = run.content.settings.model_copy(update={"model": "lss-eff"})
+    run = Run(run.path, run.content.model_copy(update={"settings": settings}))
     with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
-        check_pictures(stopped_and_not[0], other)
+        check_pictures(run, other)
     assert cache_of(other.path, pictures=None).pictures == (24, 32)
+    with pytest.raises(InspeError, match=r"other: is a cache already: leave .*more out"):
+        cache_of(other.path, pictures=None, folder=tmp_path / "more")
 
 
 def test_a_run_of_an_earlier_version_is_refused(stopped_and_not, tmp_path):

@@ -146,28 +146,29 @@ class Run:
         _, (detector, _) = self.restore()
         return detector
 
-    @contextmanager
-    def locked(self) -> Iterator[None]:
-        """While the run is trained: nobody else trains it, and what a kill left unfinished goes.
 
-        Raises InspeError if another process does.
-        """
-        lock = lock_folder(self.path, LOCK)
-        try:
-            for part in self.path.glob(".*.part"):
-                part.unlink()
-            yield
-        finally:
-            lock.release()
+@contextmanager
+def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Run]:
+    """A run in ``folder``, new or begun before with the same content, while it is trained.
 
-
-def begin(folder: str | os.PathLike[str], content: Content) -> Run:
-    """A run in ``folder``, new or begun before with the same content.
-
-    A run without a state is replaced: nothing of it would be lost. Raises InspeError if the folder
-    has another run, saying what is different, or other files.
+    Until then nobody else begins or trains it, and what a kill left unfinished goes. A run without
+    a state is replaced: nothing of it would be lost. Raises InspeError if another process trains
+    it, or if the folder has another run, saying what is different, or other files.
     """
     path = prepare_folder(folder).resolve()
+    if not (path / RECORD).is_file():
+        _check_no_others(path)  # before a lock is written there
+    lock = lock_folder(path, LOCK)
+    try:
+        for part in path.glob(".*.part"):
+            part.unlink()
+        yield _recorded(path, content)
+    finally:
+        lock.release()
+
+
+def _recorded(path: Path, content: Content) -> Run:
+    """The run of a folder, whose record is written if it has no state of another."""
     if (path / RECORD).is_file():
         run = open_run(path)
         if run.content == content:
@@ -178,20 +179,23 @@ def begin(folder: str | os.PathLike[str], content: Content) -> Run:
             key = next(key for key in given if key != "settings" and had[key] != given[key])
             what = f"{key} {had[key]}, not {given[key]}"
             raise InspeError(
-                f"{folder}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
+                f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
                 f"another folder, or give the same again to go on"
             )
-    own = {RECORD, LOCK, LOSSES, VALIDATION}
-    others = sorted(
-        child.name
-        for child in path.iterdir()
-        if child.name not in own and child.suffix != ".part" and child.name != TEACHER_RUN
-    )
-    if others:
-        raise InspeError(f"{folder}: has other files, such as {others[0]}: name an empty folder")
+        _check_no_others(path)
     record = _Record(format=FORMAT, content=content)
     write_text(path / RECORD, json.dumps(record.model_dump(), indent=2) + "\n")
     return Run(path, content)
+
+
+def _check_no_others(path: Path) -> None:
+    """Raise InspeError if a folder has files that are not those of a run without a state."""
+    own = {RECORD, LOCK, LOSSES, VALIDATION, TEACHER_RUN}
+    others = sorted(
+        child.name for child in path.iterdir() if child.name not in own and child.suffix != ".part"
+    )
+    if others:
+        raise InspeError(f"{path}: has other files, such as {others[0]}: name an empty folder")
 
 
 def open_run(folder: str | os.PathLike[str]) -> Run:

@@ -24,8 +24,7 @@ class Settings(BaseModel):
     steps the state is kept, and the mAP of ``validate_frames`` frames of the split ``validate`` is
     measured. With ``augment``, frames are mirrored, turned and scaled at random.
 
-    The defaults are for a study on two cores: the same number of steps for each model and
-    placement, after which most of the mAP is there.
+    The defaults are what two cores train in an hour.
     """
 
     model_config = STRICT

@@ -7,6 +7,7 @@ from pathlib import Path
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Cache, cache, open_cache
 from inspe_jax.dataset.loading.caching import CACHE
+from inspe_jax.perception.detector import model_of
 from inspe_jax.perception.training.run import Run
 
 
@@ -21,10 +22,12 @@ def cache_of(
 
     What of the set is not decoded yet is decoded into ``folder``, or else into a folder beside the
     set, which has its name and ``_cache``. ``pictures`` are resized to (height, width); a cache
-    that is given has the size that it has.
+    that is given has the size that it has. Raises InspeError if it is given with a ``folder``.
     """
     source = Path(source)
     if (source / CACHE).is_file():
+        if folder is not None:
+            raise InspeError(f"{source}: is a cache already: leave {folder} out, or name the set")
         return open_cache(source)
     beside = source.resolve()
     into = beside.with_name(f"{beside.name}_cache") if folder is None else folder
@@ -32,9 +35,9 @@ def cache_of(
 
 
 def check_pictures(run: Run, found: Cache) -> None:
-    """Raise InspeError if a run's detector takes pictures of another size than a cache has."""
+    """Raise InspeError if a run's detector takes pictures, of another size than a cache has."""
     size = None if found.pictures is None else list(found.pictures)
-    if run.content.cameras and size != run.content.pictures:
+    if "camera" in model_of(run.content.settings.model).sensors and size != run.content.pictures:
         height, width = run.content.pictures or (0, 0)
         has = "no pictures" if size is None else f"pictures of {size[1]}x{size[0]}"
         raise InspeError(

@@ -21,7 +21,7 @@ from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.perspective import perspective_loss
 from inspe_jax.perception.training.optimiser import Optimiser, optimiser
 from inspe_jax.perception.training.predict import NoTruth, Predictor, loader_of
-from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begin
+from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begun
 from inspe_jax.perception.training.settings import (
     AUGMENT,
     Content,
@@ -103,13 +103,13 @@ def train(
         augment=AUGMENT if settings.augment else None,
         workers=workers,
     )
-    run = begin(folder, content_of(cache, settings, grid))
-    teacher = None
-    if model.taught:
-        own = settings.model_copy(update={"model": TEACHER})
-        into = run.path / TEACHER_RUN
-        teacher = train(cache, into, own, grid=grid, workers=workers, progress=progress).detector()
-    with run.locked():
+    with begun(folder, content_of(cache, settings, grid)) as run:
+        teacher = None
+        if model.taught:
+            own = settings.model_copy(update={"model": TEACHER})
+            into = run.path / TEACHER_RUN
+            taught = train(cache, into, own, grid=grid, workers=workers, progress=progress)
+            teacher = taught.detector()
         _train(loader, run, teacher, progress)
     return run
 
@@ -133,7 +133,7 @@ def _train(
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
         inputs, targets = _placed((inputs_of(batch, agents), batch.targets))
         constant = teacher, inputs, targets, grid, chain
-        detector, moments, losses = _step(constant, detector, moments)
+        detector, moments, losses = training_step(constant, detector, moments)
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
         due = number % settings.every == 0 or number == settings.steps
@@ -178,7 +178,7 @@ def objective(
 
 
 @eqx.filter_jit(donate="all-except-first")
-def _step(
+def training_step(
     constant: tuple[Detector | None, Inputs, Targets, BevGrid, Optimiser],
     detector: Detector,
     moments: Any,

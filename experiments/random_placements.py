@@ -58,7 +58,7 @@ from inspe_jax.simulation.frame import KINDS
 from inspe_jax.study.sources import SceneSource
 from inspe_jax.study.work import scene_of
 
-HELD_OUT = ("Town05 four-way", "Town10HD four-way")
+TEST_PLACES = ("Town05 four-way", "Town10HD four-way")
 """Where the detector is measured: one of two roads of many lanes, and one with crosswalks."""
 LIDAR = "paper-lidar-32"
 COUNTS = (1, 2, 3, 4)
@@ -126,7 +126,7 @@ def options() -> argparse.Namespace:
 # ── Placements ──────────────────────────────────────────────────────────────
 
 
-def drawn(scene: Scene, number: int, seed: int) -> dict[str, Layout]:
+def random_layouts(scene: Scene, number: int, seed: int) -> dict[str, Layout]:
     """Random placements that can be mounted, of one to four LiDARs in turns."""
     found = {}
     for count in COUNTS:
@@ -149,11 +149,11 @@ def picked(scene: Scene, size: Size, seed: int) -> dict[str, Layout]:
             result = inspe_jax.optimise(
                 scene, start, evaluations=size.search, seed=seed, objective=objective
             )
-            found[found_from(name, metric)] = result.layout
+            found[searched_from(name, metric)] = result.layout
     return found
 
 
-def found_from(name: str, metric: str) -> str:
+def searched_from(name: str, metric: str) -> str:
     """The name of what a search for a metric found from a placement."""
     return f"found for {SCORES[metric]} from {name}"
 
@@ -168,13 +168,13 @@ def placed(
     names = [f"random {k}" for k in range(number)]
     if test:
         for name in size.by_hand:
-            names += [name, *(found_from(name, metric) for metric in SEARCHED)]
+            names += [name, *(searched_from(name, metric) for metric in SEARCHED)]
     files = [folder / f"{name}.yaml" for name in names]
     if all(file.is_file() for file in files) and scores.is_file() == test:
         return files
     folder.mkdir(parents=True, exist_ok=True)
     scene = scene_of(source, settings)
-    layouts = drawn(scene, number, seed)
+    layouts = random_layouts(scene, number, seed)
     if test:
         layouts |= picked(scene, size, seed)
         rows = []
@@ -203,7 +203,7 @@ def planned(given: argparse.Namespace, size: Size, test: bool, into: Path) -> Ge
     scenarios: list[Any] = []
     scenes = places(given) if given.quick else on_maps(places(given))
     for number, scene in enumerate(scenes, 1):
-        if test != (number == len(scenes) if given.quick else scene["name"] in HELD_OUT):
+        if test != (number == len(scenes) if given.quick else scene["name"] in TEST_PLACES):
             continue
         settings: dict[str, Any] = dict(
             mix="fleet", density=list(size.densities), seed=given.seed,
@@ -221,14 +221,14 @@ def planned(given: argparse.Namespace, size: Size, test: bool, into: Path) -> Ge
     return Generation("random", tuple(scenarios))
 
 
-Found = dict[tuple[str, str], tuple[list[Detections], list[Detections]]]
+ByPlacement = dict[tuple[str, str], tuple[list[Detections], list[Detections]]]
 
 
-def detected(run: Run, data: Cache, which: dict[str, tuple[str, str]]) -> Found:
+def detected(run: Run, data: Cache, which: dict[str, tuple[str, str]]) -> ByPlacement:
     """Detections and truth of each place and placement; ``which`` these are, by scenario."""
     predictor = predictor_of(run)
     loader: Loader = loader_of(MODEL, data, "test", predictor.grid, batch=1, shuffle=False)
-    found: Found = {}
+    found: ByPlacement = {}
     with progress("measuring") as bar:
         for done, batch in enumerate(loader, 1):
             at = which[loader.scenarios[int(batch.scenario[0])].name]
@@ -257,7 +257,7 @@ def at_random(row: dict[str, Any]) -> bool:
     return bool(row["layout"].startswith("random"))
 
 
-def within(values: np.ndarray, groups: list[str]) -> np.ndarray:
+def less_group_means(values: np.ndarray, groups: list[str]) -> np.ndarray:
     """Values less the mean of their group."""
     of = np.unique(groups, return_inverse=True)[1]
     return values - (np.bincount(of, values) / np.bincount(of))[of]
@@ -273,7 +273,7 @@ def correlation(
 
     def of(some: np.ndarray) -> float:
         own = [groups[k] for k in some]
-        return float(measure(within(x[some], own), within(y[some], own))[0])
+        return float(measure(less_group_means(x[some], own), less_group_means(y[some], own))[0])
 
     return of(np.arange(len(rows))), *interval(of, len(rows), RESAMPLES)
 
@@ -299,13 +299,13 @@ def correlations(rows: Rows) -> Rows:
     return found
 
 
-def told(rows: Rows) -> list[str]:
+def summary(rows: Rows) -> list[str]:
     """What the searches gained, and where P_sm is furthest off, in lines."""
     lines = ["| place | from | searched | gain in P_sm | in D | in mAP |", "|---" * 6 + "|"]
     for place in dict.fromkeys(row["place"] for row in rows):
         own = {row["layout"]: row for row in rows if row["place"] == place}
         for name, metric in itertools.product(own, SEARCHED):
-            if found := own.get(found_from(name, metric)):
+            if found := own.get(searched_from(name, metric)):
                 better = {key: float(found[key]) - float(own[name][key]) for key in GAINED}
                 gains = " | ".join(f"{better[key]:{form}}" for key, form in GAINED.items())
                 lines.append(f"| {place} | {name} | {SCORES[metric]} | {gains} |")
@@ -323,13 +323,13 @@ def told(rows: Rows) -> list[str]:
 def off_the_line(rows: Rows) -> np.ndarray:
     """How far mAP is off the line over P_sm, without the mean of each place, in points."""
     x, y = (
-        within(np.array([float(r[key]) for r in rows]), [r["place"] for r in rows])
+        less_group_means(np.array([float(r[key]) for r in rows]), [r["place"] for r in rows])
         for key in ("surrogate", "mean_ap")
     )
     return y - np.polyval(np.polyfit(x, y, 1), x)
 
 
-def draw_furthest(rows: Rows, found: Found, scenes: dict[str, Scene], into: Path) -> Figure:
+def draw_furthest(rows: Rows, found: ByPlacement, scenes: dict[str, Scene], into: Path) -> Figure:
     """The two placements furthest above the line and the two furthest below it: how often each
     column is seen, and the road users that the detector finds, and misses."""
     off = off_the_line(rows)
@@ -453,7 +453,7 @@ def main() -> None:
         if row["road_user"] == "mean":
             value = f"{row['correlation']} {row['value']} [{row['low']}, {row['high']}]"
             console.print(f"less {row['less']}: {SCORES[row['metric']]}: {value}", highlight=False)
-    console.print("\n".join(told(rows)), highlight=False)
+    console.print("\n".join(summary(rows)), highlight=False)
     draw(rows, related).savefig(path.with_suffix(".png"), dpi=150)
     furthest.savefig(path.with_name(f"{stem}_furthest.png"), dpi=110)
     console.print(f"wrote {path}, .json and two .png", highlight=False)

@@ -91,7 +91,7 @@ SETS: dict[str, dict[str, Any]] = {
 scenario has a frame a second."""
 HELD_OUT = {"places": "On other intersections", "time": "At another time"}
 """Titles, by what rows are of."""
-STEPS = 1500
+STEPS = 600
 RESAMPLES = 10_000
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
@@ -208,8 +208,8 @@ def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run
     with progress(folder.name) as bar:
 
         def report(now: Report) -> None:
-            told = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
-            bar(now.step, now.steps, folder.name, f"loss {now.loss:.2f}{told}")
+            measured = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
+            bar(now.step, now.steps, folder.name, f"loss {now.loss:.2f}{measured}")
 
         return train(data, folder, settings, grid=grid, progress=report if bar else None)
 
@@ -381,8 +381,8 @@ def seeds_table(rows: Rows, of: str) -> str:
                 np.mean(list(means([row for row in own if row["seed"] == seed], of).values()))
                 for seed in seeds
             ]
-            told = ", ".join(f"{ap:.1f}" for ap in each)
-            lines.append(f"| {NAMES[model]} | {placement} | {told} | {np.std(each, ddof=1):.1f} |")
+            cell = ", ".join(f"{ap:.1f}" for ap in each)
+            lines.append(f"| {NAMES[model]} | {placement} | {cell} | {np.std(each, ddof=1):.1f} |")
     return "\n".join(lines)
 
 
@@ -406,7 +406,7 @@ def spearman(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
     return pearson(rankdata(x, axis=axis), rankdata(y, axis=axis), axis)
 
 
-def drawn(
+def resampled(
     measure: Any, x: np.ndarray, y: np.ndarray, rows: np.ndarray, axis: int = -1
 ) -> np.ndarray:
     """A correlation between some rows of two arrays."""
@@ -428,7 +428,7 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
         for metric in METRICS:
             x = np.array([ours[placement, metric][0] for placement in own])
             for name, measure in (("pearson", pearson), ("spearman", spearman)):
-                low, high = interval(partial(drawn, measure, x, y), len(own))
+                low, high = interval(partial(resampled, measure, x, y), len(own))
                 value = float(measure(x, y))
                 rows.append(
                     dict(road_user=kind or "all", metric=metric, correlation=name,
@@ -455,10 +455,10 @@ def correlations_table(rows: list[dict[str, Any]]) -> str:
         cells: dict[str, list[str]] = {}
         for row in rows:
             if (row["frames_of"], row["road_user"]) == (of, kind):
-                within = f" [{row['low']:.2f}, {row['high']:.2f}]" if kind == "all" else ""
-                cells.setdefault(row["metric"], []).append(f"{row['value']:.2f}{within}")
-        told = " | ".join(", ".join(both) for both in cells.values())
-        lines.append(f"| {of}, {kind} | {told} |")
+                ends = f" [{row['low']:.2f}, {row['high']:.2f}]" if kind == "all" else ""
+                cells.setdefault(row["metric"], []).append(f"{row['value']:.2f}{ends}")
+        line = " | ".join(", ".join(both) for both in cells.values())
+        lines.append(f"| {of}, {kind} | {line} |")
     return "\n".join(lines)
 
 
@@ -476,7 +476,7 @@ def conclusions(found: Means) -> list[str]:
         min(of["Cam-d1"], of["Cam-d2"]) - of["Cam-c"],
     )
     second, fourth = of["L-d2"] - of["L-c"], of["L-d1"] - of["L-d2"]
-    told = (
+    claims = (
         ("LiDARs add 20 to 40 points to cameras", all(20 <= g <= 40 for g in gains), gains),
         ("distributed beats centralised", min(distributed) > 0, distributed),
         (
@@ -488,7 +488,7 @@ def conclusions(found: Means) -> list[str]:
     )
     return [
         f"{'yes' if right else 'no'}: {claim} ({', '.join(f'{n:+.1f}' for n in numbers)})"
-        for claim, right, numbers in told
+        for claim, right, numbers in claims
     ]
 
 

@@ -69,7 +69,6 @@ SEARCHED = ("surrogate", "detectability")
 """What is searched for, from each placement by hand."""
 GAINED = {"surrogate": "+.3f", "detectability": "+.3f", "mean_ap": "+.1f"}
 """What a search is told to have gained: columns of records, and how they are written."""
-RESAMPLES = 1000
 MODEL = "coalign"
 FOUND: dict[bool, dict[str, Any]] = {
     True: dict(c="#0072b2", marker="o", s=10),
@@ -96,16 +95,17 @@ class Size(NamedTuple):
     by_hand: tuple[str, ...]
     search: float  # the work of a search, in exact scores
     steps: int
+    resamples: int  # for each interval
     scene: dict[str, Any]
     grid: BevGrid
 
 
 WHOLE = Size(
-    *(8, 15, 5, 12, ("medium", "high"), ("L-c", "L-d2", "L-d1"), 150, 600),
+    *(8, 15, 5, 12, ("medium", "high"), ("L-c", "L-d2", "L-d1"), 150, 600, 1000),
     *(dict(frames=100, radius=50.0), BevGrid()),
 )
 QUICK = Size(
-    *(4, 4, 1, 2, ("high",), ("L-c",), 4, 8),
+    *(4, 4, 1, 2, ("high",), ("L-c",), 4, 8, 50),
     dict(frames=4, radius=25.0, voxel=1.0),
     BevGrid(half=25.6),
 )
@@ -264,7 +264,12 @@ def less_group_means(values: np.ndarray, groups: list[str]) -> np.ndarray:
 
 
 def correlation(
-    rows: Rows, metric: str, ap: str, group: Callable[[dict[str, Any]], Any], measure: Any
+    rows: Rows,
+    metric: str,
+    ap: str,
+    group: Callable[[dict[str, Any]], Any],
+    measure: Any,
+    resamples: int,
 ) -> tuple[float, float, float]:
     """A correlation within groups of rows, and the middle 95 % of it over rows drawn anew."""
 
@@ -275,10 +280,10 @@ def correlation(
         own = [groups[k] for k in some]
         return float(measure(less_group_means(x[some], own), less_group_means(y[some], own))[0])
 
-    return of(np.arange(len(rows))), *interval(of, len(rows), RESAMPLES)
+    return of(np.arange(len(rows))), *interval(of, len(rows), resamples)
 
 
-def correlations(rows: Rows) -> Rows:
+def correlations(rows: Rows, resamples: int) -> Rows:
     """Of AP with each metric, over random placements."""
     chosen = [row for row in rows if at_random(row)]
     groups: dict[str, Callable[[dict[str, Any]], Any]] = {
@@ -291,7 +296,7 @@ def correlations(rows: Rows) -> Rows:
             ap = "mean_ap" if kind == "mean" else f"ap_{kind}"
             for metric in SCORES:
                 for name, measure in (("pearson", pearsonr), ("spearman", spearmanr)):
-                    value, low, high = correlation(chosen, metric, ap, group, measure)
+                    value, low, high = correlation(chosen, metric, ap, group, measure, resamples)
                     found.append(
                         dict(less=less, road_user=kind, metric=metric, correlation=name,
                              value=round(value, 3), low=round(low, 3), high=round(high, 3))
@@ -447,7 +452,7 @@ def main() -> None:
         furthest = draw_furthest(rows, found, scenes, into)
     path = given.out / f"{stem}.csv"
     write_results(path, rows, dict(vars(given), size=size._asdict()))
-    related = correlations(rows)
+    related = correlations(rows, size.resamples)
     write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(vars(given)))
     for row in related:
         if row["road_user"] == "mean":

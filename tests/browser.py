@@ -15,6 +15,11 @@ OPTIONS = (
     "--enable-unsafe-swiftshader",
 )
 """Also as root, and in three dimensions without a graphics card."""
+UNDRAWN = """for (const name of ['drawArrays', 'drawElements', 'drawRangeElements',
+        'drawArraysInstanced', 'drawElementsInstanced'])
+    WebGL2RenderingContext.prototype[name] = () => {};"""
+"""In a page: nothing is drawn in three dimensions, which without a graphics card takes most of the
+time. All else is as it is, also what is met by a click."""
 
 
 @contextmanager

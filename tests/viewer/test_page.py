@@ -11,7 +11,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from browser import browser, errors_of
+from browser import UNDRAWN, browser, errors_of
 from scipy.ndimage import binary_erosion
 from worlds import world
 
@@ -60,7 +60,18 @@ def viewer(scene, layout, tmp_path):
 @pytest.fixture
 def tab(chromium, viewer):
     """A page on the viewer, with the scores of all frames; it must not complain."""
+    yield from page_on(viewer, chromium, UNDRAWN)
+
+
+@pytest.fixture
+def drawn_tab(chromium, viewer):
+    """The same, with its scene in three dimensions."""
+    yield from page_on(viewer, chromium, "")
+
+
+def page_on(viewer, chromium, script):
     found = chromium.new_page(viewport={"width": 1440, "height": 900})
+    found.add_init_script(script)
     wrong = errors_of(found)
     found.goto(viewer.url)
     settled(found)
@@ -293,26 +304,26 @@ def test_voxels_are_shown_by_kind_and_frames_are_played(tab, viewer):
     tab.get_by_label("Play").uncheck()
 
 
-def test_what_is_seen_hides_no_blind_spot(tab, viewer):
+def test_what_is_seen_hides_no_blind_spot(drawn_tab, viewer):
     """As many dark pixels with its tint as without, and with no tint of blind spots nearly none."""
 
     def dark():
         """Pixels that are dark, and so are all near them: not those of a smoothed edge."""
-        tab.wait_for_timeout(1500)
+        drawn_tab.wait_for_timeout(1500)
         stage = {"x": 0, "y": 0, "width": 1000, "height": 900}  # without the panel
-        picture = plt.imread(io.BytesIO(tab.screenshot(clip=stage)))[..., :3]
+        picture = plt.imread(io.BytesIO(drawn_tab.screenshot(clip=stage)))[..., :3]
         return int(binary_erosion(picture.max(-1) < 0.35, iterations=2).sum())
 
     def tick(label, on):
-        tab.get_by_label(label, exact=True).set_checked(on)
+        drawn_tab.get_by_label(label, exact=True).set_checked(on)
         meshes = viewer.scene3d.drawn.items()
         kind = {"seen": "voxels/seen/", "never in view": "voxels/out of view/"}[label]
-        wait_until(tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
+        wait_until(drawn_tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
 
-    first = score_of(tab)
+    first = score_of(drawn_tab)
     view_of(viewer).select(1)  # the LiDAR, which has all in view
     view_of(viewer).remove()
-    settled(tab, first)
+    settled(drawn_tab, first)
     without = dark()
     assert without > 10_000
     for _ in range(3):

@@ -9,7 +9,7 @@ from nbclient import NotebookClient
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
 
 AS_A_READER = {"02_gradient_vs_grid"}
-"""Compiled as for a reader: what it saves to compile gradients as for tests, it loses as they run."""
+"""Compiled as for a reader: gradients that are compiled as for tests run too long."""
 
 
 @pytest.mark.notebook

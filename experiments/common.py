@@ -34,12 +34,18 @@ MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 """A browser to look at pages with, where there is one."""
-
-
+CHROMIUM_OPTIONS = (
+    "--no-sandbox",
+    "--ignore-gpu-blocklist",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+"""Also as root, and in three dimensions without a graphics card."""
 UNDRAWN = """for (const name of ['drawArrays', 'drawElements', 'drawRangeElements',
         'drawArraysInstanced', 'drawElementsInstanced'])
     WebGL2RenderingContext.prototype[name] = () => {};"""
-"""In a page: nothing is drawn in three dimensions, as though a graphics card did it at once."""
+"""In a page: nothing is drawn in three dimensions, as though a graphics card did it at once. All
+else is as it is, also what a click meets."""
 
 
 @contextmanager
@@ -50,9 +56,8 @@ def browser_on(url: str, *, drawn: bool = True) -> Iterator[Any]:
     """
     from playwright.sync_api import sync_playwright
 
-    options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=options)
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=list(CHROMIUM_OPTIONS))
         tab = chromium.new_page(viewport={"width": 1440, "height": 900})
         if not drawn:
             tab.add_init_script(UNDRAWN)
@@ -126,7 +131,14 @@ def machine() -> dict[str, str]:
 
 
 def peak_memory() -> float:
-    """Peak resident memory of this process so far [GiB]."""
+    """Peak resident memory of this process so far [GiB].
+
+    On Linux not by ``getrusage``, whose peak begins at that of the process that started this one.
+    """
+    status = Path("/proc/self/status")
+    if status.is_file():
+        line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
+        return int(line.split()[1]) / 2**20
     unit = 1 if sys.platform == "darwin" else 1024  # bytes on macOS, KiB on Linux
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
 

@@ -4,10 +4,11 @@ Records the ten intersections under the paper's three placements of cameras and 
 other six are parts, and trains the eight detectors on three placements each, all for the same
 number of steps. Each is measured on two intersections that it has not seen, and on another time at
 all ten. Tells nuScenes' mAP by detector, placement and class beside the paper's (``--paper1 FILE``,
-with the columns model, placement, class, map_percent), the correlation of the mean mAP of a
-placement with its P_sm, C, O and IG (``table2.csv``), with intervals from resampling the
-placements, and what the paper concludes from its table, yes or no with numbers; both also for
-another time and for the paper's own mAP.
+with the columns model, placement, class, map_percent), and that of each seed where there are
+several; the mean mAP of each placement beside its P_sm, and its correlation with P_sm, C, O and IG
+(``table2.csv``), with intervals from resampling the placements; and what the paper concludes from
+its table, yes or no with numbers. All but the first are told for another time, too, and for the
+paper's own mAP.
 
 P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``paper``.
 
@@ -432,7 +433,7 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
                 value = float(measure(x, y))
                 rows.append(
                     dict(road_user=kind or "all", metric=metric, correlation=name,
-                         value=round(value, 3), low=round(low, 3), high=round(high, 3))
+                         value=value, low=low, high=high)
                 )  # fmt: skip
     return rows
 
@@ -449,16 +450,16 @@ def placements_table(found: dict[str, Means], ours: Any) -> str:
 
 def correlations_table(rows: list[dict[str, Any]]) -> str:
     """Pearson's and Spearman's with each metric in Markdown, the intervals for all classes."""
-    symbols = [METRICS[metric] for metric in dict.fromkeys(row["metric"] for row in rows)]
-    lines = ["| mAP of | " + " | ".join(symbols) + " |", "|---" * (1 + len(symbols)) + "|"]
+    shown = {"surrogate": METRICS["surrogate"]} | METRICS
+    lines = ["| mAP of | " + " | ".join(shown.values()) + " |", "|---" * (1 + len(shown)) + "|"]
     for of, kind in dict.fromkeys((row["frames_of"], row["road_user"]) for row in rows):
         cells: dict[str, list[str]] = {}
         for row in rows:
             if (row["frames_of"], row["road_user"]) == (of, kind):
                 ends = f" [{row['low']:.2f}, {row['high']:.2f}]" if kind == "all" else ""
                 cells.setdefault(row["metric"], []).append(f"{row['value']:.2f}{ends}")
-        line = " | ".join(", ".join(both) for both in cells.values())
-        lines.append(f"| {of}, {kind} | {line} |")
+        line = " | ".join(", ".join(cells[metric]) for metric in shown)
+        lines.append(f"| {of}{'' if kind == 'all' else f', {kind}s'} | {line} |")
     return "\n".join(lines)
 
 
@@ -565,7 +566,10 @@ def main() -> None:
     say(f"# Placements\n\n{placements_table(every, ours)}\n\n{correlations_table(related)}\n")
     for of, found in every.items():
         say("\n".join([f"# What the paper concludes: {of}", *conclusions(found)]))
-    write_results(given.out / f"{stem}_correlations.csv", related, dict(vars(given)))
+    written = [
+        row | {key: round(row[key], 3) for key in ("value", "low", "high")} for row in related
+    ]
+    write_results(given.out / f"{stem}_correlations.csv", written, dict(vars(given)))
     draw(of_own["places"], ours, paper).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
 

@@ -3,11 +3,13 @@
 The frames are like those of ``table1.py``: LiDARs and cameras of Cam-d1/L-d1, at the built-in
 four-way intersection, pictures of 400 × 300, and two frames a step. Measured for each detector, in
 a process of its own, one after the other: its number of parameters, how long a batch takes to load
-in one thread, what a step takes and its parts, and the peak of the process's memory.
+in one thread, what a step takes and its parts, and the peak of the process's memory, in which its
+compiling is included.
 
 The parts are differences: of the gradients of the encoders' maps, of the fused map, and of the
-whole loss; what is left of a step is the optimiser's. Where a teacher is needed, its maps are part
-of the loss. Each is the median over steps.
+whole loss; what is left of a step is the optimiser's. So a part is known no better than a step
+varies, and a small one may come out below 0. Where a teacher is needed, its maps are part of the
+loss. Each is the median over steps.
 
 Recorded frames stay in the folder of --keep.
 """
@@ -41,7 +43,7 @@ from inspe_jax.perception.training.train import objective, training_step
 QUICK_MODELS = ("coalign",)
 SHARE = 0.1
 """The largest share of a step that loading may take."""
-PARTS = ("encoders", "fusion", "head and losses", "optimiser")
+PARTS = ("encoders", "pyramids and fusion", "head and losses", "optimiser")
 
 console = Console()
 
@@ -166,7 +168,7 @@ def main() -> None:
     with kept_folder(given.keep) as into, progress("detectors") as bar:
         path = frames(given, into)
         for done, name in enumerate(models, 1):
-            # A process each: the most memory that one took before stays its peak.
+            # A process each, so that each has a peak of its own.
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 rows.append(pool.submit(measured, name, path, times, half).result())
             if bar:

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 import jaxlib
 import pytest
-from browser import CHROMIUM
+from common import CHROMIUM
 from worlds import MAPS
 
 from inspe_jax.core import compiling, parallel

@@ -118,7 +118,12 @@ def train_detector(
     size = picture_size(pictures or PICTURES)
     data = _cache(source, cache, size)
     if pictures and data.pictures != size:
-        raise InspeError(f"{source}: is a cache without {pictures}: leave --pictures out")
+        height, width = data.pictures or (0, 0)
+        has = f"pictures of {width}x{height}" if data.pictures else "no pictures"
+        raise InspeError(
+            f"{source}: is a cache and has {has}, not {pictures}: leave --pictures out, or give "
+            f"the set itself"
+        )
     try:
         if many:
             _train_many(data, folder, wanted, workers, scheduler)
@@ -216,12 +221,12 @@ def evaluate_detector(
 
     check_output(table, (".csv",))
     check_record(record)
-    run, loader, predictor = _ready(folder, source, cache, split)
+    run, step, loader, predictor = _ready(folder, source, cache, split)
     with progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
     rows = [dict(row) for row in found.rows()]
-    content = {"run": str(run.path), "split": split, "step": run.steps, "classes": rows}
-    show(evaluation_table(found, _unfinished(run)), json_value(content), record)
+    content = {"run": str(run.path), "split": split, "step": step, "classes": rows}
+    show(evaluation_table(found, _unfinished(run, step)), json_value(content), record)
     if table:
         write_text(table, csv_text(rows))
         (err if record == "-" else out).print(f"wrote {table}", highlight=False)
@@ -261,9 +266,9 @@ def detect(
 
     check_output(plot, FORMATS)
     check_record(record)
-    run, loader, predictor = _ready(folder, source, cache, split)
-    name, number, step = loader.find(scenario, frame)
-    batch = loader[step]
+    run, step, loader, predictor = _ready(folder, source, cache, split)
+    name, number, index = loader.find(scenario, frame)
+    batch = loader[index]
     with busy("detecting"):
         (found,) = predictor(batch)
     boxes = [
@@ -271,20 +276,21 @@ def detect(
         for box, kind, score in zip(*found, strict=True)
         if score >= least
     ]
-    where = {"run": str(run.path), "scenario": name, "frame": number}
-    show(detections_table(found, least), json_value({**where, "detections": boxes}), record)
+    where = {"run": str(run.path), "step": step, "scenario": name, "frame": number}
+    note = _unfinished(run, step)
+    show(detections_table(found, least, note), json_value({**where, "detections": boxes}), record)
     if plot:
         with busy("drawing"):
-            title = f"{run.content.settings.model}: {name}, frame {number}{_unfinished(run)}"
-            whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[step]
+            title = f"{run.content.settings.model}: {name}, frame {number}{note}"
+            whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[index]
             save_figure(draw(whole, 0, found, title, least_score=least), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)
 
 
-def _unfinished(run: "Run") -> str:
-    """What titles add for a training that is not done."""
+def _unfinished(run: "Run", step: int) -> str:
+    """What titles add for a detector of a training that was not done."""
     steps = run.content.settings.steps
-    return "" if run.done else f", after {run.steps:,} of {steps:,} steps"
+    return "" if step >= steps else f", after {step:,} of {steps:,} steps"
 
 
 def _training() -> ModuleType:
@@ -308,8 +314,10 @@ def _cache(source: Path, folder: Path | None, pictures: tuple[int, int] | None) 
         return cache_of(source, pictures=pictures, folder=folder, progress=tell)
 
 
-def _ready(folder: Path, source: Path, cache: Path | None, split: str) -> "tuple[Run, Loader, Any]":
-    """A run, the frames of a set in order, and what detects in them."""
+def _ready(
+    folder: Path, source: Path, cache: Path | None, split: str
+) -> "tuple[Run, int, Loader, Any]":
+    """A run, the step of its last state, the frames of a set in order, and what detects in them."""
     training = _training()
     from inspe_jax.perception.training.predict import loader_of
     from inspe_jax.perception.training.settings import check_sensors
@@ -317,10 +325,10 @@ def _ready(folder: Path, source: Path, cache: Path | None, split: str) -> "tuple
 
     run = training.open_run(folder)
     content = run.content
-    detector = run.detector()
+    step, detector = run.last()
     size = content.pictures
     data = _cache(source, cache, None if size is None else (size[0], size[1]))
     check_sensors(content.settings.model, data)
     check_pictures(run, data)
     loader = loader_of(content.settings.model, data, split, content.grid, batch=1, shuffle=False)
-    return run, loader, training.Predictor(detector, content.agents, content.grid)
+    return run, step, loader, training.Predictor(detector, content.agents, content.grid)

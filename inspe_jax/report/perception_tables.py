@@ -35,9 +35,10 @@ def evaluation_table(found: Evaluation, note: str = "") -> Table:
     return table
 
 
-def detections_table(found: Detections, least_score: float) -> Table:
-    """The detections of a frame with at least a score, highest first."""
-    table = table_of("Detections", "class", "score", "x, y [m]", "length × width × height [m]")
+def detections_table(found: Detections, least_score: float, note: str = "") -> Table:
+    """The detections of a frame with at least a score, highest first; ``note`` ends the title."""
+    columns = "class", "score", "x, y [m]", "length × width × height [m]"
+    table = table_of(f"Detections{note}", *columns)
     for n in (-found.score).argsort(kind="stable"):
         if found.score[n] >= least_score:
             x, y, _, *size = found.boxes[n][:6]

@@ -89,6 +89,8 @@ def test_a_training_that_is_not_done_is_measured_as_such(trained, tmp_path):
     record.write_text(record.read_text().replace('"steps": 2', '"steps": 1000'))
     found = run("evaluate", tmp_path / "run", trained / "set_cache")
     assert "of 3 frames, after 2 of 1,000 steps" in found.output
+    found = run("detect", tmp_path / "run", trained / "set_cache")
+    assert "Detections, after 2 of 1,000 steps" in found.output
     assert "steps" not in run("evaluate", trained / "run", trained / "set_cache").output
 
 
@@ -113,6 +115,8 @@ def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
     found = run("train", trained / "set", "--pictures", "big", "--out", tmp_path / "run")
     assert "--pictures big: width and height such as 400x300, or none" in str(found.exception)
     found = run("train", trained / "set_cache", "--pictures", "64x48", "--out", tmp_path / "run")
-    assert "set_cache: is a cache without 64x48: leave --pictures out" in str(found.exception)
+    assert "is a cache and has pictures of 32x24, not 64x48: leave" in str(found.exception)
+    found = run("train", trained / "set_cache", "--pictures", "none", "--out", tmp_path / "run")
+    assert "is a cache and has pictures of 32x24, not none: leave" in str(found.exception)
     found = run("train", trained / "set", "--rate", "-1", "--out", tmp_path / "run")
     assert "training: rate: input should be greater than 0" in str(found.exception)

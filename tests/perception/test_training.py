@@ -293,7 +293,7 @@ def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
         check_pictures(run, other)
     assert cache_of(other.path, pictures=None).pictures == (24, 32)
-    with pytest.raises(InspeError, match=r"other: is a cache already: leave .*more out"):
+    with pytest.raises(InspeError, match=r"other: is a cache already: leave --cache .*more out"):
         cache_of(other.path, pictures=None, folder=tmp_path / "more")
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from browser import UNDRAWN, browser, errors_of
+from browser import browser, errors_of
+from common import UNDRAWN
 from scipy.ndimage import binary_erosion
 from worlds import world
 

@@ -19,7 +19,7 @@ import pytest
 import viser
 import viser._messages as kinds
 import viser._viser
-from browser import CHROMIUM, OPTIONS
+from common import CHROMIUM, CHROMIUM_OPTIONS
 from page_socket import CAMERA, ended_by, enter, pull, send, set_value, socket_of
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from worlds import world
@@ -571,7 +571,7 @@ def test_a_page_of_another_origin_gets_nowhere(viewer):
     evil = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Evil)
     threading.Thread(target=evil.serve_forever, daemon=True).start()
     sync = pytest.importorskip("playwright.sync_api")
-    options = [*OPTIONS, "--host-resolver-rules=MAP evil.example 127.0.0.1"]
+    options = [*CHROMIUM_OPTIONS, "--host-resolver-rules=MAP evil.example 127.0.0.1"]
     try:
         with sync.sync_playwright() as play:
             chromium = play.chromium.launch(executable_path=CHROMIUM, args=options)

@@ -141,18 +141,22 @@ class Run:
 
     def detector(self) -> Detector:
         """The detector of the last state. Raises InspeError if there is none, or it is damaged."""
+        return self.last()[1]
+
+    def last(self) -> tuple[int, Detector]:
+        """The step of the last state and its detector; raises what :meth:`detector` does."""
         if not self.states:
             raise InspeError(f"{self.path}: has no state yet: train it first")
-        _, (detector, _) = self.restore()
-        return detector
+        step, (detector, _) = self.restore()
+        return step, detector
 
 
 @contextmanager
 def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Run]:
     """A run in ``folder``, new or begun before with the same content, while it is trained.
 
-    Until then nobody else begins or trains it, and what a kill left unfinished goes. A run without
-    a state is replaced: nothing of it would be lost. Raises InspeError if another process trains
+    Meanwhile nobody else begins or trains it. What a kill left unfinished goes. A run without a
+    state is replaced: nothing of it would be lost. Raises InspeError if another process trains
     it, or if the folder has another run, saying what is different, or other files.
     """
     path = prepare_folder(folder).resolve()

@@ -27,7 +27,9 @@ def cache_of(
     source = Path(source)
     if (source / CACHE).is_file():
         if folder is not None:
-            raise InspeError(f"{source}: is a cache already: leave {folder} out, or name the set")
+            raise InspeError(
+                f"{source}: is a cache already: leave --cache {folder} out, or give the set itself"
+            )
         return open_cache(source)
     beside = source.resolve()
     into = beside.with_name(f"{beside.name}_cache") if folder is None else folder
@@ -35,7 +37,7 @@ def cache_of(
 
 
 def check_pictures(run: Run, found: Cache) -> None:
-    """Raise InspeError if a run's detector takes pictures, of another size than a cache has."""
+    """Raise InspeError if a run's detector takes pictures, and a cache has others or none."""
     size = None if found.pictures is None else list(found.pictures)
     if "camera" in model_of(run.content.settings.model).sensors and size != run.content.pictures:
         height, width = run.content.pictures or (0, 0)

@@ -86,8 +86,8 @@ def train(
     trained first, in ``folder/teacher``. With several devices, each takes its share of a batch.
 
     Raises InspeError if the cache has no data of the model's sensors or no split ``train``; if the
-    folder has another run; if the last state is damaged; or if a loss is not a number, in which
-    case the states before it stay.
+    folder has another run, or another process trains it; if the last state is damaged; or if a
+    loss is not a number, in which case the states before it stay.
     """
     grid = grid or BevGrid()
     grid.check()

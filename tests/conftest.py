@@ -25,7 +25,10 @@ jax.config.update("jax_debug_nans", True)
 
 gc.set_threshold(100_000, 50, 100)  # what is traced is many small objects, most of which stay
 
-QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+QUICKLY = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
+    "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
+)
 """Tests ask what code means, not how fast it is: XLA compiles in a quarter of the time, and what
 it compiles runs fast enough on scenes as small as these."""
 

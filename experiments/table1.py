@@ -374,7 +374,7 @@ def table(found: Means, paper: Means) -> str:
 def seeds_table(rows: Rows, of: str) -> str:
     """mAP of each seed and its standard deviation, of detectors with several, in Markdown."""
     lines = ["| detector | placement | mAP of each seed | standard deviation |", "|---" * 4 + "|"]
-    for model, placement in dict.fromkeys(of_job(row)[:2] for row in rows):
+    for model, placement in dict.fromkeys(job[:2] for job in every_job()):
         own = [row for row in rows if of_job(row)[:2] == (model, placement)]
         seeds = sorted({row["seed"] for row in own})
         if len(seeds) > 1:

@@ -55,7 +55,7 @@ console = Console()
 def options() -> argparse.Namespace:
     """The command line."""
     parser = command_line(__doc__)
-    parser.add_argument("--keep", type=Path, help="folder that all stays in: 5 GB")
+    parser.add_argument("--keep", type=Path, help="folder that all stays in: 6 GB")
     parser.add_argument("--steps", type=int, default=STEPS, help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each placement")
     parser.add_argument("--search", type=float, default=SEARCH, help="in exact scores' work")

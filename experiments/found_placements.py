@@ -26,7 +26,7 @@ from table1 import (
     Job,
     Rows,
     done_in,
-    means,
+    means_of_seeds,
     measured,
     of_job,
     planned,
@@ -170,13 +170,12 @@ def table(given: argparse.Namespace, rows: Rows, searches_of: list[Row]) -> str:
         held_out = {s.source.name for s in planned(given, "L-d1", part).splits["test"]}
         for placement, model in BY_HAND.items():
             scores = scores_of(searches_of, placement, held_out)
-            seeds = set.intersection(
-                *({row["seed"] for row in rows if row["placement"] == name} for name in scores)
-            )
             each = [
-                means([row for row in rows if row["seed"] == seed], of) for seed in sorted(seeds)
+                own
+                for own in means_of_seeds(rows, of).values()
+                if all((model, name, KINDS[0]) in own for name in scores)
             ]
-            for name, score in scores.items() if seeds else ():
+            for name, score in scores.items() if each else ():
                 ap = np.array([[own[model, name, kind] for kind in KINDS] for own in each])
                 cells = [f"{score:.3f}", *(f"{x:.1f}" for x in (*ap.mean(0), ap.mean()))]
                 by_seed = ", ".join(f"{x:.1f}" for x in ap.mean(1))

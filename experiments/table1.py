@@ -209,8 +209,8 @@ def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run
     with progress(folder.name) as bar:
 
         def report(now: Report) -> None:
-            measured = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
-            bar(now.step, now.steps, folder.name, f"loss {now.loss:.2f}{measured}")
+            mean_ap = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
+            bar(now.step, now.steps, folder.name, f"loss {now.loss:.2f}{mean_ap}")
 
         return train(data, folder, settings, grid=grid, progress=report if bar else None)
 
@@ -344,6 +344,12 @@ def means(rows: Rows, of: str) -> Means:
     return {at: float(np.mean(values)) for at, values in found.items()}
 
 
+def means_of_seeds(rows: Rows, of: str) -> dict[str, Means]:
+    """What :func:`means` gives for the rows of each seed."""
+    seeds = sorted({row["seed"] for row in rows})
+    return {seed: means([row for row in rows if row["seed"] == seed], of) for seed in seeds}
+
+
 def read_paper1(path: Path | None) -> Means:
     """The paper's Table 1."""
     if path is None:
@@ -374,14 +380,14 @@ def table(found: Means, paper: Means) -> str:
 def seeds_table(rows: Rows, of: str) -> str:
     """mAP of each seed and its standard deviation, of detectors with several, in Markdown."""
     lines = ["| detector | placement | mAP of each seed | standard deviation |", "|---" * 4 + "|"]
+    found = means_of_seeds(rows, of).values()
     for model, placement in dict.fromkeys(job[:2] for job in every_job()):
-        own = [row for row in rows if of_job(row)[:2] == (model, placement)]
-        seeds = sorted({row["seed"] for row in own})
-        if len(seeds) > 1:
-            each = [
-                np.mean(list(means([row for row in own if row["seed"] == seed], of).values()))
-                for seed in seeds
-            ]
+        each = [
+            np.mean([own[model, placement, kind] for kind in KINDS])
+            for own in found
+            if (model, placement, KINDS[0]) in own
+        ]
+        if len(each) > 1:
             cell = ", ".join(f"{ap:.1f}" for ap in each)
             lines.append(f"| {NAMES[model]} | {placement} | {cell} | {np.std(each, ddof=1):.1f} |")
     return "\n".join(lines)
@@ -451,7 +457,7 @@ def placements_table(found: dict[str, Means], ours: Any) -> str:
 def correlations_table(rows: list[dict[str, Any]]) -> str:
     """Pearson's and Spearman's with each metric in Markdown, the intervals for all classes."""
     shown = {"surrogate": METRICS["surrogate"]} | METRICS
-    lines = ["| mAP of | " + " | ".join(shown.values()) + " |", "|---" * (1 + len(shown)) + "|"]
+    lines = ["| mAP at | " + " | ".join(shown.values()) + " |", "|---" * (1 + len(shown)) + "|"]
     for of, kind in dict.fromkeys((row["frames_of"], row["road_user"]) for row in rows):
         cells: dict[str, list[str]] = {}
         for row in rows:

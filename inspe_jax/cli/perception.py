@@ -103,6 +103,7 @@ def train_detector(
 
     training = _training()
     from inspe_jax.perception.detector import model_of
+    from inspe_jax.perception.training.source import pictures_in_words
     from inspe_jax.study.engine import check_workers
 
     check_folder(folder)
@@ -118,11 +119,9 @@ def train_detector(
     size = picture_size(pictures or PICTURES)
     data = _cache(source, cache, size)
     if pictures and data.pictures != size:
-        height, width = data.pictures or (0, 0)
-        has = f"pictures of {width}x{height}" if data.pictures else "no pictures"
         raise InspeError(
-            f"{source}: is a cache and has {has}, not {pictures}: leave --pictures out, or give "
-            f"the set itself"
+            f"{source}: is a cache and has {pictures_in_words(data)}, not {pictures}: leave "
+            f"--pictures out, or give the set itself"
         )
     try:
         if many:

@@ -1,12 +1,9 @@
 """Scores on several devices: the same to the last bit."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from processes import on_devices
 from worlds import slow_but
 
 import inspe_jax
@@ -58,19 +55,7 @@ def scores(scene, layout, options) -> list:
 
 def on_many(cases) -> list:
     """What the script above prints, a line a case: a process that has eight devices."""
-    flags = "--xla_force_host_platform_device_count=8"
-    here = Path(__file__).parent
-    ran = subprocess.run(
-        [sys.executable, "-c", SCRIPT, json.dumps(cases)],
-        env=os.environ
-        | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}", "JAX_PLATFORMS": "cpu"}
-        | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr
-    return [json.loads(line) for line in ran.stdout.splitlines()]
+    return [json.loads(line) for line in on_devices(8, SCRIPT, __file__, json.dumps(cases))]
 
 
 @pytest.mark.parametrize("cases", slow_but([CASES, OTHERS], CASES), ids=["cases", "others"])

@@ -263,12 +263,8 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
         )
         heat = jnp.clip(aim.heat, 1e-6, 1 - 1e-6)
         found = HeadOutput(jnp.log(heat / (1 - heat)), values)
-        return (
-            aim,
-            peaks(found, GRID),
-            loss(found, aim),
-            loss(HeadOutput(-found.heat, values + 1), aim),
-        )
+        off = HeadOutput(-found.heat, values + 1)
+        return aim, peaks(found, GRID), loss(found, aim), loss(off, aim)
 
     aim, found, right, wrong = jax.tree.map(np.asarray, around(targets))
     inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)

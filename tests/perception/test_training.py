@@ -1,16 +1,13 @@
 """Trainings: repeated, stopped, damaged, refused."""
 
-import os
 import shutil
-import subprocess
-import sys
 from importlib import import_module
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario, write_set
+from processes import on_devices
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
@@ -122,19 +119,8 @@ room.train(open_cache(sys.argv[1]), sys.argv[2], SETTINGS, grid=GRID)
 @pytest.mark.process
 def test_two_devices_share_a_batch(stopped_and_not, cached, tmp_path):
     """Each has a frame, and losses are those of one device."""
-    flags = "--xla_force_host_platform_device_count=2"
-    here = Path(__file__).parent
-    ran = subprocess.run(
-        [sys.executable, "-c", ON_TWO, str(cached.path), str(tmp_path / "run")],
-        env=os.environ
-        | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}", "JAX_PLATFORMS": "cpu"}
-        | {"PYTHONPATH": os.pathsep.join(map(str, [here, here.parent, here.parent.parent]))},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert ran.stdout.split() == ["2"] * SETTINGS.steps
+    told = on_devices(2, ON_TWO, __file__, str(cached.path), str(tmp_path / "run"))
+    assert told == ["2"] * SETTINGS.steps
     alone, shared = (run.rows(LOSSES) for run in (stopped_and_not[0], open_run(tmp_path / "run")))
     for name in ("heat", "values"):
         one, two = (np.array([row[name] for row in rows]) for rows in (alone, shared))

@@ -36,13 +36,20 @@ def cache_of(
     return cache(source, into, pictures=pictures, progress=progress)
 
 
+def pictures_in_words(found: Cache) -> str:
+    """What pictures a cache has."""
+    if found.pictures is None:
+        return "no pictures"
+    height, width = found.pictures
+    return f"pictures of {width}x{height}"
+
+
 def check_pictures(run: Run, found: Cache) -> None:
     """Raise InspeError if a run's detector takes pictures, and a cache has others or none."""
     size = None if found.pictures is None else list(found.pictures)
     if "camera" in model_of(run.content.settings.model).sensors and size != run.content.pictures:
         height, width = run.content.pictures or (0, 0)
-        has = "no pictures" if size is None else f"pictures of {size[1]}x{size[0]}"
         raise InspeError(
-            f"{found.path}: has {has}, but {run.path} was trained on {width}x{height}: cache the "
-            f"set into another folder with --pictures {width}x{height}"
+            f"{found.path}: has {pictures_in_words(found)}, but {run.path} was trained on "
+            f"{width}x{height}: cache the set into another folder with --pictures {width}x{height}"
         )

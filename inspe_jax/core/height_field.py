@@ -89,7 +89,9 @@ def crossing(
     )
     crosses = jnp.abs(along) >= BESIDE
     t = (k.astype(along.dtype) - lines.begin) / jnp.where(crosses, along, 1.0)
-    x, y = (lines.at[n] + t * way[n] for n in (0, 1))
+    # Compilers may compute x and y anew for each use. With the product bounded before it is added,
+    # none rounds both at once, so that all uses see the same x and y, and the same edge.
+    x, y = (lines.at[n] + jnp.maximum(t * way[n], -FAR) for n in (0, 1))
     size, along_x = field.heights.shape, lines.axis != (1, 0)
     # The edge of a line's triangles begins at a point of the lattice, and ends one further.
     running = x if along_x else y

@@ -6,10 +6,10 @@ a process of its own, one after the other: its number of parameters, how long a 
 in one thread, what a step takes and its parts, and the peak of the process's memory, in which its
 compiling is included.
 
-The parts are differences: of the gradients of the encoders' maps, of the fused map, and of the
-whole loss; what is left of a step is the optimiser's. So a part is known no better than a step
-varies, and a small one may come out below 0. Where a teacher is needed, its maps are part of the
-loss. Each is the median over steps.
+The parts are differences between gradients: of the encoders' maps, of the fused map, and of the
+whole loss. The optimiser is what it takes by itself. So a part is known no better than a step
+varies: a small one may come out below 0, and they add up to a step only roughly. Where a teacher is
+needed, its maps are part of the loss. Each is the median over steps, and all are measured in turn.
 
 Recorded frames stay in the folder of --keep.
 """
@@ -74,15 +74,18 @@ def frames(given: argparse.Namespace, into: Path) -> Path:
     return recorded(given, make_generation(content, into), into / "frames").path
 
 
-def seconds_of(work: Callable[[], Any], times: int) -> float:
-    """The median time of some work that gives arrays, after it was done once."""
-    jax.block_until_ready(work())
-    found = []
-    for _ in range(times):
-        began = time.perf_counter()
-        jax.block_until_ready(work())
-        found.append(time.perf_counter() - began)
-    return float(np.median(found))
+def medians(works: list[Callable[[], Any]], times: int) -> list[float]:
+    """The median time of each work that gives arrays [s], after each was done once.
+
+    They take turns, so that what slows the machine for a while slows all of them.
+    """
+    seconds = np.zeros((times + 1, len(works)))
+    for turn in seconds:
+        for k, work in enumerate(works):
+            began = time.perf_counter()
+            jax.block_until_ready(work())
+            turn[k] = time.perf_counter() - began
+    return [float(median) for median in np.median(seconds[1:], axis=0)]
 
 
 def encoders_only(detector: Detector, inputs: Inputs) -> jax.Array:
@@ -106,7 +109,7 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     how = dict(batch=settings.batch, augment=AUGMENT, workers=0)
     loader = loader_of(name, data, "train", grid, **how)
     batches = loader.steps()
-    loading = seconds_of(lambda: inputs_of(next(batches), agents), times)
+    (loading,) = medians([lambda: inputs_of(next(batches), agents)], times)
 
     batch = next(batches)
     inputs, targets = jax.device_put((inputs_of(batch, agents), batch.targets))
@@ -116,29 +119,35 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     )
     chain = optimiser(settings.steps, settings.rate)
     constant = teacher if model.taught else None, inputs, targets, grid, chain
-    weights = jax.tree.map(jnp.copy, eqx.filter(detector, eqx.is_inexact_array))
-    state = [eqx.combine(weights, detector), chain.init(weights)]
+    weights = eqx.filter(detector, eqx.is_inexact_array)
+    state = [detector, chain.init(weights)]
 
     def step() -> Any:
         *state[:], losses = training_step(constant, *state)
         return losses
 
-    def gradient(of: Callable[..., Any], *more: Any) -> float:
+    def gradient(of: Callable[..., Any], *more: Any) -> Callable[[], Any]:
         found = eqx.filter_jit(eqx.filter_grad(of, has_aux=of is objective))
-        return seconds_of(lambda: found(detector, *more), times)
+        return lambda: found(state[0], *more)
+
+    @eqx.filter_jit
+    def update(moments: Any, weights: Any) -> Any:
+        with jax.numpy_dtype_promotion("standard"):
+            return chain.update(weights, moments, weights)
 
     began = time.perf_counter()
-    step()
+    jax.block_until_ready(step())
     compiling = time.perf_counter() - began
-    whole = seconds_of(step, times)
     memory = peak_memory()
-    ends = [
+    works = [
         gradient(encoders_only, inputs),
         gradient(to_fused, inputs),
         gradient(objective, *constant[:-1]),
-        whole,
+        lambda: update(state[1], eqx.filter(state[0], eqx.is_inexact_array)),
+        step,
     ]
-    parts = zip(PARTS, np.diff([0, *ends]), strict=True)
+    *ends, updating, whole = medians(works, times)
+    parts = zip(PARTS, [*np.diff([0, *ends]), updating], strict=True)
     return dict(
         model=name, after=model.source, parameters=parameters(detector),
         loading_ms=round(1e3 * loading, 1), step_ms=round(1e3 * whole),

@@ -118,6 +118,17 @@ def on_screen(viewer, point):
     return camera.image_width / 2 + scale * x, camera.image_height / 2 + scale * y
 
 
+def click(tab, viewer, point, true):
+    """On a world point; where a slow page has not drawn yet what is there, once more."""
+    for _ in range(12):
+        tab.mouse.click(*on_screen(viewer, point))
+        for _ in range(50):
+            if true():
+                return
+            tab.wait_for_timeout(100)
+    pytest.fail("no click on it comes to that")
+
+
 def drag(tab, viewer, begin, end):
     """From one pixel to another; where a slow page has not drawn the handle yet, once more."""
     for _ in range(10):
@@ -188,11 +199,8 @@ def test_a_sensor_is_taken_in_hand_and_snaps_to_where_it_can_stand(tab, viewer, 
     """By a click on it; then to the middle of the road, from where it goes back to the kerb."""
     first = score_of(tab)
     place = np.array(viewer.layout.poses[1, :3])
-    tab.mouse.click(*on_screen(viewer, place))
-    wait_until(
-        tab,
-        lambda: np.allclose(view_of(viewer).handle.gizmo.position, place - viewer.scene3d.shift),
-    )
+    relative = place - viewer.scene3d.shift
+    click(tab, viewer, place, lambda: np.allclose(view_of(viewer).handle.gizmo.position, relative))
     wait_until(tab, lambda: view_of(viewer).in_hand == 1)  # the list follows the handle
     drawn = viewer.scene3d.drawn["sensors/2/view"].points
     (outline,) = view_of(viewer).selection3d.outlines
@@ -613,8 +621,7 @@ def test_two_browsers_hold_sensors_of_their_own(chromium, tab, viewer):
 def test_a_number_is_clicked(tab, viewer):
     """In the picture: that of the LiDAR."""
     at = np.array(viewer.scene3d.drawn["numbers/2"].position) + viewer.scene3d.shift
-    tab.mouse.click(*on_screen(viewer, at + [0, 0, 0.3]))
-    wait_until(tab, lambda: view_of(viewer).in_hand == 1)
+    click(tab, viewer, at + [0, 0, 0.3], lambda: view_of(viewer).in_hand == 1)
 
 
 def test_on_a_telephone_the_panel_is_a_bar_with_the_score_until_it_is_tapped(chromium, viewer):

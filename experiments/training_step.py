@@ -92,14 +92,14 @@ def encoders_only(detector: Detector, inputs: Inputs) -> jax.Array:
     """A number that depends on all that the encoders give."""
     maps, _, on_pictures = detector.encoded(inputs)
     every = [*maps, *([] if on_pictures is None else [on_pictures])]
-    return sum((jnp.square(x).mean() for x in every), jnp.zeros(()))
+    return sum((jnp.square(x).sum() for x in every), jnp.zeros(()))
 
 
 def to_fused(detector: Detector, inputs: Inputs) -> jax.Array:
     """A number that depends on the fused map, and on heat on the pictures."""
     maps, present, on_pictures = detector.encoded(inputs)
-    found = jnp.square(detector.fused(maps, present)).mean()
-    return found if on_pictures is None else found + jnp.square(on_pictures).mean()
+    found = jnp.square(detector.fused(maps, present)).sum()
+    return found if on_pictures is None else found + jnp.square(on_pictures).sum()
 
 
 def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, Detector, model_of, parameters
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.optimiser import optimiser
+from inspe_jax.perception.training.optimiser import optimiser, updates_of
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.perception.training.settings import AUGMENT, Settings, agents_of
 from inspe_jax.perception.training.train import objective, training_step
@@ -119,8 +119,7 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     )
     chain = optimiser(settings.steps, settings.rate)
     constant = teacher if model.taught else None, inputs, targets, grid, chain
-    weights = eqx.filter(detector, eqx.is_inexact_array)
-    state = [detector, chain.init(weights)]
+    state = [detector, chain.init(eqx.filter(detector, eqx.is_inexact_array))]
 
     def step() -> Any:
         *state[:], losses = training_step(constant, *state)
@@ -130,10 +129,11 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
         found = eqx.filter_jit(eqx.filter_grad(of, has_aux=of is objective))
         return lambda: found(state[0], *more)
 
-    @eqx.filter_jit
-    def update(moments: Any, weights: Any) -> Any:
-        with jax.numpy_dtype_promotion("standard"):
-            return chain.update(weights, moments, weights)
+    updated = eqx.filter_jit(updates_of)
+
+    def update() -> Any:
+        weights = eqx.filter(state[0], eqx.is_inexact_array)
+        return updated(chain, weights, state[1], weights)  # of gradients, only their shapes count
 
     began = time.perf_counter()
     jax.block_until_ready(step())
@@ -143,7 +143,7 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
         gradient(encoders_only, inputs),
         gradient(to_fused, inputs),
         gradient(objective, *constant[:-1]),
-        lambda: update(state[1], eqx.filter(state[0], eqx.is_inexact_array)),
+        update,
         step,
     ]
     *ends, updating, whole = medians(works, times)

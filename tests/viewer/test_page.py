@@ -101,12 +101,18 @@ def settled(tab, other_than=None):
     return score_of(tab)
 
 
-def wait_until(tab, true, seconds=60):
+def comes_true(tab, true, seconds):
+    """Whether it does within some seconds, in which the page goes on."""
     for _ in range(10 * seconds):
         if true():
-            return
+            return True
         tab.wait_for_timeout(100)
-    pytest.fail("it does not come to that")
+    return False
+
+
+def wait_until(tab, true, seconds=60):
+    if not comes_true(tab, true, seconds):
+        pytest.fail("it does not come to that")
 
 
 def on_screen(viewer, point):
@@ -122,10 +128,8 @@ def click(tab, viewer, point, true):
     """On a world point; where a slow page has not drawn yet what is there, once more."""
     for _ in range(12):
         tab.mouse.click(*on_screen(viewer, point))
-        for _ in range(50):
-            if true():
-                return
-            tab.wait_for_timeout(100)
+        if comes_true(tab, true, 5):
+            return
     pytest.fail("no click on it comes to that")
 
 
@@ -137,11 +141,7 @@ def drag(tab, viewer, begin, end):
         tab.mouse.move(*begin)
         tab.wait_for_timeout(300)
         tab.mouse.down()
-        for _ in range(10):
-            tab.wait_for_timeout(100)
-            if view_of(viewer).dragging is not None:
-                break
-        else:
+        if not comes_true(tab, lambda: view_of(viewer).dragging is not None, 1):
             tab.mouse.up()
             continue
         for t in np.linspace(0, 1, 9)[1:]:

@@ -69,7 +69,8 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "generate_set.csv"
     with kept_folder(given.keep) as into:
-        rows = [record(light, given.quick, into, processes(given)) for light in LIGHTS]
+        lights = ("midday", "night") if given.quick else tuple(LIGHTS)
+        rows = [record(light, given.quick, into, processes(given)) for light in lights]
         for found in rows:
             scenario = open(into / found["light"]).scenarios[0]
             view = frame_view(scenario, scenario.frames[-1])

@@ -127,12 +127,17 @@ def pytest_terminal_summary(terminalreporter) -> None:
         terminalreporter.write_line(line)
 
 
-LONG = ("test_soft", "test_exact", "test_queries", "test_gradient", "test_sweep", "test_page")
+LONG = (
+    "test_page", "test_notebooks", "test_sweep", "test_gradient", "test_soft", "test_queries",
+    "test_exact", "test_generate", "test_city",
+)  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first: what a process is left with at the end is then short."""
-    items.sort(key=lambda item: item.path.stem not in LONG)
+    """Long files first, the longest before others: what a process is left with at the end is then
+    short."""
+    first = {stem: n for n, stem in enumerate(LONG)}
+    items.sort(key=lambda item: first.get(item.path.stem, len(LONG)))
     for item in items:
         if CHROMIUM is None and item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.skip(reason="there is no Chromium here"))

@@ -6,17 +6,19 @@ a process of its own, one after the other: its number of parameters, how long a 
 in one thread, what a step takes and its parts, and the peak of the process's memory, in which its
 compiling is included.
 
-The parts are differences between gradients: of the encoders' maps, of the fused map, and of the
-whole loss. The optimiser is what it takes by itself. So a part is known no better than a step
-varies: a small one may come out below 0, and they add up to a step only roughly. Where a teacher is
-needed, its maps are part of the loss. Each is the median over steps, and all are measured in turn.
+The parts are from a profile of whole steps, by the scopes (``jax.named_scope``) in the names that
+operations have in the compiled program: what goes forwards and what goes backwards together. What
+runs at the same time shares it. Operations without a scope are the losses: of heat, of values, of
+what a teacher says, and of heat on the pictures.
 
 Recorded frames stay in the folder of --keep.
 """
 
 import argparse
+import re
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -24,7 +26,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from common import command_line, kept_folder, peak_memory, write_results
 from rich.console import Console
@@ -34,16 +35,21 @@ from inspe_jax.cli.common import progress
 from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, Detector, model_of, parameters
-from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.optimiser import optimiser, updates_of
+from inspe_jax.perception.inputs import BevGrid, inputs_of
+from inspe_jax.perception.training.optimiser import optimiser
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.perception.training.settings import AUGMENT, Settings, agents_of
-from inspe_jax.perception.training.train import objective, training_step
+from inspe_jax.perception.training.train import training_step
 
 QUICK_MODELS = ("coalign",)
 SHARE = 0.1
 """The largest share of a step that loading may take."""
-PARTS = ("encoders", "pyramids and fusion", "head and losses", "optimiser")
+SCOPES = ("teacher", "pillars", "pictures", "pyramids", "fusion", "head", "optimiser")
+"""Named scopes of a step, in the order in which they are looked for: a teacher has pyramids, and a
+fusion has them, too."""
+LOSSES = "losses"
+PARTS = (*SCOPES[1:-1], LOSSES, *SCOPES[:1], *SCOPES[-1:])
+"""Of a step, as they are told."""
 
 console = Console()
 
@@ -53,7 +59,7 @@ def options() -> argparse.Namespace:
     parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder that the frames stay in: 1 GB")
-    parser.add_argument("--steps", type=int, default=9, help="that are measured of each part")
+    parser.add_argument("--steps", type=int, default=9, help="that are measured")
     given = parser.parse_args()
     given.workers = 1
     given.out.mkdir(parents=True, exist_ok=True)
@@ -74,32 +80,64 @@ def frames(given: argparse.Namespace, into: Path) -> Path:
     return recorded(given, make_generation(content, into), into / "frames").path
 
 
-def medians(works: list[Callable[[], Any]], times: int) -> list[float]:
-    """The median time of each work that gives arrays [s], after each was done once.
+def part_of(name: str) -> str:
+    """The part of a step that an operation belongs to, by its name in the program."""
+    scopes = re.findall(r"\w+", name)
+    return next((scope for scope in SCOPES if scope in scopes), LOSSES)
 
-    They take turns, so that what slows the machine for a while slows all of them.
+
+def parts_of(program: str) -> dict[str, str]:
+    """The part of each operation that a compiled program does itself: those of its entry.
+
+    XLA leaves those that it makes of others without a name, as convolutions: they are of the part
+    that the first of what they take is of.
     """
-    seconds = np.zeros((times + 1, len(works)))
-    for turn in seconds:
-        for k, work in enumerate(works):
-            began = time.perf_counter()
-            jax.block_until_ready(work())
-            turn[k] = time.perf_counter() - began
-    return [float(median) for median in np.median(seconds[1:], axis=0)]
+    found: dict[str, str] = {}
+    for line in program[program.index("\nENTRY ") :].splitlines():
+        if operation := re.match(r"\s*(?:ROOT )?%?([\w.-]+) = ", line):
+            name = re.search(r'op_name="([^"]*)"', line)
+            taken = (found.get(of, LOSSES) for of in re.findall(r"%([\w.-]+)", line))
+            known = (part for part in taken if part != LOSSES)
+            found[operation[1]] = part_of(name[1]) if name else next(known, LOSSES)
+    return found
 
 
-def encoders_only(detector: Detector, inputs: Inputs) -> jax.Array:
-    """A number that depends on all that the encoders give."""
-    maps, _, on_pictures = detector.encoded(inputs)
-    every = [*maps, *([] if on_pictures is None else [on_pictures])]
-    return sum((jnp.square(x).sum() for x in every), jnp.zeros(()))
+def spans(folder: Path, parts: dict[str, str]) -> Iterator[tuple[float, float, str]]:
+    """Begin, end [ns] and part of each operation in a profile."""
+    (path,) = folder.glob("**/*.xplane.pb")
+    for plane in jax.profiler.ProfileData.from_file(str(path)).planes:
+        for line in plane.lines:
+            for event in line.events:
+                part = parts.get(str(dict(event.stats).get("hlo_op")))
+                if part is not None:
+                    yield event.start_ns, event.end_ns, part
 
 
-def to_fused(detector: Detector, inputs: Inputs) -> jax.Array:
-    """A number that depends on the fused map, and on heat on the pictures."""
-    maps, present, on_pictures = detector.encoded(inputs)
-    found = jnp.square(detector.fused(maps, present)).sum()
-    return found if on_pictures is None else found + jnp.square(on_pictures).sum()
+def shares(found: Iterator[tuple[float, float, str]]) -> dict[str, float]:
+    """Each part's share of the time from the first operation's begin to the last one's end.
+
+    Those that run at the same time share it. Where none runs, the program waits for what the ones
+    before began in other threads: it is theirs.
+    """
+    begins, ends, parts = map(np.array, zip(*found, strict=True))
+    moments = np.unique([begins, ends])
+    running = np.zeros((len(PARTS), len(moments)))
+    for k, part in enumerate(PARTS):
+        own = parts == part
+        np.add.at(running[k], np.searchsorted(moments, begins[own]), 1)
+        np.add.at(running[k], np.searchsorted(moments, ends[own]), -1)
+    running = running.cumsum(1)[:, :-1]
+    some = np.where(running.any(0), np.arange(len(moments) - 1), 0)
+    running = running[:, np.maximum.accumulate(some)]
+    durations = (running / running.sum(0) * np.diff(moments)).sum(1)
+    return dict(zip(PARTS, durations / durations.sum(), strict=True))
+
+
+def profiler_options() -> jax.profiler.ProfileOptions:
+    """Without Python's calls, which are many."""
+    found = jax.profiler.ProfileOptions()
+    found.python_tracer_level = 0
+    return found
 
 
 def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
@@ -108,62 +146,57 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     agents, model = agents_of(data), model_of(name)
     how = dict(batch=settings.batch, augment=AUGMENT, workers=0)
     loader = loader_of(name, data, "train", grid, **how)
-    batches = loader.steps()
-    (loading,) = medians([lambda: inputs_of(next(batches), agents)], times)
+    batches, loading = loader.steps(), []
+    for _ in range(times + 1):
+        began = time.perf_counter()
+        batch = next(batches)
+        inputs = inputs_of(batch, agents)
+        loading.append(time.perf_counter() - began)
 
-    batch = next(batches)
-    inputs, targets = jax.device_put((inputs_of(batch, agents), batch.targets))
+    inputs, targets = jax.device_put((inputs, batch.targets))
     detector, teacher = (
         eqx.filter_jit(Detector)(model_of(of), agents, grid, jax.random.key(0))
         for of in (name, TEACHER)
     )
+    count = parameters(detector)
     chain = optimiser(settings.steps, settings.rate)
     constant = teacher if model.taught else None, inputs, targets, grid, chain
-    state = [detector, chain.init(eqx.filter(detector, eqx.is_inexact_array))]
-
-    def step() -> Any:
-        *state[:], losses = training_step(constant, *state)
-        return losses
-
-    def gradient(of: Callable[..., Any], *more: Any) -> Callable[[], Any]:
-        found = eqx.filter_jit(eqx.filter_grad(of, has_aux=of is objective))
-        return lambda: found(state[0], *more)
-
-    updated = eqx.filter_jit(updates_of)
-
-    def update() -> Any:
-        weights = eqx.filter(state[0], eqx.is_inexact_array)
-        return updated(chain, weights, state[1], weights)  # of gradients, only their shapes count
+    moments = chain.init(eqx.filter(detector, eqx.is_inexact_array))
 
     began = time.perf_counter()
-    jax.block_until_ready(step())
+    step: Any = training_step  # jitted by Equinox, whose types do not say so
+    compiled = step.lower(constant, detector, moments).compile()
     compiling = time.perf_counter() - began
-    memory = peak_memory()
-    works = [
-        gradient(encoders_only, inputs),
-        gradient(to_fused, inputs),
-        gradient(objective, *constant[:-1]),
-        update,
-        step,
-    ]
-    *ends, updating, whole = medians(works, times)
-    parts = zip(PARTS, [*np.diff([0, *ends]), updating], strict=True)
+    steps = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(times + 1):
+            if number == 1:  # the first touches its memory
+                jax.profiler.start_trace(folder, profiler_options=profiler_options())
+            began = time.perf_counter()
+            detector, moments, losses = compiled(constant, detector, moments)
+            jax.block_until_ready(losses)
+            steps.append(time.perf_counter() - began)
+        memory = peak_memory()
+        jax.profiler.stop_trace()
+        share = shares(spans(Path(folder), parts_of(compiled.compiled.as_text())))
+    whole = float(np.median(steps[1:]))
     return dict(
-        model=name, after=model.source, parameters=parameters(detector),
-        loading_ms=round(1e3 * loading, 1), step_ms=round(1e3 * whole),
-        **{f"{part}_ms": round(1e3 * seconds) for part, seconds in parts},
+        model=name, after=model.source, parameters=count,
+        loading_ms=round(1e3 * float(np.median(loading[1:])), 1), step_ms=round(1e3 * whole),
+        **{f"{part}_ms": round(1e3 * whole * share[part]) for part in PARTS},
         compiling_s=round(compiling, 1), memory_gib=round(memory, 2),
     )  # fmt: skip
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The rows in Markdown."""
+    """The rows in Markdown; a dash is a part that the detector does not have."""
     heads = ("detector", "after", "parameters", "a batch", "a step", *PARTS, "memory")
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for row in rows:
         cells = [NAMES[row["model"]], row["after"], f"{row['parameters']:,}"]
         cells += [f"{row['loading_ms']} ms", f"{row['step_ms'] / 1e3:.2f} s"]
-        cells += [f"{row[f'{part}_ms'] / 1e3:.2f}" for part in PARTS]
+        times = [row[f"{part}_ms"] / 1e3 for part in PARTS]
+        cells += [f"{seconds:.2f}" if seconds else "–" for seconds in times]
         lines.append("| " + " | ".join([*cells, f"{row['memory_gib']} GiB"]) + " |")
     return "\n".join(lines)
 

@@ -3,7 +3,9 @@
 The eight of the paper's Table 1 are rows of :data:`MODELS`. What makes each of them that detector
 is its encoder and its fusion, which are as in its paper but smaller; pyramid, head and training are
 the same for all, so that what differs is what is compared. Pictures are lifted by height in place
-of depth: see :mod:`~inspe_jax.perception.encoders.lift_splat`.
+of depth: see :mod:`~inspe_jax.perception.encoders.lift_splat`. In profiles of JAX, operations have
+the names of their parts: pillars, pictures, pyramids, fusion, head, and in a training teacher and
+optimiser.
 """
 
 from collections.abc import Callable
@@ -145,6 +147,7 @@ class Detector(eqx.Module):
         fused = self.fused(encoded, present)
         return Predictions(self.head(fused), fused, on_pictures)
 
+    @jax.named_scope("fusion")
     def fused(
         self, encoded: list[Float[Array, "B A H W C"]], present: Bool[Array, "B A"]
     ) -> Float[Array, "B h w C"]:

@@ -46,6 +46,7 @@ class LiftSplat(eqx.Module):
         self.heat = HeatHead(FEATURES, third)
         self.grid, self.units = grid, units
 
+    @jax.named_scope("pictures")
     def __call__(self, inputs: Inputs) -> tuple[Float[Array, "B U H W C"], Float[Array, "n h w K"]]:
         assert inputs.pixels is not None
         frames, _, high, wide, _ = inputs.pixels.shape

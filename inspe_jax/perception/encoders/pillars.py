@@ -20,6 +20,7 @@ class PillarEncoder(eqx.Module):
         self.network = Perceptron(9, channels, channels, key)
         self.grid = grid
 
+    @jax.named_scope("pillars")
     def __call__(self, pillars: Pillars) -> Float[Array, "B G H W C"]:
         features = pillar_features(pillars, self.grid, jnp) * _scales(self.grid)
         there = taken(pillars, self.grid, jnp)

@@ -27,6 +27,7 @@ class Pyramid(eqx.Module):
             self.blocks.append((halve, Block(channels, channels, second)))
             inputs = channels
 
+    @jax.named_scope("pyramids")
     def __call__(self, x: Float[Array, "*n h w c"]) -> Maps:
         found = []
         for halve, keep in self.blocks:
@@ -48,6 +49,7 @@ class Neck(eqx.Module):
         ]
         self.smooth = Block(channels, channels, last)
 
+    @jax.named_scope("pyramids")
     def __call__(self, maps: Maps) -> Float[Array, "*n h w c"]:
         parts = [
             enlarged(level(x), 2**k)

@@ -28,6 +28,7 @@ def optimiser(steps: int, rate: float) -> Optimiser:
     )
 
 
+@jax.named_scope("optimiser")
 def updates_of(chain: Optimiser, gradient: Any, moments: Any, weights: Any) -> tuple[Any, Any]:
     """What is to be added to the weights, and the moments after it."""
     with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions

@@ -170,7 +170,9 @@ def objective(
     heat, values = loss(predicted.found, aims(targets, grid))
     taught = on_pictures = jnp.zeros(())
     if teacher is not None:
-        taught = distillation(predicted.fused, teacher(inputs).fused)
+        with jax.named_scope("teacher"):
+            teaching = teacher(inputs).fused
+        taught = distillation(predicted.fused, teaching)
     if predicted.on_pictures is not None:
         on_pictures = perspective_loss(predicted.on_pictures, inputs, targets)
     losses = _Losses(heat, values, taught, on_pictures)

@@ -2,11 +2,12 @@
 
 At each of the ten intersections a search for P_sm, under the default profile, begins at each of the
 paper's placements of LiDARs, and at that of its placements of cameras under which most is found,
-with the same sensors. Where there are cameras, it follows the gradient. Then all is as in
-``table1.py``: the same traffic is recorded under what was found, a detector is trained for as many
-steps, and measured at two intersections that it has not seen, and on another time at all ten. Tells
-its mAP beside that under the placements by hand (``--beside``, the rows of ``table1.py``), of the
-seeds that both have.
+with the same sensors. Where there are cameras, it follows the gradient. By hand, that profile has
+cameras look level: what aiming alone brings is told by the same placement with all of them 25°
+down. Then all is as in ``table1.py``: the same traffic is recorded, a detector is trained for as
+many steps, and measured at two intersections that it has not seen, and on another time at all ten.
+Tells its mAP beside that under the placements by hand (``--beside``, the rows of ``table1.py``), of
+the seeds that all have, and the mean gain over seeds and placements of LiDARs.
 
 Searches, sets and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out.
@@ -18,13 +19,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import command_line, kept_folder, write_results, write_settings
+from common import command_line, kept_folder, write_results
 from rich.console import Console
+from scipy.stats import ttest_1samp
 from table1 import (
+    HELD_OUT,
     SETS,
     STEPS,
     Job,
     Rows,
+    check_settings,
     done_in,
     means_of_seeds,
     measured,
@@ -47,6 +51,9 @@ from inspe_jax.study.sources import LayoutSource
 
 BY_HAND = {"L-d1": "coalign", "L-d2": "coalign", "L-c": "coalign", "Cam-d2": "lss-resnet"}
 """The placements that searches begin at, and the detector that is trained under each."""
+AIMED = "Cam-d2, 25° down"
+LOOKS_DOWN: dict[str, Any] = {"strategy": "Cam-d2", "camera_pitch_deg": -25.0, "name": AIMED}
+"""The placement of cameras, aimed by hand, as a study file has it."""
 SEARCH = 150.0
 
 console = Console()
@@ -103,6 +110,16 @@ def searched(given: argparse.Namespace, folder: Path) -> tuple[Searched, list[Ro
     return found, rows
 
 
+def aimed(given: argparse.Namespace, folder: Path) -> tuple[Layouts, list[Row]]:
+    """The placement of cameras that look down, by intersection, and the rows of its scores."""
+    scenes, settings = places(given), dict[str, Any](seed=0)
+    if given.quick:
+        scenes, settings = scenes[:1], settings | QUICK_SIZE
+    content = dict(scenes=scenes, layouts=[LOOKS_DOWN], settings=settings)
+    study = make_study(content, MAPS, "intersections.yaml", "aimed_cameras")
+    return {job.source.name: job.layout for job in study.jobs}, run(study, folder, given)
+
+
 def found_from(placement: str) -> str:
     """The name of what was found from a placement."""
     return f"found from {placement}"
@@ -112,26 +129,32 @@ def found_from(placement: str) -> str:
 
 
 def recording_of(
-    given: argparse.Namespace, into: Path, placement: str, part: str, found: Layouts
+    given: argparse.Namespace, into: Path, placement: str, part: str, found: Layouts, name: str
 ) -> Cache:
-    """A part of the sets of ``table1.py``, under what was found from a placement."""
+    """A part of the sets of ``table1.py``, under other layouts than a placement's; ``name`` is of
+    these."""
     plan = planned(given, placement, part)
     own = tuple(
-        replace(s, layout=found[s.source.name], name=s.name.replace(placement, f"from-{placement}"))
+        replace(s, layout=found[s.source.name], name=s.name.replace(placement, name))
         for s in plan.scenarios
     )
-    stem = into / f"{part}__from-{placement}"
-    return recorded(given, replace(plan, scenarios=own), stem)
+    return recorded(given, replace(plan, scenarios=own), into / f"{part}__{name}")
 
 
-def run_all(given: argparse.Namespace, into: Path, found: Searched, path: Path) -> Rows:
+def run_all(
+    given: argparse.Namespace, into: Path, found: Searched, down: Layouts, path: Path
+) -> Rows:
     """Every training that is not done yet, placement by placement; gives all rows."""
     done = {of_job(row) for row in done_in(path, given.steps)}
-    for name, layouts in found.items():
-        jobs = [Job(BY_HAND[name], found_from(name), seed) for seed in range(given.seeds)]
+    each = [(name, found_from(name), f"from-{name}", layouts) for name, layouts in found.items()]
+    each.append((LOOKS_DOWN["strategy"], AIMED, "aimed", down))
+    for placement, title, name, layouts in each:
+        jobs = [Job(BY_HAND[placement], title, seed) for seed in range(given.seeds)]
         todo = [job for job in jobs if job not in done]
         if todo:
-            data, later = (recording_of(given, into, name, part, layouts) for part in SETS)
+            data, later = (
+                recording_of(given, into, placement, part, layouts, name) for part in SETS
+            )
             train_some(given, {into.resolve() / job.folder: job for job in todo}, data, later, path)
     return done_in(path, given.steps)
 
@@ -139,7 +162,7 @@ def run_all(given: argparse.Namespace, into: Path, found: Searched, path: Path) 
 def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
     """A few steps on eight frames."""
     [(name, layouts)] = found.items()
-    data = recording_of(given, into, name, "train", layouts)
+    data = recording_of(given, into, name, "train", layouts, f"from-{name}")
     job = Job(BY_HAND[name], found_from(name), 0)
     settings = Settings(model=job.model, steps=8, validate_frames=0)
     predictor = predictor_of(trained(data, into / job.folder, settings, BevGrid(half=25.6)))
@@ -150,15 +173,36 @@ def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
 
 
 def scores_of(rows: list[Row], placement: str, scenes: set[str]) -> dict[str, float]:
-    """P_sm by name of the placement and of what was found from it, the mean over intersections."""
-    own = [row for row in rows if row["layout"] == placement and row["scene"] in scenes]
-    return {
-        placement: float(np.mean([float(row["surrogate_before"]) for row in own])),
-        found_from(placement): float(np.mean([float(row["surrogate"]) for row in own])),
-    }
+    """P_sm of the placement and of all that is compared with it, the mean over intersections."""
+
+    def mean(layout: str, column: str) -> float:
+        own = [row for row in rows if row["layout"] == layout and row["scene"] in scenes]
+        return float(np.mean([float(row[column]) for row in own]))
+
+    found = {placement: mean(placement, "surrogate_before")}
+    if placement == LOOKS_DOWN["strategy"]:
+        found[AIMED] = mean(AIMED, "surrogate")
+    return found | {found_from(placement): mean(placement, "surrogate")}
 
 
-def table(given: argparse.Namespace, rows: Rows, searches_of: list[Row]) -> str:
+def gain_with_lidars(rows: Rows, of: str) -> str:
+    """The mean gain of mAP over seeds and placements of LiDARs, with its 95 % interval by
+    Student's t of the differences between trainings with the same seed."""
+    gains = [
+        np.mean([own[model, found_from(name), kind] - own[model, name, kind] for kind in KINDS])
+        for own in means_of_seeds(rows, of).values()
+        for name, model in BY_HAND.items()
+        if model == "coalign" and (model, found_from(name), KINDS[0]) in own
+    ]
+    found = ttest_1samp(gains, 0.0)
+    low, high = found.confidence_interval()
+    return (
+        f"{of}: with LiDARs, what was found gains {np.mean(gains):+.1f} points "
+        f"[{low:.1f}, {high:.1f}] in {len(gains)} pairs of trainings, p = {found.pvalue:.2f}"
+    )
+
+
+def table(given: argparse.Namespace, rows: Rows, scored: list[Row]) -> str:
     """By placement: P_sm and AP by hand and as found, the mean over the seeds of both, in
     Markdown."""
     lines = [
@@ -169,7 +213,7 @@ def table(given: argparse.Namespace, rows: Rows, searches_of: list[Row]) -> str:
         # Splits are of intersections: the same ones for every placement.
         held_out = {s.source.name for s in planned(given, "L-d1", part).splits["test"]}
         for placement, model in BY_HAND.items():
-            scores = scores_of(searches_of, placement, held_out)
+            scores = scores_of(scored, placement, held_out)
             each = [
                 own
                 for own in means_of_seeds(rows, of).values()
@@ -188,19 +232,26 @@ def main() -> None:
     given = options()
     stem = begin(given, "found_placements")
     path = given.out / f"{stem}.csv"
+    if not given.quick:
+        check_settings(path, given)
     by_hand = [
         row
         for row in done_in(given.beside, given.steps)
         if BY_HAND.get(row["placement"]) == row["model"]
     ]
     with kept_folder(given.keep) as into:
-        found, searches_of = searched(given, into / "searches")
+        found, scored = searched(given, into / "searches")
+        down, more = aimed(given, into / "aimed")
+        scored += more
         if given.quick:
             write_results(path, quick(given, into, found), dict(vars(given)))
             return
-        rows = run_all(given, into, found, path)
-    write_settings(path.with_suffix(".json"), dict(vars(given)))
-    console.print(table(given, by_hand + rows, searches_of), highlight=False, soft_wrap=True)
+        rows = by_hand + run_all(given, into, found, down, path)
+    kept = ("layout", "scene", "surrogate_before", "surrogate")
+    scores = [{key: row.get(key, "") for key in kept} for row in scored]
+    write_results(path.with_name(f"{stem}_scores.csv"), scores, dict(vars(given)))
+    parts = [table(given, rows, scored), *(gain_with_lidars(rows, of) for of in HELD_OUT)]
+    console.print("\n\n".join(parts), highlight=False, soft_wrap=True, markup=False)
 
 
 if __name__ == "__main__":

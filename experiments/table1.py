@@ -5,12 +5,12 @@ other six are parts, and trains the eight detectors on three placements each, al
 number of steps. Each is measured on two intersections that it has not seen, and on another time at
 all ten. Tells nuScenes' mAP by detector, placement and class beside the paper's (``--paper1 FILE``,
 with the columns model, placement, class, map_percent), and that of each seed where there are
-several; the mean mAP of each placement beside its P_sm, and its correlation with P_sm, C, O and IG
-(``table2.csv``), with intervals from resampling the placements; and what the paper concludes from
-its table, yes or no with numbers. All but the first are told for another time, too, and for the
-paper's own mAP.
+several; the mean mAP of each placement beside its P_sm, and its correlation with P_sm, C, O and IG,
+with intervals from resampling the placements; and what the paper concludes from its table, yes or
+no with numbers. All but the first are told for another time, too, and for the paper's own mAP.
 
-P_sm is that of ``table2.csv``: at midday and medium density, of the profile ``paper``.
+P_sm, C, O and IG are the mean over the intersections where mAP is measured, and for the paper's
+over all ten; at midday and medium density, of the default profile, as in ``table2.csv``.
 
 All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out: with that file at hand, on any machine and
@@ -23,6 +23,7 @@ those of ``--models``.
 
 import argparse
 import itertools
+import json
 import time
 from collections.abc import Callable
 from functools import partial
@@ -45,7 +46,7 @@ from common import (
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import bootstrap, pearsonr, rankdata
-from table2 import HERE, begin, places, read_paper
+from table2 import Stats, begin, places, run, statistics
 
 from inspe_jax.cli.common import progress
 from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
@@ -59,11 +60,15 @@ from inspe_jax.perception.training import (
     Run,
     Settings,
     Training,
+    open_run,
     train,
     train_all,
 )
 from inspe_jax.perception.training.predict import loader_of
+from inspe_jax.perception.training.run import VALIDATION
+from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.simulation.frame import KINDS
+from inspe_jax.study.plan import make_study
 
 BY_SENSORS = {
     ("camera",): ("Cam-c", "Cam-d1", "Cam-d2"),
@@ -93,6 +98,8 @@ scenario has a frame a second."""
 HELD_OUT = {"places": "On other intersections", "time": "At another time"}
 """Titles, by what rows are of."""
 STEPS = 600
+DECISIVE = ("steps", "lights", "densities", "search")
+"""Options that rows depend on, of this study and of ``found_placements.py``."""
 RESAMPLES = 10_000
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
@@ -247,6 +254,20 @@ def done_in(path: Path, steps: int) -> Rows:
     return rows
 
 
+def check_settings(path: Path, given: argparse.Namespace) -> None:
+    """Raise SystemExit if there are rows of other settings; else write down those of now."""
+    record = path.with_suffix(".json")
+    if path.exists() and record.exists():
+        before = json.loads(record.read_text(encoding="utf-8"))["settings"]
+        for key in DECISIVE:
+            now = getattr(given, key, None)
+            if before.get(key) != now:
+                raise SystemExit(
+                    f"{path} has rows with {key} {before.get(key)}, not {now}: use another --out"
+                )
+    write_settings(record, dict(vars(given)))
+
+
 def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
     """Every training that is not done yet, recording by recording; gives all rows."""
     wanted = given.models.split(",") if given.models else NAMES
@@ -326,6 +347,37 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
         assert found.class_ap[0] >= KNOWN, found.class_ap
         rows += rows_of(job, "training", found, run.steps, seconds)
     return rows
+
+
+def curves(into: Path) -> Rows:
+    """mAP on the split ``validate`` in the course of each training whose folder is there."""
+    there = [job for job in every_job() if (into / job.folder).is_dir()]
+    return [
+        dict(model=job.model, placement=job.placement, seed=job.seed, step=row["step"],
+             mean_ap=round(row["mean_ap"], 5))
+        for job in there
+        for row in open_run(into / job.folder).rows(VALIDATION)
+    ]  # fmt: skip
+
+
+# ── Scores ──────────────────────────────────────────────────────────────────
+
+
+def scores_of(given: argparse.Namespace, folder: Path) -> dict[str, Stats]:
+    """C, O, IG and P_sm of the nine placements where detectors are measured: at the intersections
+    that are held out, and at all."""
+    content = dict(scenes=places(given), layouts=list(STRATEGIES), settings=dict(seed=0))
+    rows = run(make_study(content, MAPS, "intersections.yaml", "scores"), folder, given)
+    held_out = {s.source.name for s in planned(given, "L-c", "train").splits["test"]}
+    own = {"places": [row for row in rows if row["scene"] in held_out], "time": rows}
+    found = {of: statistics(some) for of, some in own.items()}
+    written = [
+        dict(frames_of=of, placement=placement, metric=metric, mean=round(mean, 5))
+        for of, stats in found.items()
+        for (placement, metric), (mean, _) in stats.items()
+    ]
+    write_results(given.out / "table1_scores.csv", written, dict(vars(given)))
+    return found
 
 
 # ── What it tells ───────────────────────────────────────────────────────────
@@ -444,12 +496,16 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def placements_table(found: dict[str, Means], ours: Any) -> str:
-    """P_sm and the mean mAP of each placement in Markdown."""
-    own = [of_placements(each) for each in found.values()]
-    lines = ["| placement | P_sm | " + " | ".join(found) + " |", "|---" * (2 + len(own)) + "|"]
-    for placement in own[0]:
-        cells = [f"{ours[placement, 'surrogate'][0]:.3f}", *(f"{of[placement]:.1f}" for of in own)]
+def placements_table(found: dict[str, Means], ours: dict[str, Stats]) -> str:
+    """P_sm and the mean mAP of each placement in Markdown, by what frames are of."""
+    own = {of: of_placements(each) for of, each in found.items()}
+    heads = [f"P_sm, {of} | mAP, {of}" for of in own]
+    lines = ["| placement | " + " | ".join(heads) + " |", "|---" * (1 + 2 * len(own)) + "|"]
+    for placement in own["places"]:
+        cells = [
+            f"{ours[of][placement, 'surrogate'][0]:.3f} | {ap[placement]:.1f}"
+            for of, ap in own.items()
+        ]
         lines.append(f"| {placement} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -543,12 +599,16 @@ def main() -> None:
     given = options()
     stem = begin(given, "table1")
     path = given.out / f"{stem}.csv"
+    if not given.quick:
+        check_settings(path, given)
     with kept_folder(given.keep) as into:
         rows = quick(given, into) if given.quick else run_all(given, into, path)
+        scored = {} if given.quick else scores_of(given, into / "scores")
+        if not given.quick and (course := curves(into)):
+            write_results(given.out / f"{stem}_validation.csv", course, dict(vars(given)))
     if given.quick:
         write_results(path, rows, dict(vars(given)))
         return
-    write_settings(path.with_suffix(".json"), dict(vars(given)))
     paper = read_paper1(given.paper1)
     of_own = {of: means(rows, of) for of in HELD_OUT}
     for of, title in HELD_OUT.items():
@@ -562,12 +622,12 @@ def main() -> None:
     if any(job.seed == 0 for job in left):
         console.print("what the placements tell together comes with the last of seed 0")
         return
-    ours = read_paper(HERE / "table2.csv")
     every = of_own | ({"paper": paper} if paper else {})
+    ours = {of: scored["places" if of == "places" else "time"] for of in every}
     related = [
         dict(frames_of=of, **row)
         for of, found in every.items()
-        for row in correlations(found, ours)
+        for row in correlations(found, ours[of])
     ]
     say(f"# Placements\n\n{placements_table(every, ours)}\n\n{correlations_table(related)}\n")
     for of, found in every.items():
@@ -576,7 +636,7 @@ def main() -> None:
         row | {key: round(row[key], 3) for key in ("value", "low", "high")} for row in related
     ]
     write_results(given.out / f"{stem}_correlations.csv", written, dict(vars(given)))
-    draw(of_own["places"], ours, paper).savefig(given.out / f"{stem}.png", dpi=150)
+    draw(of_own["places"], ours["places"], paper).savefig(given.out / f"{stem}.png", dpi=150)
     console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
 
 

@@ -85,8 +85,10 @@ def in_this_process() -> Any:
     )
 
 
-def wait_for_rows(process: subprocess.Popen, out: Path, count: int) -> None:
-    table = out / "results.csv"
+def wait_for_rows(
+    process: subprocess.Popen, out: Path, count: int, name: str = "results.csv"
+) -> None:
+    table = out / name
     end = time.monotonic() + 240
     while not table.exists() or table.read_text().count("\n") <= count:
         assert process.poll() is None, process.communicate()

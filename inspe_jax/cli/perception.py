@@ -110,13 +110,15 @@ def train_detector(
     given = dict(steps=steps, batch=batch, rate=rate, every=every)
     given |= dict(validate_frames=validate, augment=augment)
     wanted = []
+    size = picture_size(pictures or PICTURES)
     for name, number in dict.fromkeys(product(model or ["coalign"], seed or [0])):
-        model_of(name)  # before frames are decoded, which may take hours
+        # Before frames are decoded, which may take hours.
+        if "camera" in model_of(name).sensors and size is None:
+            raise InspeError(f"{name} needs pictures: leave --pictures none out")
         own = dict(model=name, seed=number, **given)
         wanted.append(check_model(training.Settings, own, "training"))
     check_workers(scheduler, workers)
     many = len(wanted) > 1 or workers is not None or scheduler is not None
-    size = picture_size(pictures or PICTURES)
     data = _cache(source, cache, size)
     if pictures and data.pictures != size:
         raise InspeError(
@@ -305,12 +307,17 @@ def _training() -> ModuleType:
     return training
 
 
-def _cache(source: Path, folder: Path | None, pictures: tuple[int, int] | None) -> "Cache":
+def _cache(
+    source: Path,
+    folder: Path | None,
+    pictures: tuple[int, int] | None,
+    any_size: bool = False,
+) -> "Cache":
     """The cache of a set, which is decoded as far as it is not."""
     from inspe_jax.perception.training.source import cache_of
 
     with progress("decoding frames") as tell:
-        return cache_of(source, pictures=pictures, folder=folder, progress=tell)
+        return cache_of(source, pictures=pictures, any_size=any_size, folder=folder, progress=tell)
 
 
 def _ready(
@@ -318,6 +325,7 @@ def _ready(
 ) -> "tuple[Run, int, Loader, Any]":
     """A run, the step of its last state, the frames of a set in order, and what detects in them."""
     training = _training()
+    from inspe_jax.perception.detector import model_of
     from inspe_jax.perception.training.predict import loader_of
     from inspe_jax.perception.training.settings import check_sensors
     from inspe_jax.perception.training.source import check_pictures
@@ -325,9 +333,10 @@ def _ready(
     run = training.open_run(folder)
     content = run.content
     step, detector = run.last()
-    size = content.pictures
-    data = _cache(source, cache, None if size is None else (size[0], size[1]))
-    check_sensors(content.settings.model, data)
+    name, size = content.settings.model, content.pictures
+    blind = "camera" not in model_of(name).sensors
+    data = _cache(source, cache, None if size is None else (size[0], size[1]), any_size=blind)
+    check_sensors(name, data)
     check_pictures(run, data)
-    loader = loader_of(content.settings.model, data, split, content.grid, batch=1, shuffle=False)
+    loader = loader_of(name, data, split, content.grid, batch=1, shuffle=False)
     return run, step, loader, training.Predictor(detector, content.agents, content.grid)

@@ -79,9 +79,8 @@ def truth_of(
 def within(detections: Detections, half: float) -> Detections:
     """The boxes whose middle is at most ``half`` [m] from the origin along x and along y.
 
-    This is the region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in. Apply it to
-    detections if the truth is cut to a region that is smaller than a detector's: what it finds
-    outside would count as false.
+    This is the region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in. Detections
+    are cut to it too: what is found outside would count as false.
     """
     kept = (np.abs(detections.boxes[:, :2]) <= half).all(1)
     return Detections(*(part[kept] for part in detections))

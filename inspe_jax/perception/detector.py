@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.perception.encoders import LiftSplat, Neck, PillarEncoder, Pyramid
-from inspe_jax.perception.encoders.pyramid import Maps
+from inspe_jax.perception.encoders.pyramid import WIDTHS, Maps
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
 from inspe_jax.perception.head import CenterHead, HeadOutput
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs
@@ -135,9 +135,10 @@ class Detector(eqx.Module):
         self.necks = [
             Neck(CHANNELS, own) for own in jax.random.split(d, 1 if model.every_scale else pyramids)
         ]
-        scales = 3 if model.every_scale else 1
+        fused = WIDTHS if model.every_scale else (CHANNELS,)
         self.fusions = [
-            model.fuse(CHANNELS, modalities, own) for own in jax.random.split(e, scales)
+            model.fuse(channels, modalities, own)
+            for channels, own in zip(fused, jax.random.split(e, len(fused)), strict=True)
         ]
         self.head = CenterHead(CHANNELS, f)
 

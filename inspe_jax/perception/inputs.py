@@ -22,9 +22,10 @@ MULTIPLE = 32
 class BevGrid:
     """The cells of bird's-eye view: a square about the middle of the intersection.
 
-    It reaches ``half`` to each side [m], and from ``low`` to ``high`` above the ground [m]. Its
-    cells are ``cell`` wide [m]. Features are fused on cells of twice that width, and road users are
-    found on the cells themselves.
+    It reaches ``half`` to each side [m], and from ``low`` to ``high`` above the ground at the
+    middle [m]: where a street climbs or falls further, LiDARs' points are left out. Its cells are
+    ``cell`` wide [m]. Features are fused on cells of twice that width, and road users are found on
+    the cells themselves.
 
     The defaults: 128 × 128 cells reach beyond the region of 50 m and can be halved four times. On
     two cores, cells of 0.4 m would take four times as long; a pedestrian still has one of 0.8 m

@@ -2,10 +2,12 @@
 
 import json
 import shutil
+from importlib import import_module
 
 import numpy as np
 import pytest
 from loading_sets import write_set
+from processes import inspe_process, wait_for_rows
 from typer.testing import CliRunner
 
 from inspe_jax.cli.common import app
@@ -54,6 +56,38 @@ def test_workers_are_refused_before_anything_is_decoded(tmp_path):
     assert "workers 2: give 1 or more; with a scheduler give none" in str(found.exception)
 
 
+@pytest.mark.process
+def test_a_killed_training_goes_on_to_the_same_losses(trained, tmp_path):
+    words = ("train", trained / "set_cache", *TRAIN[:2], "--steps", 8, "--every", 2, "--out")
+    process = inspe_process(*map(str, (*words, tmp_path / "parts")))
+    wait_for_rows(process, tmp_path / "parts", 3, LOSSES)
+    process.kill()
+    process.communicate()
+    assert 3 <= len(open_run(tmp_path / "parts").rows(LOSSES)) < 8
+    for name in ("whole", "parts"):
+        assert run(*words, tmp_path / name).exit_code == 0
+    whole, parts = (open_run(tmp_path / name).rows(LOSSES) for name in ("whole", "parts"))
+    assert [row["step"] for row in parts] == list(range(1, 9))
+    heat, again = (np.array([row["heat"] for row in rows]) for rows in (whole, parts))
+    # Another process may add up in another order, as above; Adam makes more of it with each step.
+    np.testing.assert_allclose(again[0], heat[0], rtol=1.5e-5)
+    np.testing.assert_allclose(again, heat, rtol=1e-3)
+
+
+def test_ctrl_c_says_how_to_go_on(trained, tmp_path, monkeypatch):
+    room = import_module("inspe_jax.perception.training.train")
+
+    def stop(*of):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(room, "training_step", stop)
+    found = run("train", trained / "set_cache", *TRAIN, "--out", tmp_path / "run")
+    assert found.exit_code == 130
+    assert "stopped; give the same command again to go on" in found.output
+    monkeypatch.undo()
+    assert run("train", trained / "set_cache", *TRAIN, "--out", tmp_path / "run").exit_code == 0
+
+
 def test_evaluate_tells_by_class(trained, tmp_path):
     table = tmp_path / "table.csv"
     found = run("evaluate", trained / "run", trained / "set", "--json", "-", "--csv", table)
@@ -62,6 +96,17 @@ def test_evaluate_tells_by_class(trained, tmp_path):
     assert [row["class"] for row in classes] == ["car", "truck", "cyclist", "pedestrian", "all"]
     assert classes[-1]["road_users"] == 12
     assert len(table.read_text().splitlines()) == 6
+
+
+def test_a_detector_of_lidars_does_not_ask_what_size_pictures_have(trained, tmp_path):
+    words = ("evaluate", trained / "run", trained / "set", "--json", "-")
+    blind = run(*words, "--cache", tmp_path / "blind")  # decoded now, with the run's pictures
+    assert blind.exit_code == 0, blind.output
+    record = tmp_path / "blind" / "cache.json"
+    record.write_text(record.read_text().replace("[24, 32]", "[48, 64]"))
+    again = run(*words, "--cache", tmp_path / "blind")
+    assert again.exit_code == 0, again.exception
+    assert json.loads(again.stdout) == json.loads(blind.stdout)
 
 
 def test_detect_lists_and_draws_a_frame(trained, tmp_path):
@@ -111,7 +156,8 @@ def test_what_is_not_in_the_set_is_said(trained, words, said):
 def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
     words = ("--model", "lss-eff", "--pictures", "none", "--cache", tmp_path / "blind")
     found = run("train", trained / "set", *words, "--out", tmp_path / "run")
-    assert "lss-eff needs pictures, and the cache was made without" in str(found.exception)
+    assert "lss-eff needs pictures: leave --pictures none out" in str(found.exception)
+    assert not (tmp_path / "blind").exists()
     found = run("train", trained / "set", "--pictures", "big", "--out", tmp_path / "run")
     assert "--pictures big: width and height such as 400x300, or none" in str(found.exception)
     found = run("train", trained / "set_cache", "--pictures", "64x48", "--out", tmp_path / "run")

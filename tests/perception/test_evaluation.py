@@ -90,6 +90,7 @@ def test_the_devkit_finds_the_same(reference, name):
     np.testing.assert_allclose(np.where(present[:, None], ours.errors, 1), said.errors, **CLOSE)
     assert ours.mean_ap == np.mean(said.class_ap[present])
     if present.all():
+        assert ours.mean_ap == said.mean_ap
         np.testing.assert_allclose(ours.mean_errors, said.mean_errors, **CLOSE)
         # Without attributes, the devkit's fifth error is 1: it adds 0, but it divides by 10.
         np.testing.assert_allclose(9 * ours.nds_without_attributes, 10 * said.nds, **CLOSE)

@@ -14,6 +14,8 @@ from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
 from inspe_jax.perception.encoders.lift_splat import EMPTY_WEIGHT, HEIGHTS
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
+from inspe_jax.perception.fusion.heterogeneous import HeterogeneousAttention
+from inspe_jax.perception.fusion.v2x_vit import WindowAttention
 from inspe_jax.perception.fusion.windows import (
     from_grids,
     from_windows,
@@ -222,6 +224,102 @@ def test_fusion_heeds_who_is_present_and_not_the_order(name):
         np.testing.assert_allclose(found[1], x[1, 0], atol=1e-6)
     else:
         assert not np.allclose(found[1], x[1, 0], atol=0.01)
+
+
+def softmax(scores: np.ndarray) -> np.ndarray:
+    found = np.exp(scores - scores.max())
+    return found / found.sum()
+
+
+def test_agents_attend_by_the_modalities_of_both():
+    """One receiver's cell after another; relations and messages are of receiver and sender."""
+    attention = made(lambda key: HeterogeneousAttention(8, TYPES, 2, key))
+    x, present = noise(1, 3, 2, 4, 8), np.array([[True, True, False]])
+    found = np.asarray(eqx.filter_jit(lambda x: attention(x, present))(x))
+    w = jax.tree.map(np.asarray, attention)
+    for i, m, t in ((0, 0, 1), (1, 1, 3), (2, 1, 0)):
+        a, told = TYPES[i], []
+        for h in range(2):
+            part = slice(4 * h, 4 * h + 4)
+            query = (x[0, i, m, t] @ w.queries.weight[a])[part]
+            scores, values = [], []
+            for j, s in ((j, s) for j in (0, 1) for s in range(4)):
+                b, sent = TYPES[j], x[0, j, m, s]
+                key = (sent @ w.keys.weight[b])[part]
+                scores.append(query @ w.relations.weight[a, b, h] @ key / 2)
+                values.append((sent @ w.values.weight[b])[part] @ w.messages.weight[a, b, h])
+            told.append(softmax(np.array(scores)) @ np.array(values))
+        expected = np.concatenate(told) @ w.outputs.weight[a]
+        np.testing.assert_allclose(found[0, i, m, t], expected, rtol=1e-3, atol=1e-4)
+
+
+def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
+    windows = made(lambda key: WindowAttention(8, 2, 2, key))
+    bias, x = noise(2, 9, seed=1), noise(1, 4, 4, 8)
+    windows = eqx.tree_at(lambda it: it.bias, windows, jnp.asarray(bias))
+    found = np.asarray(eqx.filter_jit(windows)(x))
+    w = jax.tree.map(np.asarray, windows)
+    cells = [(2, 0), (2, 1), (3, 0), (3, 1)]  # one window
+    for p in cells:
+        told = []
+        for h in range(2):
+            part = slice(4 * h, 4 * h + 4)
+            query = (x[0][p] @ w.project.weight[:, :8])[part]
+            keys, values = (
+                np.array([(x[0][q] @ w.project.weight[:, n : n + 8])[part] for q in cells])
+                for n in (8, 16)
+            )
+            apart = [bias[h, 3 * (p[0] - q[0] + 1) + p[1] - q[1] + 1] for q in cells]
+            told.append(softmax(keys @ query / 2 + np.array(apart)) @ values)
+        expected = np.concatenate(told) @ w.output.weight + w.output.bias
+        np.testing.assert_allclose(found[0][p], expected, rtol=1e-3, atol=1e-4)
+
+
+def test_v2vnet_takes_in_the_mean_message_of_the_others():
+    """On maps of one cell only the middle of a convolution counts."""
+    fusion = made(lambda key: V2VNet(4, key))
+    x, present = noise(1, 3, 1, 1, 4), np.array([[True, True, False]])
+    found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0, 0]
+    w = jax.tree.map(np.asarray, fusion)
+
+    def conv(of, row):
+        return row @ of.weight[1, 1] + of.bias
+
+    def sigmoid(row):
+        return 1 / (1 + np.exp(-row))
+
+    state = list(x[0, :2, 0, 0])
+    for _ in range(2):
+        after = []
+        for own, other in (state, state[::-1]):
+            message = np.maximum(conv(w.receiver, own) + conv(w.sender, other), 0)
+            gates = sigmoid(conv(w.unit.gates, np.concatenate([message, own])))
+            update, reset = gates[:4], gates[4:]
+            candidate = np.tanh(conv(w.unit.candidate, np.concatenate([message, reset * own])))
+            after.append((1 - update) * candidate + update * own)
+        state = after
+    np.testing.assert_allclose(found, np.mean(state, 0), rtol=1e-3, atol=1e-4)
+
+
+def test_disconet_weighs_senders_for_each_cell():
+    fusion = made(lambda key: DiscoNet(8, key))
+    x, present = noise(1, 3, 1, 2, 8), np.array([[True, False, True]])
+    found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0]
+    w, there = jax.tree.map(np.asarray, fusion), (0, 2)
+    for c in range(2):
+        own = []
+        for i in there:
+            pairs = [
+                x[0, i, 0, c] @ w.receiver.weight + w.receiver.bias
+                + x[0, j, 0, c] @ w.sender.weight
+                for j in there
+            ]  # fmt: skip
+            hidden = np.maximum(
+                np.maximum(np.array(pairs), 0) @ w.edge.inner.weight + w.edge.inner.bias, 0
+            )
+            scores = (hidden @ w.edge.outer.weight + w.edge.outer.bias)[:, 0]
+            own.append(softmax(scores) @ x[0, there, 0, c])
+        np.testing.assert_allclose(found[c], np.mean(own, 0), rtol=1e-3, atol=1e-4)
 
 
 # ── Head ────────────────────────────────────────────────────────────────────

@@ -3,6 +3,7 @@
 import shutil
 from importlib import import_module
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -190,9 +191,19 @@ def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path):
     taught = [row["taught"] for row in run.rows(LOSSES)]
     assert len(taught) == 2
     assert min(taught) > 0
-    before = open_run(tmp_path / "run" / "teacher").states[-1][1].read_bytes()
+    teacher = open_run(tmp_path / "run" / "teacher")
+    before = teacher.states[-1][1].read_bytes()
     train(cached, tmp_path / "run", settings, grid=GRID)
-    assert open_run(tmp_path / "run" / "teacher").states[-1][1].read_bytes() == before
+    assert teacher.states[-1][1].read_bytes() == before
+    # Of another teacher, other things are learnt.
+    shutil.copytree(teacher.path, tmp_path / "other" / "run" / "teacher")
+    other = open_run(tmp_path / "other" / "run" / "teacher")
+    step, state = other.restore()
+    other.keep(step, jax.tree.map(lambda leaf: 0 * leaf if eqx.is_array(leaf) else leaf, state))
+    again = train(cached, tmp_path / "other" / "run", settings, grid=GRID)
+    first, second = (of.rows(LOSSES)[0] for of in (run, again))
+    assert first["heat"] == second["heat"]
+    assert abs(first["taught"] - second["taught"]) > 1e-3
 
 
 def test_distillation_is_a_divergence():
@@ -216,9 +227,11 @@ def test_other_settings_are_refused_in_the_same_folder(stopped_and_not, cached, 
         open_run(tmp_path)
 
 
-def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
-    stopped_and_not, cached, tmp_path, monkeypatch
+@pytest.mark.parametrize(("loss", "weight", "step"), [(np.nan, 0, 3), (1.0, np.nan, 4)])
+def test_numbers_that_are_none_stop_and_keep_the_states(
+    stopped_and_not, cached, tmp_path, monkeypatch, loss, weight, step
 ):
+    """Of a loss, and of weights where a state is due: a loss is of the weights before its step."""
     folder = tmp_path / "run"
     shutil.copytree(stopped_and_not[0].path, folder)
     run = open_run(folder)
@@ -226,11 +239,13 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_states(
     room = import_module("inspe_jax.perception.training.train")
 
     def broken(constant, detector, moments):
-        return detector, moments, room._Losses(np.nan, 0.0, 0.0, 0.0)
+        worse = jax.device_put(np.asarray(detector.head.values.bias) + np.float32(weight))
+        detector = eqx.tree_at(lambda it: it.head.values.bias, detector, worse)
+        return detector, moments, room._Losses(loss, 0.0, 0.0, 0.0)
 
     monkeypatch.setattr(room, "training_step", broken)
     with pytest.raises(
-        InspeError, match=r"step 3 gave no numbers: train into another folder.* 2 stays"
+        InspeError, match=rf"step {step} gave no numbers: train into another folder.* 2 stays"
     ):
         train(cached, folder, SETTINGS, grid=GRID)
     assert open_run(folder).steps == 2

@@ -152,12 +152,17 @@ def open_cache(folder: str | os.PathLike[str]) -> Cache:
     path = Path(folder).resolve()
     if not (path / CACHE).is_file():
         raise InspeError(f"{folder}: not a cache: make one with inspe_jax.dataset.cache")
-    record = _read_record(path)
+    pictures = pictures_of(path)
     scenarios = tuple(_stored(path))
     if not scenarios:
         raise InspeError(f"{folder}: the cache has no scenario yet: cache the set again")
-    size = record.pictures
-    return Cache(path, None if size is None else (size[0], size[1]), scenarios)
+    return Cache(path, pictures, scenarios)
+
+
+def pictures_of(folder: str | os.PathLike[str]) -> tuple[int, int] | None:
+    """The size (height, width) of the pictures of a cache, which may have no scenario yet."""
+    size = _read_record(Path(folder)).pictures
+    return None if size is None else (size[0], size[1])
 
 
 def _decode_all(
@@ -204,12 +209,11 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
                 f"{path}: has other files, such as {others[0]}, and is no cache: name an empty or "
                 f"a new folder"
             )
-        size = None if pictures is None else list(pictures)
-        write_text(path / CACHE, json.dumps({"format": FORMAT, "pictures": size}) + "\n")
+        write_text(path / CACHE, json.dumps({"format": FORMAT, "pictures": pictures}) + "\n")
         return
-    size = _read_record(path).pictures
-    if size != (None if pictures is None else list(pictures)):
-        has = "no pictures" if size is None else f"pictures of {size}"
+    size = pictures_of(path)
+    if size != pictures:
+        has = "no pictures" if size is None else f"pictures of {list(size)}"
         raise InspeError(
             f"{path}: this cache has {has}, not {pictures}: name another folder for another size"
         )

@@ -1,6 +1,6 @@
 """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell.
 
-Its teacher, which sees all points together, and the distillation loss are in
+Its teacher, which joins the pillars of all units from the start, and the distillation loss are in
 :mod:`inspe_jax.perception.distillation`.
 """
 

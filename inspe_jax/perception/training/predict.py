@@ -8,7 +8,7 @@ import numpy as np
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Batch, Cache, Loader
-from inspe_jax.perception.detections import Detections, truth_of
+from inspe_jax.perception.detections import Detections, truth_of, within
 from inspe_jax.perception.detector import Detector, model_of
 from inspe_jax.perception.evaluation import Evaluation, evaluate
 from inspe_jax.perception.head import Peaks, peaks
@@ -62,13 +62,15 @@ class Predictor:
     ) -> Evaluation:
         """The measures over the batches of a loader, or over about ``most`` frames of them.
 
+        Detections count where road users do: within the loader's ``half``.
         ``progress`` is called with (batches done, all batches). Raises :class:`NoTruth`.
         """
         found: list[Detections] = []
         truth: list[Detections] = []
+        half = loader.half
         chosen = _spread(len(loader), None if most is None else -(-most // loader.batch))
         for done, batch in enumerate(_batches(loader, chosen), 1):
-            found += self(batch)
+            found += [frame if half is None else within(frame, half) for frame in self(batch)]
             truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
             if progress:
                 progress(done, len(chosen))

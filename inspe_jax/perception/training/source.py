@@ -6,7 +6,7 @@ from pathlib import Path
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Cache, cache, open_cache
-from inspe_jax.dataset.loading.caching import CACHE
+from inspe_jax.dataset.loading.caching import CACHE, pictures_of
 from inspe_jax.perception.detector import model_of
 from inspe_jax.perception.training.run import Run
 
@@ -15,14 +15,16 @@ def cache_of(
     source: str | os.PathLike[str],
     *,
     pictures: tuple[int, int] | None,
+    any_size: bool = False,
     folder: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Cache:
     """A data set as a cache; ``source`` may be one.
 
     What of the set is not decoded yet is decoded into ``folder``, or else into a folder beside the
-    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width); a cache
-    that is given has the size that it has. Raises InspeError if it is given with a ``folder``.
+    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width). A cache
+    that is given has the size that it has; so has one that is there already, if ``any_size`` will
+    do. Raises InspeError if a cache is given with a ``folder``.
     """
     source = Path(source)
     if (source / CACHE).is_file():
@@ -32,7 +34,9 @@ def cache_of(
             )
         return open_cache(source)
     beside = source.resolve()
-    into = beside.with_name(f"{beside.name}_cache") if folder is None else folder
+    into = beside.with_name(f"{beside.name}_cache") if folder is None else Path(folder)
+    if any_size and (into / CACHE).is_file():
+        pictures = pictures_of(into)
     return cache(source, into, pictures=pictures, progress=progress)
 
 

@@ -1,0 +1,111 @@
+"""What experiments tell of their rows, and that experiments/README.md has it."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import table1
+from common import read_rows
+from training_step import PARTS, parts_of, shares
+
+from inspe_jax.simulation.frame import KINDS
+
+HERE = Path(table1.__file__).parent
+README = (HERE / "README.md").read_text(encoding="utf-8")
+ROWS = read_rows(HERE / "table1.csv")
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, table1.Means]:
+    return {of: table1.means(ROWS, of) for of in table1.HELD_OUT}
+
+
+@pytest.fixture(scope="module")
+def scores() -> dict[str, table1.Stats]:
+    of: dict[str, table1.Stats] = {"places": {}, "time": {}}
+    for row in read_rows(HERE / "table1_scores.csv"):
+        of[row["frames_of"]][row["placement"], row["metric"]] = float(row["mean"]), 0.0
+    return of
+
+
+def test_the_table_of_detectors_is_that_of_the_rows(found):
+    lines = [re.sub(r" \([\d.]+\)", "", line) for line in README.splitlines()]  # the paper's
+    told = table1.table(found["places"], {}).splitlines()[2:]
+    assert len(told) == 8 * 3
+    for line in told:
+        assert line in lines
+
+
+def test_the_tables_of_placements_and_of_seeds_are_those_of_the_rows(found, scores):
+    for line in table1.placements_table(found, scores).splitlines()[2:]:
+        assert line in README
+    for line in table1.seeds_table(ROWS, "places").splitlines()[2:]:
+        assert line.removesuffix(" |") in README
+
+
+def test_correlations_are_those_of_the_rows(found, scores, monkeypatch):
+    monkeypatch.setattr(table1, "interval", lambda *of: (np.nan, np.nan))
+    kept = {
+        tuple(row[key] for key in ("frames_of", "road_user", "metric", "correlation")): row["value"]
+        for row in read_rows(HERE / "table1_correlations.csv")
+    }
+    count = 0
+    for of in found:
+        for row in table1.correlations(found[of], scores[of]):
+            at = of, row["road_user"], row["metric"], row["correlation"]
+            assert float(kept[at]) == pytest.approx(row["value"], abs=6e-4)  # of three digits
+            count += 1
+    assert count == 2 * (1 + len(KINDS)) * 4 * 2
+
+
+def test_what_is_concluded_is_yes_or_no(found):
+    """Turned round, every claim is turned round."""
+    told = table1.conclusions(found["places"])
+    assert [line.split(":")[0] for line in told] == ["yes", "yes", "no", "yes"]
+    less = {at: 100 - ap for at, ap in found["places"].items()}
+    turned = table1.conclusions(less)
+    assert [line.split(":")[0] for line in turned][:2] == ["no", "no"]
+    numbers = [
+        np.array(re.findall(r"[+-][\d.]+", line), float) for line in (*told, *turned) if line
+    ]
+    for one, other in zip(numbers[:4], numbers[4:], strict=True):
+        np.testing.assert_allclose(one, -other, atol=0.051)
+
+
+PROGRAM = """HloModule jit_training_step
+
+%fused (p: f32[2]) -> f32[2] {
+  ROOT %dot.1 = f32[2] dot(%p), metadata={op_name="jit(step)/jvp(head)/dot"}
+}
+
+ENTRY %main (a: f32[2]) -> f32[2] {
+  %a = f32[2] parameter(0)
+  %conv.1 = f32[2] fusion(%a), metadata={op_name="jit(step)/jvp(fusion)/pyramids/conv"}
+  %conv.2 = f32[2] fusion(%a, %conv.1), kind=kCustom
+  %exp.1 = f32[2] fusion(%conv.2), metadata={op_name="jit(step)/jvp()/exp"}
+  %of.teacher = f32[2] fusion(%a), metadata={op_name="jit(step)/teacher/fusion/pyramids/conv"}
+  ROOT %add.1 = f32[2] add(%exp.1), metadata={op_name="jit(step)/optimiser/add"}
+}
+"""
+
+
+def test_operations_belong_to_the_parts_that_they_are_named_by():
+    assert parts_of(PROGRAM) == {
+        "a": "losses",
+        "conv.1": "pyramids",
+        "conv.2": "pyramids",  # without a name, as what it takes
+        "exp.1": "losses",
+        "of.teacher": "teacher",
+        "add.1": "optimiser",
+    }
+
+
+def test_parts_that_run_at_the_same_time_share_it():
+    spans = [(0, 4, "pillars"), (2, 4, "head"), (6, 8, "optimiser")]
+    found = shares(iter(spans))
+    assert list(found) == list(PARTS)
+    assert found["pillars"] == pytest.approx((2 + 1 + 1) / 8)  # and half of the wait
+    assert found["head"] == pytest.approx((1 + 1) / 8)
+    assert found["optimiser"] == pytest.approx(2 / 8)
+    assert sum(found.values()) == pytest.approx(1)

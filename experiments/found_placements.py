@@ -23,6 +23,7 @@ from common import command_line, kept_folder, write_results
 from rich.console import Console
 from scipy.stats import ttest_1samp
 from table1 import (
+    BY_SENSORS,
     HELD_OUT,
     SETS,
     STEPS,
@@ -81,15 +82,20 @@ def options() -> argparse.Namespace:
     return given
 
 
+def study_of(given: argparse.Namespace, name: str, layouts: list[Any], **settings: Any) -> Study:
+    """Layouts at each intersection; one of them at a small one if quick."""
+    scenes = places(given)
+    if given.quick:
+        scenes, layouts, settings = scenes[:1], layouts[:1], settings | QUICK_SIZE
+    content = dict(scenes=scenes, layouts=layouts, settings=dict(seed=0) | settings)
+    return make_study(content, MAPS, "intersections.yaml", name)
+
+
 def searches(given: argparse.Namespace) -> Study:
     """A search from each placement at each intersection."""
-    settings: dict[str, Any] = dict(method="greedy-adam", evaluations=given.search, seed=0)
-    scenes, placements = places(given), list(BY_HAND)
-    if given.quick:
-        settings |= QUICK_SIZE | dict(evaluations=4)
-        scenes, placements = scenes[:1], placements[:1]
-    content = dict(scenes=scenes, layouts=placements, settings=settings)
-    return make_study(content, MAPS, "intersections.yaml", "found_placements")
+    work = 4 if given.quick else given.search
+    how = dict(method="greedy-adam", evaluations=work)
+    return study_of(given, "found_placements", list(BY_HAND), **how)
 
 
 Layouts = dict[str, LayoutSource]
@@ -112,11 +118,7 @@ def searched(given: argparse.Namespace, folder: Path) -> tuple[Searched, list[Ro
 
 def aimed(given: argparse.Namespace, folder: Path) -> tuple[Layouts, list[Row]]:
     """The placement of cameras that look down, by intersection, and the rows of its scores."""
-    scenes, settings = places(given), dict[str, Any](seed=0)
-    if given.quick:
-        scenes, settings = scenes[:1], settings | QUICK_SIZE
-    content = dict(scenes=scenes, layouts=[LOOKS_DOWN], settings=settings)
-    study = make_study(content, MAPS, "intersections.yaml", "aimed_cameras")
+    study = study_of(given, "aimed_cameras", [LOOKS_DOWN])
     return {job.source.name: job.layout for job in study.jobs}, run(study, folder, given)
 
 
@@ -192,7 +194,7 @@ def gain_with_lidars(rows: Rows, of: str) -> str:
         np.mean([own[model, found_from(name), kind] - own[model, name, kind] for kind in KINDS])
         for own in means_of_seeds(rows, of).values()
         for name, model in BY_HAND.items()
-        if model == "coalign" and (model, found_from(name), KINDS[0]) in own
+        if name in BY_SENSORS["lidar",] and (model, found_from(name), KINDS[0]) in own
     ]
     found = ttest_1samp(gains, 0.0)
     low, high = found.confidence_interval()

@@ -256,8 +256,8 @@ def done_in(path: Path, steps: int) -> Rows:
 
 def check_settings(path: Path, given: argparse.Namespace) -> None:
     """Raise SystemExit if there are rows of other settings; else write down those of now."""
-    record = path.with_suffix(".json")
-    if path.exists() and record.exists():
+    record, rows = path.with_suffix(".json"), done_in(path, given.steps)
+    if rows and record.exists():
         before = json.loads(record.read_text(encoding="utf-8"))["settings"]
         for key in DECISIVE:
             now = getattr(given, key, None)
@@ -599,16 +599,16 @@ def main() -> None:
     given = options()
     stem = begin(given, "table1")
     path = given.out / f"{stem}.csv"
-    if not given.quick:
-        check_settings(path, given)
     with kept_folder(given.keep) as into:
-        rows = quick(given, into) if given.quick else run_all(given, into, path)
-        scored = {} if given.quick else scores_of(given, into / "scores")
-        if not given.quick and (course := curves(into)):
-            write_results(given.out / f"{stem}_validation.csv", course, dict(vars(given)))
-    if given.quick:
-        write_results(path, rows, dict(vars(given)))
-        return
+        if given.quick:
+            write_results(path, quick(given, into), dict(vars(given)))
+            return
+        check_settings(path, given)
+        tell(given, into, path, run_all(given, into, path))
+
+
+def tell(given: argparse.Namespace, into: Path, path: Path, rows: Rows) -> None:
+    """Print, write and draw what the rows say, as far as trainings are done."""
     paper = read_paper1(given.paper1)
     of_own = {of: means(rows, of) for of in HELD_OUT}
     for of, title in HELD_OUT.items():
@@ -622,8 +622,11 @@ def main() -> None:
     if any(job.seed == 0 for job in left):
         console.print("what the placements tell together comes with the last of seed 0")
         return
+    if course := curves(into):
+        write_results(path.with_name("table1_validation.csv"), course, dict(vars(given)))
     every = of_own | ({"paper": paper} if paper else {})
-    ours = {of: scored["places" if of == "places" else "time"] for of in every}
+    scored = scores_of(given, into / "scores")
+    ours = {of: scored.get(of, scored["time"]) for of in every}  # the paper's: at all ten
     related = [
         dict(frames_of=of, **row)
         for of, found in every.items()
@@ -635,9 +638,9 @@ def main() -> None:
     written = [
         row | {key: round(row[key], 3) for key in ("value", "low", "high")} for row in related
     ]
-    write_results(given.out / f"{stem}_correlations.csv", written, dict(vars(given)))
-    draw(of_own["places"], ours["places"], paper).savefig(given.out / f"{stem}.png", dpi=150)
-    console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
+    write_results(path.with_name("table1_correlations.csv"), written, dict(vars(given)))
+    draw(of_own["places"], ours["places"], paper).savefig(path.with_suffix(".png"), dpi=150)
+    console.print(f"wrote {path}, .json and .png", highlight=False)
 
 
 if __name__ == "__main__":

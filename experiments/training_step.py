@@ -44,12 +44,9 @@ from inspe_jax.perception.training.train import training_step
 QUICK_MODELS = ("coalign",)
 SHARE = 0.1
 """The largest share of a step that loading may take."""
-SCOPES = ("teacher", "pillars", "pictures", "pyramids", "fusion", "head", "optimiser")
-"""Named scopes of a step, in the order in which they are looked for: a teacher has pyramids, and a
-fusion has them, too."""
 LOSSES = "losses"
-PARTS = (*SCOPES[1:-1], LOSSES, *SCOPES[:1], *SCOPES[-1:])
-"""Of a step, as they are told."""
+PARTS = ("pillars", "pictures", "pyramids", "fusion", "head", LOSSES, "teacher", "optimiser")
+"""Of a step. All but losses are named scopes."""
 
 console = Console()
 
@@ -81,9 +78,10 @@ def frames(given: argparse.Namespace, into: Path) -> Path:
 
 
 def part_of(name: str) -> str:
-    """The part of a step that an operation belongs to, by its name in the program."""
+    """The part of a step that an operation belongs to, by its name in the program: of a teacher's
+    pyramids the teacher, of pyramids within a fusion the pyramids."""
     scopes = re.findall(r"\w+", name)
-    return next((scope for scope in SCOPES if scope in scopes), LOSSES)
+    return next((part for part in ("teacher", *PARTS) if part in scopes), LOSSES)
 
 
 def parts_of(program: str) -> dict[str, str]:

@@ -234,6 +234,8 @@ def test_another_size_of_pictures_needs_another_folder(made, cached):
     for pictures in ((24, 32), None):
         with pytest.raises(InspeError, match=r"has pictures of \[48, 64\].* another folder"):
             dataset.cache(*made, pictures=pictures, workers=1)
+    same = dataset.cache(*made, pictures=list(cached.pictures), workers=1)
+    assert same.pictures == cached.pictures
 
 
 def test_a_cache_in_use_is_not_written(made, cached):

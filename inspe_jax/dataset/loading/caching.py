@@ -212,7 +212,7 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
         write_text(path / CACHE, json.dumps({"format": FORMAT, "pictures": pictures}) + "\n")
         return
     size = pictures_of(path)
-    if size != pictures:
+    if size != (None if pictures is None else tuple(pictures)):
         has = "no pictures" if size is None else f"pictures of {list(size)}"
         raise InspeError(
             f"{path}: this cache has {has}, not {pictures}: name another folder for another size"

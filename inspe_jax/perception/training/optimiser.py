@@ -1,9 +1,8 @@
 """The optimiser of every training, so that detectors differ in nothing else."""
 
 from functools import cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-import jax
 import optax
 
 Optimiser: TypeAlias = optax.GradientTransformation
@@ -26,10 +25,3 @@ def optimiser(steps: int, rate: float) -> Optimiser:
     return optax.chain(
         optax.clip_by_global_norm(MOST_GRADIENT), optax.adamw(rates, weight_decay=DECAY)
     )
-
-
-@jax.named_scope("optimiser")
-def updates_of(chain: Optimiser, gradient: Any, moments: Any, weights: Any) -> tuple[Any, Any]:
-    """What is to be added to the weights, and the moments after it."""
-    with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and fractions
-        return chain.update(gradient, moments, weights)

@@ -19,7 +19,7 @@ from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.perspective import perspective_loss
-from inspe_jax.perception.training.optimiser import Optimiser, optimiser, updates_of
+from inspe_jax.perception.training.optimiser import Optimiser, optimiser
 from inspe_jax.perception.training.predict import NoTruth, Predictor, loader_of
 from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begun
 from inspe_jax.perception.training.settings import (
@@ -189,7 +189,9 @@ def training_step(
     *of, chain = constant
     gradient, losses = eqx.filter_grad(objective, has_aux=True)(detector, *of)
     weights = eqx.filter(detector, eqx.is_inexact_array)
-    updates, moments = updates_of(chain, gradient, moments, weights)
+    # optax mixes whole numbers and fractions
+    with jax.named_scope("optimiser"), jax.numpy_dtype_promotion("standard"):
+        updates, moments = chain.update(gradient, moments, weights)
     return eqx.apply_updates(detector, updates), moments, losses
 
 

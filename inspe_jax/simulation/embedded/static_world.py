@@ -10,6 +10,8 @@ its faces stand in their place, and nothing else is made up.
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -86,9 +88,7 @@ def build_static_world(
     same triangles lie here. Other buildings and trees stand at random places, which depend only on
     the intersection's name and on where bodies leave room.
     """
-    rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     center = np.asarray(intersection.center, float)
-    open_ = unary_union(list(intersection.regions.values()))
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
     masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]
     feet = [(*p, POLE_HEIGHT) for p in intersection.poles]
@@ -97,45 +97,64 @@ def build_static_world(
     own = unary_union([one.polygon for one in bodies])
     feet = [p for p in feet if not bodies or Point(p[:2]).distance(own) > 0.5]
     posts = np.array([*masts, *feet], float).reshape(-1, 4)
-    mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
-    parts: list[tuple[np.ndarray, int, int]] = [
-        (_ground(intersection, radius), GROUND, 0),
-        *((ring, KERB, 0) for ring in (_kerbs(intersection) if mesh is None else ())),
-        *((_tube(p[:3], POLE_RADIUS, p[3]), POLE, 0) for p in posts),
-    ]
-    taken = open_.buffer(CLEAR)
-    if bodies:
-        taken = unary_union([taken, own.buffer(CLEAR)])
-    made_up = mesh is None
-    for k, corners in enumerate(_plots(intersection, taken, radius, rng) if made_up else ()):
-        walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
-        parts += [(walls, BUILDING, k), (roof, ROOF, k)]
-        taken = unary_union([taken, Polygon(corners).buffer(1.0)])
-    for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng) if made_up else ()):
-        parts.append((_tube(foot, 0.18, 0.45 * height), TRUNK, k))
-        parts.append((_crown(foot, height, rng), CROWN, k))
-    tops = posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:]
-    colours = [np.zeros((sum(len(part) for part, _, _ in parts), 3))]
-    if mesh is not None:
-        faces, colour = _surveyed(mesh, intersection)
-        parts.append((faces, SURVEYED, 0))
-        colours.append(colour)
-    for k, one in enumerate(bodies):
-        if mesh is not None and one.kind == "solid":
-            continue
-        for part in body_parts(one, intersection):
-            parts.append((part.triangles, part.material, k))
-            colours.append(np.zeros((len(part.triangles), 3)) + part.colour)
-    sizes = [len(part) for part, _, _ in parts]
+    low, high, surface = _all_but_posts(intersection, radius, tuple(bodies))
+    parts = [*low, *(_Part(_tube(p[:3], POLE_RADIUS, p[3]), POLE) for p in posts), *high]
+    sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,
-        triangles=(np.concatenate([part for part, _, _ in parts]) - center).astype(np.float32),
-        material=np.repeat([m for _, m, _ in parts], sizes),
-        body=np.repeat([b for _, _, b in parts], sizes),
-        surface=lay_surface(intersection, radius + MAPPED),
-        poles=tops,
-        colour=np.concatenate(colours).astype(np.float32),
+        triangles=(np.concatenate([part.triangles for part in parts]) - center).astype(np.float32),
+        material=np.repeat([part.material for part in parts], sizes),
+        body=np.repeat([part.body for part in parts], sizes),
+        surface=surface,
+        poles=posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:],
+        colour=np.concatenate(
+            [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
+        ).astype(np.float32),
     )
+
+
+class _Part(NamedTuple):
+    """Triangles in the world [m] of one material; fields are those of :class:`StaticWorld`."""
+
+    triangles: Float[np.ndarray, "F 3 3"]
+    material: int
+    body: int = 0
+    colour: float | Float[np.ndarray, "F 3"] = 0.0
+
+
+@lru_cache(maxsize=4)
+def _all_but_posts(
+    intersection: Intersection, radius: float, bodies: tuple[StaticBody, ...]
+) -> tuple[tuple[_Part, ...], tuple[_Part, ...], Surface]:
+    """What lies on the ground, what rises from it, and the ground's surface. No mast changes them,
+    so they are kept for the next layout."""
+    rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
+    mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
+    low = [_Part(_ground(intersection, radius), GROUND)]
+    high = list[_Part]()
+    if mesh is None:
+        low += [_Part(ring, KERB) for ring in _kerbs(intersection)]
+        taken = unary_union(list(intersection.regions.values())).buffer(CLEAR)
+        if bodies:
+            own = unary_union([one.polygon for one in bodies])
+            taken = unary_union([taken, own.buffer(CLEAR)])
+        built = list[Polygon]()
+        for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
+            walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
+            high += [_Part(walls, BUILDING, k), _Part(roof, ROOF, k)]
+            built.append(Polygon(corners).buffer(1.0))
+        taken = unary_union([taken, *built])
+        for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
+            high.append(_Part(_tube(foot, 0.18, 0.45 * height), TRUNK, k))
+            high.append(_Part(_crown(foot, height, rng), CROWN, k))
+    else:
+        faces, colour = _surveyed(mesh, intersection)
+        high.append(_Part(faces, SURVEYED, 0, colour))
+    for k, one in enumerate(bodies):
+        if mesh is None or one.kind != "solid":
+            for part in body_parts(one, intersection):
+                high.append(_Part(part.triangles, part.material, k, part.colour))
+    return tuple(low), tuple(high), lay_surface(intersection, radius + MAPPED)
 
 
 def _surveyed(

@@ -13,7 +13,6 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 from scipy.spatial import QhullError
-from threadpoolctl import threadpool_limits
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.intersection import Intersection
@@ -127,25 +126,20 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
     Beyond their hull it is that of the nearest place on its rim, so that there is no step. Points
     at one place have their mean height.
     """
+    # Only here: their import takes a tenth of a second, of which no other command has a use.
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+    from threadpoolctl import threadpool_limits
+
     plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
     known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
-    # SciPy solves a system of two equations for each triangle. OpenBLAS's threads wait for each
-    # other at every one, and where another process has their cores, for as long as it has them.
-    with threadpool_limits(1, user_api="blas"):
-        return _interpolated(plan, known, at)
-
-
-def _interpolated(
-    plan: Float[np.ndarray, "G 2"], known: Float[np.ndarray, " G"], at: Float[np.ndarray, "N 2"]
-) -> np.ndarray:
-    # Only here: its import takes a tenth of a second, of which no other command has a use.
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-
     try:
         surface = LinearNDInterpolator(plan, known)
     except (QhullError, ValueError):  # fewer than three, or all on one line
         return np.asarray(NearestNDInterpolator(plan, known)(at))
-    heights = surface(at)
+    # Where it is first asked, it solves a system of two equations for each triangle. OpenBLAS's
+    # threads wait for each other at every one, and for as long as another process has their cores.
+    with threadpool_limits(1, user_api="blas"):
+        heights = surface(at)
     out = np.flatnonzero(np.isnan(heights))
     if len(out):
         hull = shapely.MultiPoint(plan).convex_hull

@@ -39,11 +39,13 @@ _BETWEEN = 3  # points of a ring to each side of the crown's outline
 
 
 class Part(NamedTuple):
-    """Triangles of one material in world metres, and their colours where they have own ones."""
+    """Triangles of one material in world metres, their colours where they have own ones, and the
+    number of the body that they are of."""
 
     triangles: Float[np.ndarray, "F 3 3"]
     material: int
     colour: float | Float[np.ndarray, "F 3"] = 0.0
+    body: int = 0
 
 
 def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:

@@ -36,7 +36,7 @@ from inspe_jax.simulation.embedded.materials import (
     SURVEYED,
     TRUNK,
 )
-from inspe_jax.simulation.embedded.static_bodies import body_parts
+from inspe_jax.simulation.embedded.static_bodies import Part, body_parts
 from inspe_jax.simulation.embedded.surface import Surface, lay_surface
 
 SRGB = 2.2
@@ -91,21 +91,17 @@ def build_static_world(
     center = np.asarray(intersection.center, float)
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
     masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]
-    feet = [(*p, POLE_HEIGHT) for p in intersection.poles]
-    feet = [p for p in feet if np.hypot(*(p[:2] - center[:2])) <= radius + MAPPED]
-    feet = [p for p in feet if all(np.hypot(*(np.array(p[:2]) - m[:2])) > 0.5 for m in masts)]
-    own = unary_union([one.polygon for one in bodies])
-    feet = [p for p in feet if not bodies or Point(p[:2]).distance(own) > 0.5]
-    posts = np.array([*masts, *feet], float).reshape(-1, 4)
-    low, high, surface = _all_but_posts(intersection, radius, tuple(bodies))
-    parts = [*low, *(_Part(_tube(p[:3], POLE_RADIUS, p[3]), POLE) for p in posts), *high]
+    fixed = _all_but_masts(intersection, radius, tuple(bodies))
+    poles = [p for p in fixed.poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
+    posts = np.array([*masts, *poles], float).reshape(-1, 4)
+    parts = [*fixed.low, *(Part(_tube(p[:3], POLE_RADIUS, p[3]), POLE) for p in posts), *fixed.high]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,
         triangles=(np.concatenate([part.triangles for part in parts]) - center).astype(np.float32),
         material=np.repeat([part.material for part in parts], sizes),
         body=np.repeat([part.body for part in parts], sizes),
-        surface=surface,
+        surface=fixed.surface,
         poles=posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:],
         colour=np.concatenate(
             [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
@@ -113,48 +109,63 @@ def build_static_world(
     )
 
 
-class _Part(NamedTuple):
-    """Triangles in the world [m] of one material; fields are those of :class:`StaticWorld`."""
+class _Fixed(NamedTuple):
+    """What stands whatever the masts: what lies on the ground, what rises from it, the foot (x, y,
+    z) and the height of each pole [m], and the ground's surface."""
 
-    triangles: Float[np.ndarray, "F 3 3"]
-    material: int
-    body: int = 0
-    colour: float | Float[np.ndarray, "F 3"] = 0.0
+    low: tuple[Part, ...]
+    high: tuple[Part, ...]
+    poles: Float[np.ndarray, "P 4"]
+    surface: Surface
 
 
 @lru_cache(maxsize=4)
-def _all_but_posts(
+def _all_but_masts(
     intersection: Intersection, radius: float, bodies: tuple[StaticBody, ...]
-) -> tuple[tuple[_Part, ...], tuple[_Part, ...], Surface]:
-    """What lies on the ground, what rises from it, and the ground's surface. No mast changes them,
-    so they are kept for the next layout."""
+) -> _Fixed:
+    """It takes nearly all the time, so it is kept for the next layout."""
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
+    own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
-    low = [_Part(_ground(intersection, radius), GROUND)]
-    high = list[_Part]()
+    low = [Part(_ground(intersection, radius), GROUND)]
+    high = list[Part]()
     if mesh is None:
-        low += [_Part(ring, KERB) for ring in _kerbs(intersection)]
+        low += [Part(ring, KERB) for ring in _kerbs(intersection)]
         taken = unary_union(list(intersection.regions.values())).buffer(CLEAR)
         if bodies:
-            own = unary_union([one.polygon for one in bodies])
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
             walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
-            high += [_Part(walls, BUILDING, k), _Part(roof, ROOF, k)]
+            high += [Part(walls, BUILDING, body=k), Part(roof, ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
         for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
-            high.append(_Part(_tube(foot, 0.18, 0.45 * height), TRUNK, k))
-            high.append(_Part(_crown(foot, height, rng), CROWN, k))
+            high.append(Part(_tube(foot, 0.18, 0.45 * height), TRUNK, body=k))
+            high.append(Part(_crown(foot, height, rng), CROWN, body=k))
     else:
         faces, colour = _surveyed(mesh, intersection)
-        high.append(_Part(faces, SURVEYED, 0, colour))
+        high.append(Part(faces, SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
-            for part in body_parts(one, intersection):
-                high.append(_Part(part.triangles, part.material, k, part.colour))
-    return tuple(low), tuple(high), lay_surface(intersection, radius + MAPPED)
+            high += [part._replace(body=k) for part in body_parts(one, intersection)]
+    return _Fixed(
+        tuple(low),
+        tuple(high),
+        _poles(intersection, radius, own),
+        lay_surface(intersection, radius + MAPPED),
+    )
+
+
+def _poles(
+    intersection: Intersection, radius: float, own: BaseGeometry
+) -> Float[np.ndarray, "P 4"]:
+    """Feet and heights of the poles of the place that are near and clear of its bodies ``own``."""
+    feet = np.asarray(intersection.poles, float)
+    away = np.hypot(*(feet - np.asarray(intersection.center, float))[:, :2].T)
+    beside = shapely.dwithin(shapely.points(feet[:, :2]), own, 0.5)
+    feet = feet[(away <= radius + MAPPED) & ~beside]
+    return np.column_stack([feet, np.full(len(feet), POLE_HEIGHT)])
 
 
 def _surveyed(

@@ -124,7 +124,7 @@ def _run() -> None:
         platforms = os.environ.get("JAX_PLATFORMS")
         if not platforms or _has_devices():
             raise
-        known = f" ({e})" if str(e) else ""
+        known = f" ({str(e).split(' (set')[0]})" if str(e) else ""
         words = (
             f"JAX_PLATFORMS={platforms}: JAX finds no such device here{known}; install its driver "
             "and JAX's plugin for it, or set JAX_PLATFORMS=cpu"

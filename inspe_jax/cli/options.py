@@ -134,8 +134,8 @@ class SearchOptions(WeightOptions):
 
     seconds: Annotated[
         float | None,
-        typer.Option(help="Wall time of each search [s]. Without a budget, 60; 20 in commands that "
-                     "run several searches."),
+        typer.Option(help="Time of each search [s], without compiling that it waits for. Without a "
+                     "budget, 60; 20 in commands that run several searches."),
     ] = None  # fmt: skip
     evaluations: Annotated[
         float | None,

@@ -27,11 +27,13 @@ class Step:
     """What a command does now.
 
     ``search``: compiling does not count as its time. ``writes``: Ctrl-C lets it write what it has.
+    ``asked``: Ctrl-C was pressed.
     """
 
     what: str
     search: bool = False
     writes: bool = False
+    asked: bool = False
 
 
 _steps: list[Step] = []
@@ -117,11 +119,12 @@ def _answer(
 
     while not heard.is_set():
         if holds_main_thread():
-            if not (_steps and _steps[-1].writes):
+            now = _steps[-1] if _steps else Step("")
+            if now.asked or not now.writes:
                 say(stopped())
                 leave(CTRL_C)
+            now.asked = True
             say("stops once XLA has compiled, and keeps what it has; Ctrl-C again ends it now")
-            _steps[-1].writes = False
             return
         time.sleep(0.05)
 
@@ -137,7 +140,7 @@ def _compiling() -> str:
     from inspe_jax.core.compiling import kept_in
 
     folder = kept_in()
-    words = "compiling, " + (f"once: kept in {folder}" if folder else "which is not kept")
+    words = f"compiling, once: kept in {folder}" if folder else "compiling, and not kept"
     if _steps and _steps[-1].search:
         words += "; the time of a search stands still while it waits for this"
     return words

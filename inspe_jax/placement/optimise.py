@@ -261,7 +261,8 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         raise AssertionError(f"{row.name}: {run.best} is worse than the start's {before}")
     notes = list(run.notes)
     if run.evaluations <= 1.0:
-        notes.append(f"nothing was searched, only the start was scored: {STATUSES[status]}")
+        more = "; give a larger budget" if status == "budget spent" else ""
+        notes.append(f"nothing was searched, only the start was scored: {STATUSES[status]}{more}")
     elif run.best == before:
         notes.append("nothing better than the start was found; try a larger budget or start")
     case = problem.cases[0]

@@ -10,7 +10,15 @@ import jax.numpy as jnp
 import pytest
 
 from inspe_jax.core import compiling
-from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
+from inspe_jax.core.compiling import (
+    compiled,
+    remember_seconds,
+    usual_seconds,
+    waiting,
+    waiting_words,
+    working_clock,
+)
+from inspe_jax.core.parallel import run
 
 
 def compile_something(length):
@@ -86,8 +94,6 @@ def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_w
 
 
 def test_all_that_a_thread_does_can_count_from_its_beginning_on():
-    """A search's clock stands still meanwhile: time that is taken back when something has been
-    traced would let it run backwards."""
     watch, seen = compiling._Watch(), []
     with watch.whole():
         watch.hear(compiling.LOWERED, 0.0)
@@ -104,6 +110,36 @@ def test_all_that_a_thread_does_can_count_from_its_beginning_on():
     assert [state.programs for state in seen] == [2, 2, 2]
     seconds = [state.seconds for state in seen]
     assert 0.05 <= seconds[0] <= seconds[1] <= seconds[2] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("where", "stands"),
+    [("here", True), ("in jobs", True), ("in a block", True), ("beside", False)],
+)
+def test_a_clock_stands_still_while_its_thread_waits_for_a_program(monkeypatch, where, stands):
+    watch = compiling._Watch()
+    monkeypatch.setattr(compiling, "_watch", watch)
+    clock = working_clock()
+
+    def compiles():
+        began = time.monotonic()
+        time.sleep(0.3)
+        watch.hear(compiling.TRACED, 0.1)
+        watch.hear(compiling.COMPILED, time.monotonic() - began)
+
+    began = clock()
+    if where == "here":
+        compiles()
+    elif where == "in jobs":
+        run([("a", compiles), ("b", compiles)], set())
+    elif where == "in a block":
+        with waiting():
+            time.sleep(0.3)
+    else:
+        thread = threading.Thread(target=compiles)
+        thread.start()
+        thread.join()
+    assert (clock() - began < 0.15) == stands
 
 
 def test_how_long_it_takes_is_as_long_as_the_last_time(tmp_path, monkeypatch):

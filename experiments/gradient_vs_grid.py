@@ -124,7 +124,7 @@ def search(
         run.offer(run.start)
         if spent is not None:
             first = [replace(row, seconds=spent()) for row in run.history]
-            run.take_up(first[0].seconds, run.evaluations, first, run.path)
+            run.take_up(spent(), run.evaluations, first, np.array(run.path))
         state: Any = method.begin(run)
         while state is not None:
             state = method.step(run, state)

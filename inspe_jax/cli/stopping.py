@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from inspe_jax.core.compiling import compiled, holds_main_thread, kept_in
+
 PATIENCE = 0.5
 """Time in which the main thread hears Ctrl-C if it is in Python [s]."""
 LONG = 3.0
@@ -64,6 +66,7 @@ def attended(say: Callable[[str], None], leave: Callable[[int], Any]) -> Iterato
     ``say`` prints a line; ``leave`` ends the process with a status.
     """
     _steps.clear()
+    began = compiled().seconds
     own = threading.current_thread() is threading.main_thread()
     if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield  # a test's thread, or a shell's background job, which has Ctrl-C ignored
@@ -86,7 +89,8 @@ def attended(say: Callable[[str], None], leave: Callable[[int], Any]) -> Iterato
     def attend() -> None:
         told = False
         while not ended.is_set():
-            if not told and (told := _compiles_long()):
+            if not told and compiled().now and compiled().seconds - began > LONG:
+                told = True
                 say(_compiling())
             if select.select([listener], [], [], 0.25)[0]:
                 if signal.SIGINT in listener.recv(64) and not heard.wait(PATIENCE):
@@ -115,8 +119,6 @@ def _answer(
     heard: threading.Event, say: Callable[[str], None], leave: Callable[[int], Any]
 ) -> None:
     """Answer Ctrl-C until the main thread hears it, while that is in XLA."""
-    from inspe_jax.core.compiling import holds_main_thread
-
     while not heard.is_set():
         if holds_main_thread():
             now = _steps[-1] if _steps else Step("")
@@ -129,16 +131,7 @@ def _answer(
         time.sleep(0.05)
 
 
-def _compiles_long() -> bool:
-    from inspe_jax.core.compiling import compiled
-
-    state = compiled()
-    return state.now and state.seconds > LONG
-
-
 def _compiling() -> str:
-    from inspe_jax.core.compiling import kept_in
-
     folder = kept_in()
     words = f"compiling, once: kept in {folder}" if folder else "compiling, and not kept"
     if _steps and _steps[-1].search:

@@ -80,7 +80,6 @@ class _Watch:
         self._programs = 0
         self._all = Stretches()
         self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
-        self._whole: set[int] = set()  # threads whose whole time counts
         self._local = threading.local()  # .waits: the stretches that a thread has waited
 
     def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
@@ -91,30 +90,12 @@ class _Watch:
         with self._lock:
             now = time.monotonic()
             self._programs += event == COMPILED
-            if event != LOWERED:
-                waits.add(now - duration_secs, now)
-            if thread in self._whole:
-                return
             if event == LOWERED:
                 self._since[thread] = now
-            else:
-                self._since.pop(thread, None)
-                self._all.add(now - duration_secs, now)
-
-    @contextlib.contextmanager
-    def whole(self) -> Iterator[None]:
-        """Count all time of this thread in the block, with tracing from its beginning on."""
-        thread, began = threading.get_ident(), time.monotonic()
-        with self._lock:
-            self._whole.add(thread)
-            self._since[thread] = began
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._whole.discard(thread)
-                self._since.pop(thread, None)
-                self._all.add(began, time.monotonic())
+                return
+            self._since.pop(thread, None)
+            for stretches in (self._all, waits):
+                stretches.add(now - duration_secs, now)
 
     @property
     def waits(self) -> Stretches:
@@ -146,7 +127,7 @@ class _Watch:
     def holds(self, thread: int) -> bool:
         """Whether XLA compiles in a thread now."""
         with self._lock:
-            return thread in self._since and thread not in self._whole
+            return thread in self._since
 
     def compiled(self) -> Compiled:
         alive = {thread.ident for thread in threading.enumerate()}
@@ -166,11 +147,6 @@ jax.monitoring.register_event_duration_secs_listener(_watch.hear)
 def compiled() -> Compiled:
     """What this process has compiled since this module was imported."""
     return _watch.compiled()
-
-
-def counts_as_compiling() -> contextlib.AbstractContextManager[None]:
-    """Count all time of this thread in the block as compiling: for a thread that only compiles."""
-    return _watch.whole()
 
 
 def holds_main_thread() -> bool:
@@ -236,7 +212,7 @@ def keep_programs() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    atexit.register(lambda: compiled().programs and prune(folder))
+    atexit.register(prune, folder)
 
 
 def kept_in() -> Path | None:

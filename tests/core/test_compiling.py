@@ -93,25 +93,6 @@ def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_w
     assert watch.compiled().seconds == pytest.approx(3.0, abs=0.05)
 
 
-def test_all_that_a_thread_does_can_count_from_its_beginning_on():
-    watch, seen = compiling._Watch(), []
-    with watch.whole():
-        watch.hear(compiling.LOWERED, 0.0)
-        watch.hear(compiling.COMPILED, 5.0)  # within: it is not counted twice
-        thread = threading.Thread(target=watch.hear, args=(compiling.COMPILED, 0.0))
-        thread.start()
-        thread.join()
-        time.sleep(0.05)
-        seen.append(watch.compiled())
-        watch.hear(compiling.TRACED, 0.04)
-        seen.append(watch.compiled())
-    seen.append(watch.compiled())
-    assert [state.now for state in seen] == [True, True, False]
-    assert [state.programs for state in seen] == [2, 2, 2]
-    seconds = [state.seconds for state in seen]
-    assert 0.05 <= seconds[0] <= seconds[1] <= seconds[2] < 1.0
-
-
 @pytest.mark.parametrize(
     ("where", "stands"),
     [("here", True), ("in jobs", True), ("in a block", True), ("beside", False)],

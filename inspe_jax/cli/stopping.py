@@ -18,6 +18,8 @@ from inspe_jax.core.compiling import compiled, holds_main_thread, kept_in
 
 PATIENCE = 0.5
 """Time in which the main thread hears Ctrl-C if it is in Python [s]."""
+TOGETHER = 0.2
+"""Time between its two threads' hearing of one Ctrl-C, at most [s]."""
 LONG = 3.0
 """Compiling that takes longer is told of [s]."""
 CTRL_C = 130
@@ -67,22 +69,22 @@ def attended(say: Callable[[str], None], leave: Callable[[int], Any]) -> Iterato
     """
     _steps.clear()
     began = compiled().seconds
-    own = threading.current_thread() is threading.main_thread()
-    if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # a test's thread, or a shell's background job, which has Ctrl-C ignored
-        return
+    # A shell's background job has Ctrl-C ignored.
+    hears = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    hears &= threading.current_thread() is threading.main_thread()
     listener, caller = socket.socketpair()
     caller.setblocking(False)
-    heard, ended = threading.Event(), threading.Event()
+    heard: list[float] = []  # times at which the main thread heard Ctrl-C
+    ended = threading.Event()
 
     def hear(*_: object) -> None:
-        heard.set()
+        heard.append(time.monotonic())
         raise KeyboardInterrupt
 
     def swallowed(unraisable: Any) -> None:
         """Ctrl-C in a callback of C++ is lost there: it is raised again later."""
         if isinstance(unraisable.exc_value, KeyboardInterrupt):
-            threading.Timer(0.05, signal.raise_signal, [signal.SIGINT]).start()
+            threading.Timer(0.05, _press).start()
         else:
             hook(unraisable)
 
@@ -92,43 +94,51 @@ def attended(say: Callable[[str], None], leave: Callable[[int], Any]) -> Iterato
             if not told and compiled().now and compiled().seconds - began > LONG:
                 told = True
                 say(_compiling())
-            if select.select([listener], [], [], 0.25)[0]:
-                if signal.SIGINT in listener.recv(64) and not heard.wait(PATIENCE):
-                    _answer(heard, say, leave)
-                heard.clear()
+            if not select.select([listener], [], [], 0.25)[0]:
+                continue
+            if signal.SIGINT in listener.recv(64):
+                answer(time.monotonic())
+
+    def answer(pressed: float) -> None:
+        """Answer Ctrl-C where the main thread is in XLA and does not hear it."""
+        while not ended.is_set() and not (heard and heard[-1] > pressed - TOGETHER):
+            if time.monotonic() > pressed + PATIENCE and holds_main_thread():
+                now = _steps[-1] if _steps else Step("")
+                if now.asked or not now.writes:
+                    say(stopped())
+                    leave(CTRL_C)
+                now.asked = True
+                say("stops once XLA has compiled, and keeps what it has; Ctrl-C again ends it now")
+                return
+            time.sleep(0.05)
 
     hook, sys.unraisablehook = sys.unraisablehook, swallowed
-    signal.signal(signal.SIGINT, hear)
-    before = signal.set_wakeup_fd(caller.fileno(), warn_on_full_buffer=False)
+    if hears:
+        signal.signal(signal.SIGINT, hear)
+        before = signal.set_wakeup_fd(caller.fileno(), warn_on_full_buffer=False)
     thread = threading.Thread(target=attend, name="Ctrl-C", daemon=True)
     thread.start()
     try:
         yield
     finally:
         ended.set()
-        signal.set_wakeup_fd(before)
-        if signal.getsignal(signal.SIGINT) is hear:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if hears:
+            signal.set_wakeup_fd(before)
+            if signal.getsignal(signal.SIGINT) is hear:
+                signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.unraisablehook = hook
+        caller.send(b"\0")  # it need not wait
         thread.join()
         listener.close()
         caller.close()
 
 
-def _answer(
-    heard: threading.Event, say: Callable[[str], None], leave: Callable[[int], Any]
-) -> None:
-    """Answer Ctrl-C until the main thread hears it, while that is in XLA."""
-    while not heard.is_set():
-        if holds_main_thread():
-            now = _steps[-1] if _steps else Step("")
-            if now.asked or not now.writes:
-                say(stopped())
-                leave(CTRL_C)
-            now.asked = True
-            say("stops once XLA has compiled, and keeps what it has; Ctrl-C again ends it now")
-            return
-        time.sleep(0.05)
+def _press() -> None:
+    """Ctrl-C for the main thread, also where it sleeps."""
+    if hasattr(signal, "pthread_kill"):  # not on Windows
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _compiling() -> str:

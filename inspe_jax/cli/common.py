@@ -33,7 +33,7 @@ class _Group(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             err.print(plain(stopped()), soft_wrap=True)
-            raise typer.Exit(CTRL_C) from None
+            leave_at_once(CTRL_C)  # XLA may still compute, and crashes if Python ends before it
 
 
 app = typer.Typer(

@@ -745,8 +745,10 @@ def test_ctrl_c_that_a_callback_swallows_comes_again(monkeypatch):
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
+        began = time.monotonic()
         with stopping.attended(print, sys.exit), pytest.raises(KeyboardInterrupt):
             time.sleep(30 if Falls() else 60)  # it falls at once
+        assert time.monotonic() - began < 20
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)

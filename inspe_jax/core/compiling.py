@@ -72,6 +72,13 @@ class Stretches:
         return seconds
 
 
+class _Local(threading.local):
+    """What this thread has waited."""
+
+    def __init__(self) -> None:
+        self.waits = Stretches()
+
+
 class _Watch:
     """Counts the programs that are compiled since it was created."""
 
@@ -80,13 +87,13 @@ class _Watch:
         self._programs = 0
         self._all = Stretches()
         self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
-        self._local = threading.local()  # .waits: the stretches that a thread has waited
+        self.local = _Local()
 
     def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Listens to JAX's events. The thread that waits for a program records its events."""
         if event not in (TRACED, LOWERED, COMPILED):
             return
-        thread, waits = threading.get_ident(), self.waits
+        thread = threading.get_ident()
         with self._lock:
             now = time.monotonic()
             self._programs += event == COMPILED
@@ -94,35 +101,8 @@ class _Watch:
                 self._since[thread] = now
                 return
             self._since.pop(thread, None)
-            for stretches in (self._all, waits):
+            for stretches in (self._all, self.local.waits):
                 stretches.add(now - duration_secs, now)
-
-    @property
-    def waits(self) -> Stretches:
-        """What this thread has waited."""
-        if not hasattr(self._local, "waits"):
-            self._local.waits = Stretches()
-        found: Stretches = self._local.waits
-        return found
-
-    @contextlib.contextmanager
-    def waiting_for(self, waits: Stretches) -> Iterator[None]:
-        """Count what this thread waits in the block as another's."""
-        own, self._local.waits = self.waits, waits
-        try:
-            yield
-        finally:
-            self._local.waits = own
-
-    @contextlib.contextmanager
-    def standing(self) -> Iterator[None]:
-        """Count the block as waiting."""
-        waits, began = self.waits, time.monotonic()
-        try:
-            yield
-        finally:
-            with self._lock:
-                waits.add(began, time.monotonic())
 
     def holds(self, thread: int) -> bool:
         """Whether XLA compiles in a thread now."""
@@ -164,23 +144,33 @@ def working_clock() -> Callable[[], float]:
     (:func:`inspe_jax.core.parallel.run`) compiles or reads a program from disk, and in blocks of
     :func:`waiting`. What other threads compile meanwhile does not stop the clock.
     """
-    waits = _watch.waits
+    waits = this_thread()
     return lambda: time.monotonic() - waits.seconds
 
 
-def waiting() -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def waiting() -> Iterator[None]:
     """Let this thread's :func:`working_clock` stand still in the block."""
-    return _watch.standing()
+    began = time.monotonic()
+    try:
+        yield
+    finally:
+        this_thread().add(began, time.monotonic())
 
 
 def this_thread() -> Stretches:
     """What this thread has waited, for :func:`on_behalf_of` in another thread."""
-    return _watch.waits
+    return _watch.local.waits
 
 
-def on_behalf_of(waits: Stretches) -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def on_behalf_of(waits: Stretches) -> Iterator[None]:
     """In the block, a thread that compiles lets the thread wait that has handed it the work."""
-    return _watch.waiting_for(waits)
+    own, _watch.local.waits = this_thread(), waits
+    try:
+        yield
+    finally:
+        _watch.local.waits = own
 
 
 # ── Programs that are kept on disk ──────────────────────────────────────────

@@ -63,12 +63,12 @@ def test_programs_are_counted_and_their_time():
 
 def test_that_something_is_being_compiled_is_told_meanwhile():
     """A program whose compilation is held up by another thread's look at it."""
-    seen, watch = [], compiling._Watch()
+    seen, watch, began = [], compiling._Watch(), time.monotonic()
     watch.hear(compiling.LOWERED, 0.0)
     seen.append(watch.compiled())
     time.sleep(0.05)
     seen.append(watch.compiled())
-    watch.hear(compiling.COMPILED, 0.05)
+    watch.hear(compiling.COMPILED, time.monotonic() - began)
     seen.append(watch.compiled())
     assert [state.now for state in seen] == [True, True, False]
     assert seen[1].seconds - seen[0].seconds >= 0.05

@@ -143,7 +143,8 @@ def _press() -> None:
 
 def _compiling() -> str:
     folder = kept_in()
-    words = f"compiling, once: kept in {folder}" if folder else "compiling, and not kept"
+    kept = f"what is compiled once is kept in {folder}" if folder else "nothing is kept of it"
+    words = f"compiling; {kept}"
     if _steps and _steps[-1].search:
         words += "; the time of a search stands still while it waits for this"
     return words

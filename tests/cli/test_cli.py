@@ -611,8 +611,8 @@ def in_a_new_shell(files, cache, *arguments, code="from inspe_jax.cli import mai
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    told = f"once: kept in {cache / 'inspe_jax'}", "and not kept"
-    assert ran.stderr in ("", *(f"Note: compiling, {words}\n" for words in told))  # if it is long
+    told = f"what is compiled once is kept in {cache / 'inspe_jax'}", "nothing is kept of it"
+    assert ran.stderr in ("", *(f"Note: compiling; {words}\n" for words in told))  # if it is long
     kept = {path.name for path in cache.rglob("*-cache") if "inspe_jax" in path.parts}
     return ran.stdout, kept
 
@@ -727,7 +727,7 @@ def test_ctrl_c_is_answered_while_xla_compiles(files, tmp_path, scores, words):
             if first:
                 process.send_signal(signal.SIGINT)
                 line = process.stderr.readline()
-                while "compiling, " in line:
+                while "compiling; " in line:
                     line = process.stderr.readline()
                 assert line == first
             process.send_signal(signal.SIGINT)

@@ -1,6 +1,7 @@
 """What all commands share: the app, its consoles, arguments, progress bars, and errors."""
 
 import json
+import os
 import re
 import sys
 import tempfile
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
 from rich.text import Text
 
 from inspe_jax.core.errors import InspeError, nearest
@@ -30,8 +32,25 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-out = Console()
-err = Console(stderr=True, highlight=False)
+
+
+class WholeConsole(Console):
+    """A console that cuts no line. In a pipe, tables are as wide as they need, unless the
+    environment's COLUMNS says how wide."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print as rich does, with whole lines."""
+        usual = self.width
+        if not self.is_terminal and "COLUMNS" not in os.environ:
+            wide = self.options.update(width=10_000)
+            tables = [x for x in objects if not isinstance(x, str)]
+            self.width = max([usual, *(Measurement.get(self, wide, x).minimum for x in tables)])
+        super().print(*objects, **{"crop": False} | how)
+        self.width = usual
+
+
+out = WholeConsole()
+err = WholeConsole(stderr=True, highlight=False)
 
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"

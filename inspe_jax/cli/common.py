@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text
 
+from inspe_jax.cli.claims import claims
 from inspe_jax.core.errors import InspeError, nearest
 
 if TYPE_CHECKING:
@@ -141,6 +142,7 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -154,6 +156,8 @@ def _root(
 ) -> None:
     import jax
 
+    claims.begin(context.invoked_subcommand or "")
+    context.call_on_close(claims.end)
     if cache:
         keep_compiled()
     else:
@@ -342,14 +346,6 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None
             bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
 
         yield report
-
-
-def check_record(path: str | None) -> None:
-    """Raise InspeError if the file of ``--json`` cannot be written; "-" is stdout."""
-    from inspe_jax.core.files import check_output
-
-    if path != "-":
-        check_output(path)
 
 
 def show(table: Any, record: dict[str, Any], path: str | None) -> None:

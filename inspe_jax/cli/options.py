@@ -281,8 +281,9 @@ def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
                 options=record(**{name: given[name] for name in added}),
             )
 
-        # The folder for results comes last in the help.
-        everything = sorted([*own.values(), *added.values()], key=lambda p: p.name == "folder")
+        # The folder for results comes last in the help, and whether it is written over.
+        last = ("folder", "force")
+        everything = sorted([*own.values(), *added.values()], key=lambda p: p.name in last)
         called.__signature__ = inspect.Signature(everything)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in everything}
         return called

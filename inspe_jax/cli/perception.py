@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     PICTURES,
     PlotOption,
     RecordOption,
     app,
     busy,
-    check_record,
     err,
     out,
     picture_size,
@@ -205,6 +205,7 @@ def evaluate_detector(
     ] = None,
     record: RecordOption = None,
     cache: CacheOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Measure what a trained detector finds: nuScenes' mAP and errors, by class.
 
@@ -217,11 +218,11 @@ def evaluate_detector(
     - `inspe evaluate v2x-vit infra`
     - `inspe evaluate v2x-vit infra --split validate --csv table.csv`
     """
-    from inspe_jax.core.files import check_output, csv_text, json_value, write_text
+    from inspe_jax.core.files import csv_text, json_value, write_text
     from inspe_jax.report.perception_tables import evaluation_table
 
-    check_output(table, (".csv",))
-    check_record(record)
+    claims.file(table, (".csv",), force=force)
+    claims.file(record, force=force)
     run, step, loader, predictor = _ready(folder, source, cache, split)
     with progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
@@ -250,6 +251,7 @@ def detect(
     plot: PlotOption = None,
     record: RecordOption = None,
     cache: CacheOption = None,
+    force: ForceOption = False,
 ) -> None:
     """List what a trained detector finds in a frame, and draw it beside the ground truth.
 
@@ -258,15 +260,15 @@ def detect(
     - `inspe detect v2x-vit infra --plot detections.png`
     - `inspe detect v2x-vit infra --scenario four_way --frame 68 --score 0.1`
     """
-    from inspe_jax.core.files import check_output, json_value
+    from inspe_jax.core.files import json_value
     from inspe_jax.dataset import Loader
     from inspe_jax.report.detections import draw
     from inspe_jax.report.perception_tables import detections_table
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.simulation.frame import KINDS
 
-    check_output(plot, FORMATS)
-    check_record(record)
+    claims.file(plot, FORMATS, force=force)
+    claims.file(record, force=force)
     run, step, loader, predictor = _ready(folder, source, cache, split)
     name, number, index = loader.find(scenario, frame)
     batch = loader[index]

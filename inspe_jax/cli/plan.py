@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     LightOption,
     WeatherOption,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 METHOD, EVALUATIONS = "greedy", 100.0
 """Method of the searches, and the budget of each in exact scores."""
+FILES = ("plan.csv", "plan.png", "plan.geojson")
 SHOWN = 5
 """Number of mixes that failed whose error is printed."""
 
@@ -120,6 +122,7 @@ def plan(
         typer.Option("--dry-run", help="Only check the input, and print how many searches it has."),
     ] = False,
     folder: OutOption = Path("plan"),
+    force: ForceOption = False,
     *,
     options: WeightOptions,
 ) -> None:
@@ -142,7 +145,6 @@ def plan(
     - `inspe plan town.net.xml --junctions 189,401,53 --importance 189=3 --budget 20000 --worst`
     - `inspe plan city.osm --junctions all --budget 250000 --dry-run`
     """
-    from inspe_jax.core.files import check_folder
     from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.studies.pareto import device_mixes, mix_name
     from inspe_jax.study.budget import check_budget
@@ -156,7 +158,7 @@ def plan(
     )
     from inspe_jax.study.plan import SCORE_ONLY
 
-    check_folder(folder)
+    claims.folder(folder, FILES, force=force)
     check_budget(budget)
     if method == SCORE_ONLY:
         raise InspeError(f"--method {method}: a plan needs a search")
@@ -252,9 +254,9 @@ def _write(
     write_text(folder / "plan.csv", found.text(georeference))
     save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
     if georeference is None:
-        return ["plan.csv", "plan.png"]
+        return list(FILES[:2])
     write_text(folder / "plan.geojson", _geojson(found, source, folder, radius, georeference))
-    return ["plan.csv", "plan.png", "plan.geojson"]
+    return list(FILES)
 
 
 def _projection(source: Path) -> "Georeference | None":

@@ -3,12 +3,14 @@
 Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -20,7 +22,6 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
-    check_record,
     err,
     note,
     out,
@@ -55,6 +56,7 @@ def pareto(
     method: MethodOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the searches.")] = 0,
     folder: OutOption = Path("pareto"),
+    force: ForceOption = False,
     *,
     options: SearchOptions,
 ) -> None:
@@ -71,18 +73,18 @@ def pareto(
       --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
     """
-    from inspe_jax.core.files import check_folder
-    from inspe_jax.placement.studies.pareto import device_mixes, save_pareto
+    from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import pareto_table
     from inspe_jax.scene.scene import load_scene
 
-    check_folder(folder)
     objective, constraints = options.checked(prices=prices(price), budget=budget)
     wanted = counts(device or list(DEFAULT_DEVICES))
-    total = len(device_mixes(wanted, objective))
+    mixes = [row for _, row in device_mixes(wanted, objective)]
+    names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
+    claims.folder(folder, names, force=force)
     with busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
     with search_bar("searching") as callback:
@@ -93,11 +95,11 @@ def pareto(
             constraints=constraints,
             **options.of_mixes(method, seed, callback),
         )
-    save_pareto(found, folder)
     out.print(pareto_table(found))
+    folder = claims.keep(partial(save_pareto, found), folder)
     note(f"{mix.name}: {words}" for mix in found for words in mix.result.notes)
-    if len(found) < total:
-        err.print(f"[yellow]Note:[/] stopped after {len(found)} of {total} mixes")
+    if len(found) < len(mixes):
+        err.print(f"[yellow]Note:[/] stopped after {len(found)} of {len(mixes)} mixes")
     with busy("drawing"):
         save_figure(pareto_view(found), folder / "pareto.png")
     out.print(
@@ -125,6 +127,7 @@ def tolerance(
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
     record: RecordOption = None,
+    force: ForceOption = False,
     *,
     options: WeightOptions,
 ) -> None:
@@ -145,7 +148,7 @@ def tolerance(
     from inspe_jax.report.tables import tolerance_record, tolerance_table
     from inspe_jax.sensing.conditions import Conditions
 
-    check_record(record)
+    claims.file(record, force=force)
     objective = Objective(weights=options.weights(), detection=options.curves())
     objective.check()
     conditions = Conditions.of(light, weather)

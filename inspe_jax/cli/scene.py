@@ -3,11 +3,13 @@
 Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -155,6 +157,7 @@ def scene(
         Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
     ] = None,
     plot: PlotOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Build a scene of one intersection: its region of interest, voxels and traffic.
 
@@ -169,7 +172,6 @@ def scene(
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
-    from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
@@ -192,8 +194,8 @@ def scene(
     if list_:
         _list_places(source)
         return
-    check_output(save, SCENE_SUFFIXES)
-    check_output(plot, FORMATS)
+    claims.file(save, SCENE_SUFFIXES, force=force)
+    claims.file(plot, FORMATS, force=force)
     options: dict[str, Any] = {
         name: value
         for name, value in dict(
@@ -261,7 +263,7 @@ def scene(
     out.print(scene_table(built))
     _warn_of_full_roads(built)
     if save:
-        save_scene(built, save)
+        save = claims.keep(partial(save_scene, built), save)
         out.print(f"saved {save}", highlight=False)
     if plot:
         save_figure(scene_view(built), plot)
@@ -281,6 +283,7 @@ def layout(
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Place sensors on a scene by one of the paper's strategies.
 
@@ -289,7 +292,6 @@ def layout(
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
     """
-    from inspe_jax.core.files import check_output
     from inspe_jax.placement.strategies import strategy as place
     from inspe_jax.report.scene_tables import layout_table
     from inspe_jax.scene.scene import load_scene
@@ -298,7 +300,7 @@ def layout(
     devices: dict[str, Any] = {
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
     }
-    check_output(save, (".yaml", ".yml"))
+    claims.file(save, (".yaml", ".yml"), force=force)
     placed = place(load_scene(source, profile), strategy, **devices)
     out.print(layout_table(placed))
     if save:

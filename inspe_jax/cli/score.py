@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -19,7 +20,6 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
-    check_record,
     err,
     out,
     scene_and_layout,
@@ -55,6 +55,7 @@ def score(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    force: ForceOption = False,
     *,
     options: WeightOptions,
 ) -> None:
@@ -73,15 +74,14 @@ def score(
     """
     from rich.console import Group
 
-    from inspe_jax.core.files import check_output
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
     from inspe_jax.scoring.evaluate import evaluate
     from inspe_jax.sensing.conditions import Conditions
 
-    check_output(plot, FORMATS)
-    check_record(record)
+    claims.file(plot, FORMATS, force=force)
+    claims.file(record, force=force)
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
     with busy(f"reading {source}"):
@@ -117,6 +117,7 @@ def targets(
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
     detection: DetectionOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
@@ -129,15 +130,14 @@ def targets(
     - `inspe targets four_way Cam-d1/L-d1 --plot targets.png`
     - `inspe targets j189.npz layout.yaml --road-user cyclist --weather fog:100 --json -`
     """
-    from inspe_jax.core.files import check_output
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
     from inspe_jax.scoring.detection import load_detection
     from inspe_jax.scoring.targets import target_view
     from inspe_jax.sensing.conditions import Conditions
 
-    check_output(plot, FORMATS)
-    check_record(record)
+    claims.file(plot, FORMATS, force=force)
+    claims.file(record, force=force)
     conditions = Conditions.of(light, weather)
     curves = None if detection is None else load_detection(detection)
     with busy(f"reading {source}"):

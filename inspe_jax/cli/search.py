@@ -4,11 +4,13 @@ Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -36,6 +38,8 @@ from inspe_jax.core.errors import InspeError
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
     from inspe_jax.scene.scene import Scene
+
+PICTURE = "before_after.png"
 
 StartOption = Annotated[
     str,
@@ -75,6 +79,7 @@ def optimise(
         ),
     ] = None,
     folder: OutOption = Path("optimised"),
+    force: ForceOption = False,
     *,
     options: SearchOptions,
 ) -> None:
@@ -94,13 +99,13 @@ def optimise(
     - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
     - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
     """
-    from inspe_jax.core.files import check_folder, check_output
+    from inspe_jax.core.files import check_output
     from inspe_jax.placement import optimise as search
-    from inspe_jax.placement.result import save_result
+    from inspe_jax.placement.result import FILES, save_result
     from inspe_jax.scoring.metrics import METRICS
     from inspe_jax.sensing.conditions import FAIR
 
-    check_folder(folder)
+    claims.folder(folder, (*FILES, PICTURE), force=force)
     check_output(checkpoint, (".npz",))
     if target is not None:
         if checkpoint is not None or start != "given":
@@ -127,8 +132,8 @@ def optimise(
             progress=None if callback is None else lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
-    save_result(result, folder)
     _show(result)
+    folder = claims.keep(partial(save_result, result), folder)
     with busy("drawing"):
         drawn = _draw(world, result, folder)
     names = "layout.yaml, start.yaml, result.json, history.csv and path.csv"
@@ -163,6 +168,7 @@ def compare(
     ] = 3,
     start: StartOption = "given",
     folder: OutOption = Path("compared"),
+    force: ForceOption = False,
     *,
     options: SearchOptions,
 ) -> None:
@@ -177,14 +183,14 @@ def compare(
     - `inspe compare --methods greedy-adam,grid --seconds 10 --seeds 1`
     - `inspe compare j189.npz layout.yaml --seconds 60 --seeds 5 --out j189_methods`
     """
-    from inspe_jax.core.files import check_folder
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import save_comparison
     from inspe_jax.report.progress import history_view
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import comparison_table
 
-    check_folder(folder)
+    names = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
+    claims.folder(folder, names, force=force)
     objective, constraints = options.checked()
     names = [name.strip() for name in methods.split(",") if name.strip()]
     names = names or list(search.methods(objective))
@@ -213,8 +219,8 @@ def compare(
                 fraction(name, seed, done), best, f"{name}, seed {seed}"
             ),
         )
-    save_comparison(results, folder)
     out.print(comparison_table(results))
+    folder = claims.keep(partial(save_comparison, results), folder)
     note(note for note in dict.fromkeys(note for result in results for note in result.notes))
     if len(results) < len(runs):
         err.print(f"[yellow]Note:[/] stopped after {len(results)} of {len(runs)} searches")
@@ -264,7 +270,7 @@ def _find_cheapest(
         )
     out.print(cheapest_table(found))
     best = found.best
-    save_result(best.result, folder)
+    folder = claims.keep(partial(save_result, best.result), folder)
     if found.found is None:
         words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
     else:
@@ -308,7 +314,7 @@ def _draw(world: "Scene", result: "Result", folder: Path) -> Path:
     from inspe_jax.report.progress import before_after
     from inspe_jax.report.sheet import save_figure
 
-    path = folder / "before_after.png"
+    path = folder / PICTURE
     parts = (result.start, result.layout, result.scores_before, result.scores)
     save_figure(before_after(world, *parts, path=result.path), path)
     return path

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -72,6 +73,7 @@ def report(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    force: ForceOption = False,
     *,
     options: WeightOptions,
 ) -> None:
@@ -88,7 +90,7 @@ def report(
       folder of `inspe optimise`)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
-    from inspe_jax.core.files import check_output, whole_file, write_text
+    from inspe_jax.core.files import whole_file, write_text
     from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.problem import Case
     from inspe_jax.placement.studies.pareto import load_pareto
@@ -98,8 +100,8 @@ def report(
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.visibility.queries import check_frame
 
-    check_output(path, (".html", ".htm"))
-    check_output(pdf, (".pdf",))
+    claims.file(path, (".html", ".htm"), force=force)
+    claims.file(pdf, (".pdf",), force=force)
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
     priced = prices(price)
@@ -124,7 +126,7 @@ def report(
         page = report_page(
             world, entries, front=mixes, frame=frame, prices=priced, progress=callback
         )
-    write_text(path, page)
+    path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
         out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB", highlight=False)

@@ -209,8 +209,42 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[S
     """A scene, and a layout on it from a file or from the name of a strategy."""
     from inspe_jax.scene.scene import load_scene
 
+    check_layout(sensors)
     world = load_scene(source, profile)
     return world, layout_on(world, sensors)
+
+
+def check_scene(source: str) -> None:
+    """Raise InspeError if there is no such built-in or file: before another scene is built."""
+    from inspe_jax.core.files import check_input
+
+    known(source) if Path(source).suffix != ".npz" else check_input(Path(source))
+
+
+def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
+    """Raise InspeError if a layout cannot be read: before its scene, which may take minutes."""
+    from inspe_jax.core.files import read_json
+    from inspe_jax.placement.strategies import STRATEGIES
+    from inspe_jax.scene.geojson import SUFFIX
+    from inspe_jax.sensing.layout import load_layout
+
+    if Path(sensors).suffix.lower() == SUFFIX:
+        read_json(Path(sensors))
+    elif _is_file(sensors):
+        load_layout(sensors, unit_rule=unit_rule)
+    elif sensors.lower() not in (name.lower() for name in STRATEGIES):
+        raise InspeError(
+            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
+            + ", ".join(STRATEGIES)
+            + nearest(sensors, tuple(STRATEGIES))
+        )
+
+
+def _is_file(sensors: str) -> bool:
+    """Whether a layout is given as a file, not as the name of a strategy."""
+    from inspe_jax.scene.geojson import SUFFIX
+
+    return Path(sensors).suffix.lower() in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file()
 
 
 def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
@@ -219,27 +253,19 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
-    from inspe_jax.placement.strategies import STRATEGIES, strategy
+    from inspe_jax.placement.strategies import strategy
     from inspe_jax.scene.geojson import SUFFIX
     from inspe_jax.sensing.layout import load_layout
     from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
-    suffix = Path(sensors).suffix.lower()
-    if suffix in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file():
-        layout = (
-            load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
-            if suffix == SUFFIX
-            else load_layout(sensors, world, unit_rule=unit_rule)
-        )
-        note_other_profile(world, layout)
-        return layout
-    if sensors.lower() not in (name.lower() for name in STRATEGIES):
-        raise InspeError(
-            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
-            + ", ".join(STRATEGIES)
-            + nearest(sensors, tuple(STRATEGIES))
-        )
-    return strategy(world, sensors)
+    if not _is_file(sensors):
+        return strategy(world, sensors)
+    if Path(sensors).suffix.lower() == SUFFIX:
+        layout = load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
+    else:
+        layout = load_layout(sensors, world, unit_rule=unit_rule)
+    note_other_profile(world, layout)
+    return layout
 
 
 def note_other_profile(world: "Scene", layout: "Layout") -> None:

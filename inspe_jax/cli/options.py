@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import ProfileOption, WeatherOption
+from inspe_jax.cli.common import ProfileOption, WeatherOption, check_scene
 from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
@@ -251,6 +251,8 @@ class SearchOptions(WeightOptions):
         constraints = Constraints(places=_places(self.places or []), heights=self.heights)
         wanted.check()
         constraints.check()
+        for other in self.also or ():
+            check_scene(other)
         return wanted, constraints
 
 

@@ -73,6 +73,7 @@ def pareto(
       --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
     """
+    from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
     from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
@@ -81,6 +82,7 @@ def pareto(
     from inspe_jax.scene.scene import load_scene
 
     objective, constraints = options.checked(prices=prices(price), budget=budget)
+    check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))
     wanted = counts(device or list(DEFAULT_DEVICES))
     mixes = [row for _, row in device_mixes(wanted, objective)]
     names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
@@ -144,6 +146,7 @@ def tolerance(
     """
     from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.problem import Case
+    from inspe_jax.placement.studies.tolerance import check_errors
     from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
     from inspe_jax.sensing.conditions import Conditions
@@ -151,6 +154,8 @@ def tolerance(
     claims.file(record, force=force)
     objective = Objective(weights=options.weights(), detection=options.curves())
     objective.check()
+    errors = dict(position=position, angle=float(np.radians(angle)), samples=samples, seed=seed)
+    check_errors(**errors)
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
@@ -158,10 +163,7 @@ def tolerance(
         found = installed(
             Case(world, conditions),
             placed,
-            position=position,
-            angle=float(np.radians(angle)),
-            samples=samples,
-            seed=seed,
+            **errors,
             objective=objective,
             progress=report,
         )

@@ -18,6 +18,7 @@ from inspe_jax.cli.common import (
     SceneArgument,
     app,
     busy,
+    check_layout,
     err,
     known,
     out,
@@ -172,6 +173,7 @@ def scene(
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
+    from inspe_jax.core.files import check_input
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
@@ -188,7 +190,7 @@ def scene(
         load_scene,
         save_scene,
     )
-    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES
+    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
     from inspe_jax.scene.traffic.registry import traffic_model
 
     if list_:
@@ -215,24 +217,17 @@ def scene(
         if value is not None
     }
     path = Path(source)
+    places = dict(junction=junction, center=center, at=at, bodies=bodies)
+    places |= dict(elevation=elevation, mesh=mesh)
+    given = [name for name, value in places.items() if value is not None]
     if path.suffix == ".npz":
-        places = dict(junction=junction, center=center, at=at, bodies=bodies)
-        places |= dict(elevation=elevation, mesh=mesh)
-        given = [*options, *(name for name, value in places.items() if value is not None)]
-        if given:
-            raise InspeError(
-                f"{source}: a saved scene keeps the settings it was built with; leave out "
-                + ", ".join(f"--{name}" for name in given)
-            )
+        _refuse(source, "a saved scene keeps the settings it was built with", [*options, *given])
         built = load_scene(source)
     else:
         if traffic is not None and traffic.endswith(LOG_SUFFIXES):
             own = [name for name in ("density", "mix", "seed") if name in options]
-            if own:
-                raise InspeError(
-                    f"--traffic {traffic}: a log has traffic of its own; leave out "
-                    + ", ".join(f"--{name}" for name in own)
-                )
+            _refuse(f"--traffic {traffic}", "a log has traffic of its own", own)
+            load_log(traffic)
         elif traffic is not None:
             traffic_model(traffic)
         if elevation is not None and mesh is not None:
@@ -243,6 +238,8 @@ def scene(
                     f"{source}: choose a place on the map with --junction ID, --at LAT,LON or "
                     "--center X Y; --list shows the junctions"
                 )
+            for file in filter(None, (bodies, elevation, mesh)):
+                check_input(file)
             size = profile_of(profile or DEFAULT_PROFILE).of_scene(radius=radius)["radius"]
             with busy(f"reading {path.name}"):
                 if at is not None:
@@ -252,12 +249,8 @@ def scene(
                 place = place if mesh is None else with_mesh(place, mesh, size)
                 place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
         else:
-            if [junction, center, at, bodies, elevation, mesh] != [None] * 6:
-                raise InspeError(
-                    f"{source}: --junction, --center, --at, --bodies, --elevation and --mesh are "
-                    "only for maps"
-                )
             place = built_in(known(source))
+            _refuse(source, "a built-in intersection is no map", given)
         with progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
     out.print(scene_table(built))
@@ -295,17 +288,28 @@ def layout(
     from inspe_jax.placement.strategies import strategy as place
     from inspe_jax.report.scene_tables import layout_table
     from inspe_jax.scene.scene import load_scene
+    from inspe_jax.sensing.catalogue import device
     from inspe_jax.sensing.layout import save_layout
 
     devices: dict[str, Any] = {
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
     }
     claims.file(save, (".yaml", ".yml"), force=force)
+    check_layout(strategy)
+    for name in devices.values():
+        device(name)
     placed = place(load_scene(source, profile), strategy, **devices)
     out.print(layout_table(placed))
     if save:
         save_layout(placed, save)
         out.print(f"saved {save}", highlight=False)
+
+
+def _refuse(what: str, why: str, options: list[str]) -> None:
+    """Raise InspeError that names the options that are given and cannot be, if any."""
+    if options:
+        names = ", ".join(f"--{name}" for name in options)
+        raise InspeError(f"{what}: {why}; leave out {names}")
 
 
 def _degrees(text: str) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from inspe_jax.cli.common import (
     show,
 )
 from inspe_jax.cli.options import DetectionOption, WeightOptions, takes
+from inspe_jax.core.errors import check_known
 
 if TYPE_CHECKING:
     pass
@@ -77,13 +78,14 @@ def score(
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
-    from inspe_jax.scoring.evaluate import evaluate
+    from inspe_jax.scoring.evaluate import check_options, evaluate
     from inspe_jax.sensing.conditions import Conditions
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
+    check_options(weights, occlusion_reference or "roi", visibility or "in_view")
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("scoring"):
@@ -132,6 +134,7 @@ def targets(
     """
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
+    from inspe_jax.scene.traffic.frames import CLASSES
     from inspe_jax.scoring.detection import load_detection
     from inspe_jax.scoring.targets import target_view
     from inspe_jax.sensing.conditions import Conditions
@@ -140,6 +143,7 @@ def targets(
     claims.file(record, force=force)
     conditions = Conditions.of(light, weather)
     curves = None if detection is None else load_detection(detection)
+    check_known(road_user, CLASSES, "road user")
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("counting rays"):

@@ -115,6 +115,7 @@ def optimise(
     if device or price:
         raise InspeError("--device and --price are for --target: a layout has its devices")
     objective, constraints = options.checked()
+    search.check_search((method or search.DEFAULT_METHOD,), objective, start, (seed,))
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
@@ -194,6 +195,7 @@ def compare(
     objective, constraints = options.checked()
     names = [name.strip() for name in methods.split(",") if name.strip()]
     names = names or list(search.methods(objective))
+    search.check_search(names, objective, start, range(seeds))
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
@@ -246,14 +248,19 @@ def _find_cheapest(
     options: SearchOptions,
 ) -> None:
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
+    from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
     from inspe_jax.placement.result import save_result
     from inspe_jax.placement.studies.cheapest import cheapest, check_target
+    from inspe_jax.placement.studies.pareto import device_mixes
     from inspe_jax.report.tables import cheapest_table
 
     check_target(target)
     if not options.weight and not options.three_weights:
         options = replace(options, weight=["detectability=1"])
     objective, constraints = options.checked(prices=prices(price))
+    check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))
+    if device:
+        device_mixes(counts(device), objective)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)

@@ -22,6 +22,7 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
+    check_layout,
     layout_on,
     leave_at_once,
     note,
@@ -105,11 +106,15 @@ def report(
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
     priced = prices(price)
+    wanted = sensors or [DEFAULT_LAYOUT]
+    for given in wanted:
+        if not Path(given).is_dir():
+            check_layout(given)
+    mixes = load_pareto(front) if front else []
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
         check_frame(world, frame)
-        placed = [found_or_placed(world, given) for given in sensors or [DEFAULT_LAYOUT]]
-        mixes = load_pareto(front) if front else []
+        placed = [found_or_placed(world, given) for given in wanted]
     case = Case(world, conditions)
     check_names([layout.name for layout, _ in placed])
     entries = []
@@ -118,8 +123,8 @@ def report(
             entry = report_entry(case, layout, weights, result, further, curves)
         if tolerance:
             with progress(f"installations of {layout.name}") as callback:
-                wanted = Objective(weights=weights, detection=curves)
-                slopes = installed(case, layout, objective=wanted, progress=callback)
+                aim = Objective(weights=weights, detection=curves)
+                slopes = installed(case, layout, objective=aim, progress=callback)
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
@@ -202,14 +207,15 @@ def view(
     check_output(path, (".yaml", ".yml"))
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
-    with busy(f"reading {source}"):
-        world = load_scene(source, profile)
-        layout = layout_on(world, sensors, unit_rule=False)
     access = AccessRules(host) if token else AccessRules(host, token="")
     if not (token or access.local):
         raise InspeError(
             f"--no-token is allowed only on this machine, but --host {host} lets others connect"
         )
+    check_layout(sensors, unit_rule=False)
+    with busy(f"reading {source}"):
+        world = load_scene(source, profile)
+        layout = layout_on(world, sensors, unit_rule=False)
     viewer = Viewer(
         Case(world, conditions),
         layout,

@@ -36,8 +36,8 @@ from inspe_jax.cli.options import (
     MethodOption,
     OutOption,
     PriceOption,
+    ScoreOptions,
     SearchOptions,
-    WeightOptions,
     counts,
     prices,
     takes,
@@ -113,7 +113,7 @@ def pareto(
 
 
 @app.command()
-@takes(WeightOptions)
+@takes(ScoreOptions)
 def tolerance(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -131,7 +131,7 @@ def tolerance(
     record: RecordOption = None,
     force: ForceOption = False,
     *,
-    options: WeightOptions,
+    options: ScoreOptions,
 ) -> None:
     """Show how installation errors change the score: a slope for each sensor, and random errors.
 
@@ -144,7 +144,6 @@ def tolerance(
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
     """
-    from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.problem import Case
     from inspe_jax.placement.studies.tolerance import check_errors
     from inspe_jax.placement.studies.tolerance import tolerance as installed
@@ -152,8 +151,7 @@ def tolerance(
     from inspe_jax.sensing.conditions import Conditions
 
     claims.file(record, force=force)
-    objective = Objective(weights=options.weights(), detection=options.curves())
-    objective.check()
+    objective = options.objective()
     errors = dict(position=position, angle=float(np.radians(angle)), samples=samples, seed=seed)
     check_errors(**errors)
     conditions = Conditions.of(light, weather)

@@ -25,7 +25,7 @@ from inspe_jax.cli.common import (
     scene_and_layout,
     show,
 )
-from inspe_jax.cli.options import DetectionOption, WeightOptions, takes
+from inspe_jax.cli.options import DetectionOption, ScoreOptions, takes
 from inspe_jax.core.errors import check_known
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@takes(WeightOptions)
+@takes(ScoreOptions)
 def score(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -58,7 +58,7 @@ def score(
     profile: ProfileOption = None,
     force: ForceOption = False,
     *,
-    options: WeightOptions,
+    options: ScoreOptions,
 ) -> None:
     """Score a layout on a scene: every metric, and their weighted sum P_sm.
 
@@ -72,35 +72,39 @@ def score(
     - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe score four_way L-d1 --metrics detectability,localisation`
     - `inspe score four_way L-d1 --metrics detectability --detection mine.toml`
+    - `inspe score four_way L-d1 --weight detectability=1 --region crosswalk --road-user pedestrian`
+
+    A layout that a search found says what it was searched for; that is scored too.
     """
     from rich.console import Group
 
+    from inspe_jax.placement.problem import Case
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
-    from inspe_jax.scoring.evaluate import check_options, evaluate
+    from inspe_jax.scoring.evaluate import evaluate
     from inspe_jax.sensing.conditions import Conditions
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
-    conditions, weights = Conditions.of(light, weather), options.weights()
-    further, curves = options.further(), options.curves()
-    check_options(weights, occlusion_reference or "roi", visibility or "in_view")
+    readings = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    conditions, objective = Conditions.of(light, weather), options.objective(**readings)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
+        world = objective.within(world)
     with busy("scoring"):
         scores = evaluate(
             world,
             placed,
-            weights=weights,
-            occlusion_reference=occlusion_reference,
-            visibility=visibility,
+            **readings,
+            weights=objective.weights,
             conditions=conditions,
-            metrics=further,
-            detection=curves,
+            metrics=objective.metrics,
+            detection=objective.detection,
         )
-    tables = Group(scores_table(scores, placed), "", blind_spots_table(world, scores))
-    show(tables, scores_record(scores, world, placed), record)
+        sought = options.sought(Case(world, conditions), placed)
+    tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(world, scores))
+    show(tables, scores_record(scores, world, placed, sought), record)
     if plot:
         save_figure(plan_view(world, placed, scores), plot)
         (err if record == "-" else out).print(f"drew {plot}", highlight=False)

@@ -51,7 +51,13 @@ StartOption = Annotated[
 @takes(SearchOptions)
 def optimise(
     source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
+    sensors: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="LAYOUT",
+            help=f"A layout file, or the name of a strategy; {DEFAULT_LAYOUT} if not given.",
+        ),
+    ] = None,
     method: MethodOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     start: StartOption = "given",
@@ -66,8 +72,9 @@ def optimise(
         list[str] | None,
         typer.Option(
             metavar="DEVICE:COUNTS",
-            help="With --target: a device of the catalogue, and the numbers of it to try, such as "
-            "0-4 or 0,4,8; repeat it for other devices. Those of the layout if not given.",
+            help="In place of a layout: a device of the catalogue, and the number of it, at the "
+            "junction's corners and roadsides where the search begins; repeat it for others. With "
+            "--target the numbers to try, such as 0-4 or 0,4,8; those of the layout if not given.",
         ),
     ] = None,
     price: PriceOption = None,
@@ -97,11 +104,14 @@ def optimise(
     - `inspe optimise --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
+    - `inspe optimise four_way --device velodyne-vlp-16:2 --device paper-camera:4`
     - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
     """
     from inspe_jax.core.files import check_output
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import FILES, save_result
+    from inspe_jax.placement.studies.pareto import starting_layout
+    from inspe_jax.scene.scene import load_scene
     from inspe_jax.scoring.metrics import METRICS
     from inspe_jax.sensing.conditions import FAIR
 
@@ -110,14 +120,20 @@ def optimise(
     if target is not None:
         if checkpoint is not None or start != "given":
             raise InspeError("--target searches many mixes: leave out --checkpoint and --start")
+        sensors = sensors or DEFAULT_LAYOUT
         _find_cheapest(source, sensors, target, device, price, method, seed, folder, options)
         return
-    if device or price:
-        raise InspeError("--device and --price are for --target: a layout has its devices")
+    if price:
+        raise InspeError("--price is for --target: other searches do not count what devices cost")
     objective, constraints = options.checked()
     search.check_search((method or search.DEFAULT_METHOD,), objective, start, (seed,))
+    mix = _mix(device, sensors)
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, options.profile)
+        if mix:
+            world = load_scene(source, options.profile)
+            placed = starting_layout(world, mix)
+        else:
+            world, placed = scene_and_layout(source, sensors or DEFAULT_LAYOUT, options.profile)
         cases = options.cases(world)
     with search_bar("searching") as callback:
         result = search.optimise(
@@ -234,6 +250,21 @@ def compare(
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _mix(device: list[str] | None, sensors: str | None) -> dict[str, int]:
+    """The number of each device of ``--device``; raises InspeError where it is not one number."""
+    from inspe_jax.sensing.catalogue import device as known
+
+    mix = counts(device or [])
+    for name, several in mix.items():
+        known(name)
+        if len(several) > 1 or several[0] < 0:
+            raise InspeError(f"--device {name}: one number of it; several are for --target")
+    if mix and (sensors or not sum(n for (n,) in mix.values())):
+        what = f"{sensors} has its own devices: give one of them" if sensors else "no sensor"
+        raise InspeError(f"--device: {what}")
+    return {name: n for name, (n,) in mix.items()}
 
 
 def _find_cheapest(

@@ -29,7 +29,7 @@ from inspe_jax.cli.common import (
     out,
     progress,
 )
-from inspe_jax.cli.options import PriceOption, WeightOptions, prices, takes
+from inspe_jax.cli.options import PriceOption, ScoreOptions, WeightOptions, prices, takes
 
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@takes(WeightOptions)
+@takes(ScoreOptions)
 def report(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: Annotated[
@@ -76,7 +76,7 @@ def report(
     profile: ProfileOption = None,
     force: ForceOption = False,
     *,
-    options: WeightOptions,
+    options: ScoreOptions,
 ) -> None:
     """Write a page to hand on: what is mounted where and what it costs, scores side by side, blind
     spots, maps, and the scene in three dimensions.
@@ -92,19 +92,18 @@ def report(
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
     from inspe_jax.core.files import whole_file, write_text
-    from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.problem import Case
     from inspe_jax.placement.studies.pareto import load_pareto
     from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets
+    from inspe_jax.report.tables import goal_words
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.visibility.queries import check_frame
 
     claims.file(path, (".html", ".htm"), force=force)
     claims.file(pdf, (".pdf",), force=force)
-    conditions, weights = Conditions.of(light, weather), options.weights()
-    further, curves = options.further(), options.curves()
+    conditions, objective = Conditions.of(light, weather), options.objective()
     priced = prices(price)
     wanted = sensors or [DEFAULT_LAYOUT]
     for given in wanted:
@@ -112,7 +111,7 @@ def report(
             check_layout(given)
     mixes = load_pareto(front) if front else []
     with busy(f"reading {source}"):
-        world = load_scene(source, profile)
+        world = objective.within(load_scene(source, profile))
         check_frame(world, frame)
         placed = [found_or_placed(world, given) for given in wanted]
     case = Case(world, conditions)
@@ -120,11 +119,12 @@ def report(
     entries = []
     for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = report_entry(case, layout, weights, result, further, curves)
+            further, curves = objective.metrics, objective.detection
+            entry = report_entry(case, layout, objective.weights, result, further, curves)
+            entry = replace(entry, sought=options.sought(case, layout))
         if tolerance:
             with progress(f"installations of {layout.name}") as callback:
-                aim = Objective(weights=weights, detection=curves)
-                slopes = installed(case, layout, objective=aim, progress=callback)
+                slopes = installed(case, layout, objective=objective, progress=callback)
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
@@ -133,7 +133,8 @@ def report(
         )
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
-        out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
+        words = goal_words(entry.layout, entry.scores, entry.sought)
+        out.print(words, highlight=False, soft_wrap=True)
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB", highlight=False)
     if pdf:
         with busy("drawing"):

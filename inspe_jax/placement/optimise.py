@@ -254,7 +254,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     case = problem.cases[0]
 
     def scores(of: Layout) -> Scores:
-        found = evaluate(
+        return evaluate(
             case.scene,
             of,
             conditions=case.conditions,
@@ -264,13 +264,10 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             metrics=objective.metrics,
             detection=objective.detection,
         )
-        if not objective.regions:
-            return found
-        return replace(found, settings=found.settings | dict(regions=list(objective.regions)))
 
     after = scores(found)
     return Result(
-        layout=named_optimised(found),
+        layout=replace(named_optimised(found), goal=objective.goal),
         start=start,
         scores_before=scores(start),
         scores=after,

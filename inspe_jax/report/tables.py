@@ -37,16 +37,35 @@ _TURNS = ("yaw", "pitch")
 _ENDS = ("seeds", "median", "worst", "best", "work", "time\n[s]")
 
 
-def scores_table(scores: Scores, layout: Layout) -> RenderableType:
+def goal_words(layout: Layout, scores: Scores, sought: float | None) -> str:
+    """The headline of a layout: its P_sm, after the score that it was searched for, if any."""
+    words = f"P_sm {scores.surrogate:.4f}{_only(scores)}"
+    if sought is not None and layout.goal is not None:
+        words = f"searched for {layout.goal.words}: {sought:.4f}; {words}"
+    return f"{layout.name}: {words}"
+
+
+def _only(scores: Scores) -> str:
+    """Which regions and road users alone count in a score, in brackets."""
+    words = []
+    if regions := scores.settings.get("regions"):
+        some = [m.symbol for m in listed_in(scores) if m.by_region]
+        words.append(f"{' and '.join(some)} of {', '.join(regions)} only")
+    if users := scores.settings.get("road_users"):
+        words.append(f"road users: {', '.join(users)} only")
+    return f" ({'; '.join(words)})" if words else ""
+
+
+def scores_table(scores: Scores, layout: Layout, sought: float | None = None) -> RenderableType:
     """Scores: every metric and P_sm, coverage by region and level, and what each sensor adds.
 
-    What a sensor adds is what the layout loses without it. Raises InspeError if the scores are of
-    another layout.
+    What a sensor adds is what the layout loses without it. ``sought`` is the score that the layout
+    was searched for, if that is not P_sm. Raises InspeError if the scores are of another layout.
     """
     members = _members(scores, layout)
     weights, rows = scores.settings.get("weights", {}), listed_in(scores)
 
-    title = f"Scores of {layout.name}{scores.conditions.words}"
+    title = f"Scores of {layout.name}{scores.conditions.words}{_only(scores)}"
     total = table_of(title, "metric", "symbol", "weight", "score")
     for metric in rows:
         look = "bold" if metric.name == "surrogate" else ""
@@ -70,7 +89,8 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
 
     # Side by side as far as the terminal has room.
     beside = Columns([total, regions, levels], padding=(0, 4))
-    return Group(beside, "", each)
+    first = [] if sought is None else [Text(goal_words(layout, scores, sought)), ""]
+    return Group(*first, beside, "", each)
 
 
 def metrics_table() -> RenderableType:
@@ -88,9 +108,7 @@ def before_after_table(result: Result) -> RenderableType:
     Metrics that one of the two records does not have are left out.
     """
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
-    if regions := result.scores.settings.get("regions"):
-        some = [m.symbol for m in listed_in(result.scores) if m.by_region]
-        title += f"\n({' and '.join(some)} of {', '.join(regions)} only)"
+    title += _only(result.scores)
     table = table_of(title, "metric", "symbol", *_CHANGE)
     before, after = result.scores_before, result.scores
     rows = [
@@ -227,8 +245,11 @@ def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str
     }
 
 
-def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any]:
-    """Scores as a record for JSON, with every number exactly as scored.
+def scores_record(
+    scores: Scores, scene: Scene, layout: Layout, sought: float | None = None
+) -> dict[str, Any]:
+    """Scores as a record for JSON, with every number exactly as scored; ``sought`` as in
+    :func:`scores_table`.
 
     It also has the scene, the layout, the settings and the versions, so that the scores can be
     repeated. Raises InspeError if the scores are of another layout.
@@ -249,8 +270,15 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
         ],
         "blind_spots": [json_value(asdict(spot)) for spot in blind_spots(scene, scores.seen_share)],
         "settings": json_value(scores.settings),
+        **_sought(layout, sought),
         **_origin(scene, layout),
     }
+
+
+def _sought(layout: Layout, sought: float | None) -> dict[str, Any]:
+    if sought is None or layout.goal is None:
+        return {}
+    return {"searched_for": {**layout.goal.record, "score": sought}}
 
 
 def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:

@@ -24,7 +24,7 @@ from inspe_jax.cli.common import (
     show,
 )
 from inspe_jax.cli.options import SchedulerOption, WorkersOption
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
@@ -303,9 +303,7 @@ def _training() -> ModuleType:
     except ModuleNotFoundError as e:
         if e.name != "equinox":
             raise
-        raise InspeError(
-            "this needs Equinox, which is not installed: pip install 'inspe_jax[perception]'"
-        ) from e
+        raise missing_extra("this needs Equinox", "perception") from e
     return training
 
 

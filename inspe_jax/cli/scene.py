@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from inspe_jax.cli.claims import ForceOption, claims
@@ -21,6 +22,7 @@ from inspe_jax.cli.common import (
     check_layout,
     err,
     known,
+    note,
     out,
     progress,
 )
@@ -174,6 +176,7 @@ def scene(
     - `inspe scene j189.npz --plot j189.png`
     """
     from inspe_jax.core.files import check_input
+    from inspe_jax.placement.site import Site
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
@@ -216,7 +219,7 @@ def scene(
         ).items()
         if value is not None
     }
-    path = Path(source)
+    path, own = Path(source), list[np.ndarray]()
     places = dict(junction=junction, center=center, at=at, bodies=bodies)
     places |= dict(elevation=elevation, mesh=mesh)
     given = [name for name, value in places.items() if value is not None]
@@ -247,7 +250,10 @@ def scene(
                 place = read_map(path, junction=junction, center=center, radius=size)
                 place = place if elevation is None else with_elevation(place, elevation, size)
                 place = place if mesh is None else with_mesh(place, mesh, size)
+                before = place.poles
                 place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
+                there = {tuple(foot) for foot in before[:, :2].tolist()}
+                own = [foot for foot in place.poles[:, :2] if tuple(foot.tolist()) not in there]
         else:
             place = built_in(known(source))
             _refuse(source, "a built-in intersection is no map", given)
@@ -255,6 +261,12 @@ def scene(
             built = build_scene(place, **options, progress=report)
     out.print(scene_table(built))
     _warn_of_full_roads(built)
+    site = Site(built.intersection, built.voxels.radius, depth=30.0, bodies=built.statics)
+    note(
+        f"the pole at ({x:.1f}, {y:.1f}) carries no sensor: {why}"
+        for x, y in own
+        if (why := site.why_none(np.array([x, y])))
+    )
     if save:
         save = claims.keep(partial(save_scene, built), save)
         out.print(f"saved {save}", highlight=False)

@@ -5,7 +5,7 @@ Imports are inside the commands: gradient libraries and matplotlib load slowly.
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -152,7 +152,9 @@ def tolerance(
 
     claims.file(record, force=force)
     objective = options.objective()
-    errors = dict(position=position, angle=float(np.radians(angle)), samples=samples, seed=seed)
+    errors = dict[str, Any](
+        position=position, angle=float(np.radians(angle)), samples=samples, seed=seed
+    )
     check_errors(**errors)
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):

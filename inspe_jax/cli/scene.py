@@ -3,6 +3,7 @@
 Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -228,8 +229,8 @@ def scene(
         built = load_scene(source)
     else:
         if traffic is not None and traffic.endswith(LOG_SUFFIXES):
-            own = [name for name in ("density", "mix", "seed") if name in options]
-            _refuse(f"--traffic {traffic}", "a log has traffic of its own", own)
+            ours = [name for name in ("density", "mix", "seed") if name in options]
+            _refuse(f"--traffic {traffic}", "a log has traffic of its own", ours)
             load_log(traffic)
         elif traffic is not None:
             traffic_model(traffic)
@@ -317,7 +318,7 @@ def layout(
         out.print(f"saved {save}", highlight=False)
 
 
-def _refuse(what: str, why: str, options: list[str]) -> None:
+def _refuse(what: str, why: str, options: Sequence[str]) -> None:
     """Raise InspeError that names the options that are given and cannot be, if any."""
     if options:
         names = ", ".join(f"--{name}" for name in options)

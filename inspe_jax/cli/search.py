@@ -206,8 +206,8 @@ def compare(
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import comparison_table
 
-    names = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
-    claims.folder(folder, names, force=force)
+    files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
+    claims.folder(folder, files, force=force)
     objective, constraints = options.checked()
     names = [name.strip() for name in methods.split(",") if name.strip()]
     names = names or list(search.methods(objective))
@@ -244,9 +244,9 @@ def compare(
         err.print(f"[yellow]Note:[/] stopped after {len(results)} of {len(runs)} searches")
     with busy("drawing"):
         save_figure(history_view(results), folder / "compare.png")
-    files = f"compare.csv, history.csv and layout.yaml into {folder}"
+    written = f"compare.csv, history.csv and layout.yaml into {folder}"
     out.print(
-        f"wrote {files}; drew {folder / 'compare.png'}",
+        f"wrote {written}; drew {folder / 'compare.png'}",
         highlight=False,
         soft_wrap=True,
     )

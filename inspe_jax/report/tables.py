@@ -89,8 +89,10 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
 
     # Side by side as far as the terminal has room.
     beside = Columns([total, regions, levels], padding=(0, 4))
-    first = [] if sought is None else [Text(goal_words(layout, scores, sought)), ""]
-    return Group(*first, beside, "", each)
+    tables = Group(beside, "", each)
+    if sought is None:
+        return tables
+    return Group(Text(goal_words(layout, scores, sought)), "", tables)
 
 
 def metrics_table() -> RenderableType:
@@ -372,7 +374,8 @@ class WholeTable(Table):
         return more
 
     def _rows_as_blocks(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        names = [" ".join(str(x.header).replace("-\n", "").split()) for x in self.columns]
+        heads = (str(x.header).replace("-\n", "") for x in self.columns)
+        names = [Text(" ".join(head.split())) for head in heads]
         grid = Table.grid(Column(no_wrap=True), Column(overflow="fold"), padding=(0, 2))
         for cells, row in zip(
             zip(*(x.cells for x in self.columns), strict=True), self.rows, strict=True

@@ -133,7 +133,8 @@ class DetectionCurves:
             check_known(kind, KINDS, "kind of sensor")
             check_known(road_user, CLASSES, "road user")
             new[kind][CLASSES.index(road_user)] = curve
-        return replace(self, **{kind: tuple(of) for kind, of in new.items()})
+        lidar, camera = (tuple(new[kind]) for kind in KINDS)
+        return replace(self, lidar=lidar, camera=camera)
 
     @property
     def record(self) -> dict[str, dict[str, dict[str, float]]]:
@@ -155,12 +156,11 @@ KINDS = ("lidar", "camera")
 def detection_curves() -> DetectionCurves:
     """The usual curves, from ``detection.toml``."""
     text = files("inspe_jax.scoring").joinpath("detection.toml").read_text("utf-8")
-    return DetectionCurves(
-        **{
-            kind: tuple(DetectionCurve(**of[name]) for name in CLASSES)
-            for kind, of in tomllib.loads(text).items()
-        }
+    content = tomllib.loads(text)
+    lidar, camera = (
+        tuple(DetectionCurve(**content[kind][name]) for name in CLASSES) for kind in KINDS
     )
+    return DetectionCurves(lidar, camera)
 
 
 class _CurveEntry(BaseModel):

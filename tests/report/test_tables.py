@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -286,6 +287,9 @@ def test_no_table_cuts_a_number_or_a_name(table, width):
     whole = [str(cell) for column in table.columns if column.no_wrap for cell in column.cells]
     for cell in whole:
         assert any(line == cell or f" {cell} " in f" {line} " for line in lines), cell
+    for column in table.columns:
+        for unit in re.findall(r"\[.*\]", str(column.header)):
+            assert unit in " ".join(lines)
     longest = max(map(len, whole)) + 2 + max(len(str(x.header)) for x in table.columns)
     assert max(map(len, lines)) <= max(width, longest)
     for column in table.columns:

@@ -1,7 +1,7 @@
 """Bodies of one's own from files: GeoJSON, CSV, and SUMO's polygons."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -102,7 +102,7 @@ def with_own_bodies(
 
 
 def _poles_left_out(
-    features: list[Feature], poles: list[Polygon], place: Intersection, reach: float
+    features: Sequence[Feature], poles: list[Polygon], place: Intersection, reach: float
 ) -> Iterator[str]:
     """A line for each pole of the file that is not among ``poles``: its name or number, and why."""
     for one in features:

@@ -36,8 +36,8 @@ app = typer.Typer(
 
 
 class WholeConsole(Console):
-    """A console that cuts no line. In a pipe, tables are as wide as they need, unless the
-    environment's COLUMNS says how wide."""
+    """A console that cuts and breaks no line of text. In a pipe, tables are as wide as they need,
+    unless the environment's COLUMNS says how wide."""
 
     def print(self, *objects: Any, **how: Any) -> None:
         """Print as rich does, with whole lines."""
@@ -46,11 +46,12 @@ class WholeConsole(Console):
             wide = self.options.update(width=10_000)
             tables = [x for x in objects if not isinstance(x, str)]
             self.width = max([usual, *(Measurement.get(self, wide, x).minimum for x in tables)])
-        super().print(*objects, **{"crop": False} | how)
+        text = all(isinstance(x, str) for x in objects)
+        super().print(*objects, **{"crop": False, "soft_wrap": text} | how)
         self.width = usual
 
 
-out = WholeConsole()
+out = WholeConsole(highlight=False)
 err = WholeConsole(stderr=True, highlight=False)
 
 DEFAULT_SCENE = "four_way"

@@ -85,11 +85,11 @@ def stats(
     if row:
         values = {key: "" if value is None else value for key, value in table_row(found).items()}
         write_text(row, csv_text([values]))
-        said.print(f"wrote {row}", highlight=False)
+        said.print(f"wrote {row}")
     if plot:
         with busy("drawing"):
             save_figure(statistics_view(found), plot)
-        said.print(f"drew {plot}", highlight=False)
+        said.print(f"drew {plot}")
     if damaged:
         note(
             [
@@ -182,9 +182,7 @@ def decode(
         made = cache(folder, into, pictures=picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     out.print(
-        f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}",
-        highlight=False,
-        soft_wrap=True,
+        f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
     )
 
 
@@ -221,4 +219,4 @@ def show_frame(
     if plot:
         with busy("drawing"):
             save_figure(frame_view(chosen, frame), plot)
-        out.print(f"drew {plot}", highlight=False)
+        out.print(f"drew {plot}")

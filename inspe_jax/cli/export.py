@@ -51,4 +51,4 @@ def export(
     texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
-        out.print(f"wrote {path}", highlight=False)
+        out.print(f"wrote {path}")

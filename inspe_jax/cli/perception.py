@@ -131,7 +131,7 @@ def train_detector(
         else:
             _train_one(data, folder, wanted[0])
     except KeyboardInterrupt:
-        err.print("stopped; give the same command again to go on", soft_wrap=True)
+        err.print("stopped; give the same command again to go on")
         raise typer.Exit(130) from None
 
 
@@ -149,7 +149,7 @@ def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
                 err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
 
         run = _training().train(data, folder, settings, progress=report)
-    out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}", highlight=False)
+    out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}")
 
 
 def _train_many(
@@ -179,12 +179,12 @@ def _train_many(
         ):
             if isinstance(found, Exception):
                 failed += 1
-                err.print(f"{job.folder.name}: {found}", highlight=False, soft_wrap=True)
+                err.print(f"{job.folder.name}: {found}")
             else:
-                out.print(f"{job.folder.name}: {_summary(found)}", highlight=False)
+                out.print(f"{job.folder.name}: {_summary(found)}")
     if failed:
         raise InspeError(f"{failed} of {len(jobs)} trainings failed, see above")
-    out.print(f"wrote {folder}", highlight=False)
+    out.print(f"wrote {folder}")
 
 
 def _summary(run: "Run") -> str:
@@ -231,7 +231,7 @@ def evaluate_detector(
     show(evaluation_table(found, _unfinished(run, step)), json_value(content), record)
     if table:
         write_text(table, csv_text(rows))
-        (err if record == "-" else out).print(f"wrote {table}", highlight=False)
+        (err if record == "-" else out).print(f"wrote {table}")
 
 
 @app.command("detect")
@@ -287,7 +287,7 @@ def detect(
             title = f"{run.content.settings.model}: {name}, frame {number}{note}"
             whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[index]
             save_figure(draw(whole, 0, found, title, least_score=least), plot)
-        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+        (err if record == "-" else out).print(f"drew {plot}")
 
 
 def _unfinished(run: "Run", step: int) -> str:

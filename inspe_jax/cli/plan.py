@@ -207,8 +207,7 @@ def plan(
     if dry_run:
         out.print(
             f"{source.name}: {counted(len(places), 'junction')}, mixes of devices: {len(mixes)}, "
-            f"searches: {len(study.jobs):,}",
-            highlight=False,
+            f"searches: {len(study.jobs):,}"
         )
         return
     rows = run_study(study, folder, "searches", scheduler, workers, retry)
@@ -220,7 +219,7 @@ def plan(
     _show(found, georeference)
     with busy("drawing"):
         written = _write(found, source, folder, size, georeference)
-    out.print(f"wrote {', '.join(written)} into {folder}", highlight=False, soft_wrap=True)
+    out.print(f"wrote {', '.join(written)} into {folder}")
 
 
 def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
@@ -228,7 +227,7 @@ def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
     from inspe_jax.report.city import plan_table, plan_words
 
     out.print(plan_table(found, georeference))
-    out.print("\n".join(plan_words(found)), highlight=False, soft_wrap=True)
+    out.print("\n".join(plan_words(found)))
     note(f"junction {name} is left out: {reason}" for name, reason in found.left_out.items())
     failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
     note(failed[:SHOWN])

@@ -105,10 +105,7 @@ def pareto(
     with busy("drawing"):
         save_figure(pareto_view(found), folder / "pareto.png")
     out.print(
-        f"wrote pareto.csv and the layouts of the front into {folder}; "
-        f"drew {folder / 'pareto.png'}",
-        highlight=False,
-        soft_wrap=True,
+        f"wrote pareto.csv and the layouts of the front into {folder}; drew {folder / 'pareto.png'}"
     )
 
 

@@ -270,10 +270,10 @@ def scene(
     )
     if save:
         save = claims.keep(partial(save_scene, built), save)
-        out.print(f"saved {save}", highlight=False)
+        out.print(f"saved {save}")
     if plot:
         save_figure(scene_view(built), plot)
-        out.print(f"drew {plot}", highlight=False)
+        out.print(f"drew {plot}")
 
 
 @app.command()
@@ -315,7 +315,7 @@ def layout(
     out.print(layout_table(placed))
     if save:
         save_layout(placed, save)
-        out.print(f"saved {save}", highlight=False)
+        out.print(f"saved {save}")
 
 
 def _refuse(what: str, why: str, options: Sequence[str]) -> None:

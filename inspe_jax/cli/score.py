@@ -107,7 +107,7 @@ def score(
     show(tables, scores_record(scores, world, placed, sought), record)
     if plot:
         save_figure(plan_view(world, placed, scores), plot)
-        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+        (err if record == "-" else out).print(f"drew {plot}")
 
 
 @app.command()
@@ -155,7 +155,7 @@ def targets(
     show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     if plot:
         save_figure(targets_view(world, conditions.layout(placed), view), plot)
-        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+        (err if record == "-" else out).print(f"drew {plot}")
 
 
 @app.command()

@@ -50,7 +50,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """What one process compiles, the others of this run need not, nor those that tests start,
     nor later runs: the environment is theirs too."""
     if "INSPE_TESTS" not in os.environ:
+        state = tempfile.TemporaryDirectory()
+        config.add_cleanup(state.cleanup)
         os.environ |= {
+            "XDG_STATE_HOME": state.name,
             "INSPE_TESTS": "1",
             "XLA_FLAGS": f"{QUICKLY} {os.environ.get('XLA_FLAGS', '')}".strip(),
             "JAX_COMPILATION_CACHE_DIR": str(folder_for_programs(config)),

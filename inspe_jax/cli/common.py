@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
 from rich.text import Text
 from typer.core import TyperGroup
 
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
 from inspe_jax.core.errors import InspeError, nearest
@@ -45,8 +47,26 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-out = Console()
-err = Console(stderr=True, highlight=False)
+
+
+class WholeConsole(Console):
+    """A console that cuts and breaks no line of text. In a pipe, tables are as wide as they need,
+    unless the environment's COLUMNS says how wide."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print as rich does, with whole lines."""
+        usual = self.width
+        if not self.is_terminal and "COLUMNS" not in os.environ:
+            wide = self.options.update(width=10_000)
+            tables = [x for x in objects if not isinstance(x, str)]
+            self.width = max([usual, *(Measurement.get(self, wide, x).minimum for x in tables)])
+        text = all(isinstance(x, str) for x in objects)
+        super().print(*objects, **{"crop": False, "soft_wrap": text} | how)
+        self.width = usual
+
+
+out = WholeConsole(highlight=False)
+err = WholeConsole(stderr=True, highlight=False)
 
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
@@ -154,6 +174,7 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -167,6 +188,8 @@ def _root(
 ) -> None:
     import jax
 
+    claims.begin(context.invoked_subcommand or "")
+    context.call_on_close(claims.end)
     if cache:
         keep_programs()
     else:
@@ -189,8 +212,42 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[S
     """A scene, and a layout on it from a file or from the name of a strategy."""
     from inspe_jax.scene.scene import load_scene
 
+    check_layout(sensors)
     world = load_scene(source, profile)
     return world, layout_on(world, sensors)
+
+
+def check_scene(source: str) -> None:
+    """Raise InspeError if there is no such built-in or file: before another scene is built."""
+    from inspe_jax.core.files import check_input
+
+    known(source) if Path(source).suffix != ".npz" else check_input(Path(source))
+
+
+def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
+    """Raise InspeError if a layout cannot be read: before its scene, which may take minutes."""
+    from inspe_jax.core.files import read_json
+    from inspe_jax.placement.strategies import STRATEGIES
+    from inspe_jax.scene.geojson import SUFFIX
+    from inspe_jax.sensing.layout import load_layout
+
+    if Path(sensors).suffix.lower() == SUFFIX:
+        read_json(Path(sensors))
+    elif _is_file(sensors):
+        load_layout(sensors, unit_rule=unit_rule)
+    elif sensors.lower() not in (name.lower() for name in STRATEGIES):
+        raise InspeError(
+            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
+            + ", ".join(STRATEGIES)
+            + nearest(sensors, tuple(STRATEGIES))
+        )
+
+
+def _is_file(sensors: str) -> bool:
+    """Whether a layout is given as a file, not as the name of a strategy."""
+    from inspe_jax.scene.geojson import SUFFIX
+
+    return Path(sensors).suffix.lower() in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file()
 
 
 def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
@@ -199,27 +256,19 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
-    from inspe_jax.placement.strategies import STRATEGIES, strategy
+    from inspe_jax.placement.strategies import strategy
     from inspe_jax.scene.geojson import SUFFIX
     from inspe_jax.sensing.layout import load_layout
     from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
-    suffix = Path(sensors).suffix.lower()
-    if suffix in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file():
-        layout = (
-            load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
-            if suffix == SUFFIX
-            else load_layout(sensors, world, unit_rule=unit_rule)
-        )
-        note_other_profile(world, layout)
-        return layout
-    if sensors.lower() not in (name.lower() for name in STRATEGIES):
-        raise InspeError(
-            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
-            + ", ".join(STRATEGIES)
-            + nearest(sensors, tuple(STRATEGIES))
-        )
-    return strategy(world, sensors)
+    if not _is_file(sensors):
+        return strategy(world, sensors)
+    if Path(sensors).suffix.lower() == SUFFIX:
+        layout = load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
+    else:
+        layout = load_layout(sensors, world, unit_rule=unit_rule)
+    note_other_profile(world, layout)
+    return layout
 
 
 def note_other_profile(world: "Scene", layout: "Layout") -> None:
@@ -324,14 +373,6 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None]]:
             bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
 
         yield report
-
-
-def check_record(path: str | None) -> None:
-    """Raise InspeError if the file of ``--json`` cannot be written; "-" is stdout."""
-    from inspe_jax.core.files import check_output
-
-    if path != "-":
-        check_output(path)
 
 
 def show(table: Any, record: dict[str, Any], path: str | None) -> None:

@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     PICTURES,
     PlotOption,
     RecordOption,
     app,
     busy,
-    check_record,
     err,
     note,
     out,
@@ -53,6 +53,7 @@ def stats(
             help="Write the data set's row of a table that compares data sets.",
         ),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Count the content of a data set: frames, boxes, sizes, and points in boxes by range.
 
@@ -64,7 +65,7 @@ def stats(
     - `inspe dataset stats infra --plot infra.png --json infra.json --csv row.csv`
     - `inspe dataset stats infra/test --json -`
     """
-    from inspe_jax.core.files import check_output, csv_text, write_text
+    from inspe_jax.core.files import csv_text, write_text
     from inspe_jax.dataset.check import differing
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.statistics import statistics, table_row
@@ -72,9 +73,9 @@ def stats(
     from inspe_jax.report.dataset_tables import statistics_record, statistics_table
     from inspe_jax.report.sheet import FORMATS, save_figure
 
-    check_output(plot, FORMATS)
-    check_output(row, (".csv",))
-    check_record(record)
+    claims.file(plot, FORMATS, force=force)
+    claims.file(row, (".csv",), force=force)
+    claims.file(record, force=force)
     data = open_dataset(folder)
     damaged = [fault for scenario in data.scenarios for fault in differing(scenario)]
     with progress("frames") as tell:
@@ -84,11 +85,11 @@ def stats(
     if row:
         values = {key: "" if value is None else value for key, value in table_row(found).items()}
         write_text(row, csv_text([values]))
-        said.print(f"wrote {row}", highlight=False)
+        said.print(f"wrote {row}")
     if plot:
         with busy("drawing"):
             save_figure(statistics_view(found), plot)
-        said.print(f"drew {plot}", highlight=False)
+        said.print(f"drew {plot}")
     if damaged:
         note(
             [
@@ -107,6 +108,7 @@ def check_files(
         bool, typer.Option("--deep", help="Read every file, and compare its SHA-256 as well.")
     ] = False,
     record: RecordOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Check whether files of a data set are missing, cut short or changed.
 
@@ -126,7 +128,7 @@ def check_files(
 
     from inspe_jax.dataset.check import check
 
-    check_record(record)
+    claims.file(record, force=force)
     began = time.monotonic()
     with progress("scenarios") as tell:
         found = check(folder, deep, tell)
@@ -180,9 +182,7 @@ def decode(
         made = cache(folder, into, pictures=picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     out.print(
-        f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}",
-        highlight=False,
-        soft_wrap=True,
+        f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
     )
 
 
@@ -195,6 +195,7 @@ def show_frame(
         typer.Option(metavar="NAME", help="The scenario, if there are several."),
     ] = None,
     plot: PlotOption = None,
+    force: ForceOption = False,
 ) -> None:
     """List the road users of a frame, and draw their boxes on its images and its point cloud.
 
@@ -205,13 +206,12 @@ def show_frame(
     - `inspe dataset show infra/test/four_way 68`
     - `inspe dataset show infra 68 --scenario test/four_way --plot frame.png`
     """
-    from inspe_jax.core.files import check_output
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.report.dataset_tables import frame_table
     from inspe_jax.report.frames import frame_view
     from inspe_jax.report.sheet import FORMATS, save_figure
 
-    check_output(plot, FORMATS)
+    claims.file(plot, FORMATS, force=force)
     chosen = open_dataset(folder).scenario(scenario)
     with busy(f"reading frame {frame}"):
         table = frame_table(chosen, frame)
@@ -219,4 +219,4 @@ def show_frame(
     if plot:
         with busy("drawing"):
             save_figure(frame_view(chosen, frame), plot)
-        out.print(f"drew {plot}", highlight=False)
+        out.print(f"drew {plot}")

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import LayoutArgument, SceneArgument, app, busy, out, scene_and_layout
 from inspe_jax.cli.options import PriceOption, prices
 
@@ -24,7 +25,7 @@ def export(
         ),
     ] = None,
     price: PriceOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a plan in coordinates of the Earth, for maps, surveyors and contractors.
 
@@ -38,19 +39,16 @@ def export(
     - `inspe export city.npz Cam-d1/L-d1 --out bill.csv --price paper-camera=900`
     - `inspe score city.npz plan.geojson`  (reads it back)
     """
-    from inspe_jax.core.errors import InspeError
-    from inspe_jax.core.files import check_output, write_text
+    from inspe_jax.core.files import write_text
     from inspe_jax.report.handover import PLAN_FORMATS
 
     given = prices(price)
     paths = files or [Path("plan.geojson")]
     for path in paths:
-        check_output(path, PLAN_FORMATS)
-        if path.exists() and not force:
-            raise InspeError(f"{path}: is there already; --force replaces it")
+        claims.file(path, PLAN_FORMATS, force=force)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, None)
     texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
-        out.print(f"wrote {path}", highlight=False)
+        out.print(f"wrote {path}")

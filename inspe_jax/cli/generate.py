@@ -138,16 +138,14 @@ def generate(
                 checking=report and partial(report, what="scenarios compared"),
             )
     except KeyboardInterrupt:
-        err.print("stopped; give the same command again to resume", soft_wrap=True)
+        err.print("stopped; give the same command again to resume")
         raise typer.Exit(130) from None
     speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
     out.print(
         f"{counted(result.scenarios, 'scenario')}, {counted(result.frames, 'frame')}, "
-        f"{result.size / 1e6:.1f} MB{speed}",
-        highlight=False,
-        soft_wrap=True,
+        f"{result.size / 1e6:.1f} MB{speed}"
     )
-    out.print(f"wrote {result.folder}", highlight=False, soft_wrap=True)
+    out.print(f"wrote {result.folder}")
     damaged = [fault for faults in result.repaired.values() for fault in faults]
     note(f"{fault}: recorded again" for fault in damaged[:SHOWN])
     if len(damaged) > SHOWN:
@@ -158,8 +156,7 @@ def generate(
     if failures:
         err.print(
             f"{counted(len(failures), 'scenario')} could not be generated; "
-            "the same command tries again",
-            soft_wrap=True,
+            "the same command tries again"
         )
         raise typer.Exit(1)
 
@@ -184,9 +181,7 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
     each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
     out.print(
         f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
-        f"{counted(generation.frames, 'frame')}",
-        highlight=False,
-        soft_wrap=True,
+        f"{counted(generation.frames, 'frame')}"
     )
     out.print(content_table(generation, found))
     _note_often(found.shortfalls)
@@ -196,7 +191,5 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
     hours = found.seconds / 3600
     took = f"{hours:.1f} h" if hours >= 1 else f"{max(60 * hours, 0.1):.1f} min"
     out.print(
-        f"about {found.size / 1e9:.3g} GB, and {took} with {counted(workers, 'worker')} like this",
-        highlight=False,
-        soft_wrap=True,
+        f"about {found.size / 1e9:.3g} GB, and {took} with {counted(workers, 'worker')} like this"
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import ProfileOption, WeatherOption
+from inspe_jax.cli.common import ProfileOption, WeatherOption, check_scene
 from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
     from inspe_jax.scoring.detection import DetectionCurves
     from inspe_jax.sensing.conditions import Conditions
+    from inspe_jax.sensing.layout import Layout
 
 PriceOption = Annotated[
     list[str] | None,
@@ -129,7 +130,66 @@ def _weights(given: list[str]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class SearchOptions(WeightOptions):
+class ScoreOptions(WeightOptions):
+    """The weights, and what alone counts: regions, and classes of road users."""
+
+    region: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Count only this region: driveway, junction, crosswalk, sidewalk or shoulder; "
+            "repeat it for more. For metrics that are means over places, such as detectability."
+        ),
+    ] = None
+    road_user: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Count only this class of road users: car, truck, cyclist or pedestrian; repeat "
+            "it for more. For detectability, points on target and localisation."
+        ),
+    ] = None
+
+    @property
+    def given(self) -> bool:
+        """Whether any of them says what counts."""
+        return any((self.weight, self.three_weights, self.region, self.road_user))
+
+    def curves(self) -> "DetectionCurves | None":
+        """The curves of ``--detection``, for the classes of ``--road-user``."""
+        from inspe_jax.scoring.detection import detection_curves
+
+        curves = super().curves()
+        if not self.road_user:
+            return curves
+        return (curves or detection_curves()).for_road_users(self.road_user)
+
+    def sought(self, case: "Case", layout: "Layout") -> float | None:
+        """The score of what a layout was searched for; None where that is P_sm, or these options
+        say what counts."""
+        from inspe_jax.placement.objective import Objective
+        from inspe_jax.placement.problem import Problem
+
+        if layout.goal is None or self.given:
+            return None
+        objective = Objective.of_goal(layout.goal, self.curves())
+        return Problem(case, layout, objective).exact_of(layout)
+
+    def objective(self, **others: Any) -> "Objective":
+        """The objective that these options are of, checked."""
+        from inspe_jax.placement.objective import Objective
+
+        wanted = Objective(
+            weights=self.weights(),
+            metrics=self.further(),
+            detection=self.curves(),
+            regions=tuple(self.region or ()),
+            **others,
+        )
+        wanted.check()
+        return wanted
+
+
+@dataclass(frozen=True)
+class SearchOptions(ScoreOptions):
     """The options of every command that searches: budget, objective and constraints."""
 
     seconds: Annotated[
@@ -176,13 +236,6 @@ class SearchOptions(WeightOptions):
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Heights of sensors above the ground [m]."),
     ] = (3.0, 12.0)
-    region: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Count only this region: driveway, junction, crosswalk, sidewalk or shoulder; "
-            "repeat it for more. For metrics that are means over places, such as detectability."
-        ),
-    ] = None
     light: Annotated[
         str,
         typer.Option(
@@ -228,7 +281,6 @@ class SearchOptions(WeightOptions):
     def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":
         """The objective and the constraints, checked before any scene is read."""
         from inspe_jax.placement.constraints import Constraints
-        from inspe_jax.placement.objective import Objective
         from inspe_jax.placement.run import check_budget
 
         conditions = self.conditions()
@@ -237,18 +289,12 @@ class SearchOptions(WeightOptions):
                 "--worst needs several scenes: add scenes with --also, or give more than one light"
             )
         check_budget(self.seconds_each(), self.evaluations)
-        wanted = Objective(
-            weights=self.weights(),
-            metrics=self.further(),
-            detection=self.curves(),
-            regions=tuple(self.region or ()),
-            over="worst" if self.worst else "mean",
-            failures=self.failures,
-            **objective,
-        )
+        over = "worst" if self.worst else "mean"
+        wanted = self.objective(over=over, failures=self.failures, **objective)
         constraints = Constraints(places=_places(self.places or []), heights=self.heights)
-        wanted.check()
         constraints.check()
+        for other in self.also or ():
+            check_scene(other)
         return wanted, constraints
 
 
@@ -279,8 +325,9 @@ def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
                 options=record(**{name: given[name] for name in added}),
             )
 
-        # The folder for results comes last in the help.
-        everything = sorted([*own.values(), *added.values()], key=lambda p: p.name == "folder")
+        # The folder for results comes last in the help, and whether it is written over.
+        last = ("folder", "force")
+        everything = sorted([*own.values(), *added.values()], key=lambda p: p.name in last)
         called.__signature__ = inspect.Signature(everything)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in everything}
         return called

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     PICTURES,
     PlotOption,
     RecordOption,
     app,
     busy,
-    check_record,
     err,
     out,
     picture_size,
@@ -24,7 +24,7 @@ from inspe_jax.cli.common import (
     show,
 )
 from inspe_jax.cli.options import SchedulerOption, WorkersOption
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
@@ -131,7 +131,7 @@ def train_detector(
         else:
             _train_one(data, folder, wanted[0])
     except KeyboardInterrupt:
-        err.print("stopped; give the same command again to go on", soft_wrap=True)
+        err.print("stopped; give the same command again to go on")
         raise typer.Exit(130) from None
 
 
@@ -149,7 +149,7 @@ def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
                 err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
 
         run = _training().train(data, folder, settings, progress=report)
-    out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}", highlight=False)
+    out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}")
 
 
 def _train_many(
@@ -179,12 +179,12 @@ def _train_many(
         ):
             if isinstance(found, Exception):
                 failed += 1
-                err.print(f"{job.folder.name}: {found}", highlight=False, soft_wrap=True)
+                err.print(f"{job.folder.name}: {found}")
             else:
-                out.print(f"{job.folder.name}: {_summary(found)}", highlight=False)
+                out.print(f"{job.folder.name}: {_summary(found)}")
     if failed:
         raise InspeError(f"{failed} of {len(jobs)} trainings failed, see above")
-    out.print(f"wrote {folder}", highlight=False)
+    out.print(f"wrote {folder}")
 
 
 def _summary(run: "Run") -> str:
@@ -205,6 +205,7 @@ def evaluate_detector(
     ] = None,
     record: RecordOption = None,
     cache: CacheOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Measure what a trained detector finds: nuScenes' mAP and errors, by class.
 
@@ -217,11 +218,11 @@ def evaluate_detector(
     - `inspe evaluate v2x-vit infra`
     - `inspe evaluate v2x-vit infra --split validate --csv table.csv`
     """
-    from inspe_jax.core.files import check_output, csv_text, json_value, write_text
+    from inspe_jax.core.files import csv_text, json_value, write_text
     from inspe_jax.report.perception_tables import evaluation_table
 
-    check_output(table, (".csv",))
-    check_record(record)
+    claims.file(table, (".csv",), force=force)
+    claims.file(record, force=force)
     run, step, loader, predictor = _ready(folder, source, cache, split)
     with progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
@@ -230,7 +231,7 @@ def evaluate_detector(
     show(evaluation_table(found, _unfinished(run, step)), json_value(content), record)
     if table:
         write_text(table, csv_text(rows))
-        (err if record == "-" else out).print(f"wrote {table}", highlight=False)
+        (err if record == "-" else out).print(f"wrote {table}")
 
 
 @app.command("detect")
@@ -250,6 +251,7 @@ def detect(
     plot: PlotOption = None,
     record: RecordOption = None,
     cache: CacheOption = None,
+    force: ForceOption = False,
 ) -> None:
     """List what a trained detector finds in a frame, and draw it beside the ground truth.
 
@@ -258,15 +260,15 @@ def detect(
     - `inspe detect v2x-vit infra --plot detections.png`
     - `inspe detect v2x-vit infra --scenario four_way --frame 68 --score 0.1`
     """
-    from inspe_jax.core.files import check_output, json_value
+    from inspe_jax.core.files import json_value
     from inspe_jax.dataset import Loader
     from inspe_jax.report.detections import draw
     from inspe_jax.report.perception_tables import detections_table
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.simulation.frame import KINDS
 
-    check_output(plot, FORMATS)
-    check_record(record)
+    claims.file(plot, FORMATS, force=force)
+    claims.file(record, force=force)
     run, step, loader, predictor = _ready(folder, source, cache, split)
     name, number, index = loader.find(scenario, frame)
     batch = loader[index]
@@ -285,7 +287,7 @@ def detect(
             title = f"{run.content.settings.model}: {name}, frame {number}{note}"
             whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[index]
             save_figure(draw(whole, 0, found, title, least_score=least), plot)
-        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+        (err if record == "-" else out).print(f"drew {plot}")
 
 
 def _unfinished(run: "Run", step: int) -> str:
@@ -301,9 +303,7 @@ def _training() -> ModuleType:
     except ModuleNotFoundError as e:
         if e.name != "equinox":
             raise
-        raise InspeError(
-            "this needs Equinox, which is not installed: pip install 'inspe_jax[perception]'"
-        ) from e
+        raise missing_extra("this needs Equinox", "perception") from e
     return training
 
 

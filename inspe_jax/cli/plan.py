@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     LightOption,
     WeatherOption,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 METHOD, EVALUATIONS = "greedy", 100.0
 """Method of the searches, and the budget of each in exact scores."""
+FILES = ("plan.csv", "plan.png", "plan.geojson")
 SHOWN = 5
 """Number of mixes that failed whose error is printed."""
 
@@ -120,6 +122,7 @@ def plan(
         typer.Option("--dry-run", help="Only check the input, and print how many searches it has."),
     ] = False,
     folder: OutOption = Path("plan"),
+    force: ForceOption = False,
     *,
     options: WeightOptions,
 ) -> None:
@@ -142,7 +145,6 @@ def plan(
     - `inspe plan town.net.xml --junctions 189,401,53 --importance 189=3 --budget 20000 --worst`
     - `inspe plan city.osm --junctions all --budget 250000 --dry-run`
     """
-    from inspe_jax.core.files import check_folder
     from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.studies.pareto import device_mixes, mix_name
     from inspe_jax.study.budget import check_budget
@@ -156,7 +158,7 @@ def plan(
     )
     from inspe_jax.study.plan import SCORE_ONLY
 
-    check_folder(folder)
+    claims.folder(folder, FILES, force=force)
     check_budget(budget)
     if method == SCORE_ONLY:
         raise InspeError(f"--method {method}: a plan needs a search")
@@ -205,8 +207,7 @@ def plan(
     if dry_run:
         out.print(
             f"{source.name}: {counted(len(places), 'junction')}, mixes of devices: {len(mixes)}, "
-            f"searches: {len(study.jobs):,}",
-            highlight=False,
+            f"searches: {len(study.jobs):,}"
         )
         return
     rows = run_study(study, folder, "searches", scheduler, workers, retry)
@@ -218,7 +219,7 @@ def plan(
     _show(found, georeference)
     with busy("drawing"):
         written = _write(found, source, folder, size, georeference)
-    out.print(f"wrote {', '.join(written)} into {folder}", highlight=False, soft_wrap=True)
+    out.print(f"wrote {', '.join(written)} into {folder}")
 
 
 def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
@@ -226,7 +227,7 @@ def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
     from inspe_jax.report.city import plan_table, plan_words
 
     out.print(plan_table(found, georeference))
-    out.print("\n".join(plan_words(found)), highlight=False, soft_wrap=True)
+    out.print("\n".join(plan_words(found)))
     note(f"junction {name} is left out: {reason}" for name, reason in found.left_out.items())
     failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
     note(failed[:SHOWN])
@@ -252,9 +253,9 @@ def _write(
     write_text(folder / "plan.csv", found.text(georeference))
     save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
     if georeference is None:
-        return ["plan.csv", "plan.png"]
+        return list(FILES[:2])
     write_text(folder / "plan.geojson", _geojson(found, source, folder, radius, georeference))
-    return ["plan.csv", "plan.png", "plan.geojson"]
+    return list(FILES)
 
 
 def _projection(source: Path) -> "Georeference | None":

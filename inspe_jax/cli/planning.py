@@ -3,12 +3,14 @@
 Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -20,7 +22,6 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
-    check_record,
     err,
     note,
     out,
@@ -35,8 +36,8 @@ from inspe_jax.cli.options import (
     MethodOption,
     OutOption,
     PriceOption,
+    ScoreOptions,
     SearchOptions,
-    WeightOptions,
     counts,
     prices,
     takes,
@@ -55,6 +56,7 @@ def pareto(
     method: MethodOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the searches.")] = 0,
     folder: OutOption = Path("pareto"),
+    force: ForceOption = False,
     *,
     options: SearchOptions,
 ) -> None:
@@ -71,18 +73,20 @@ def pareto(
       --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
     """
-    from inspe_jax.core.files import check_folder
-    from inspe_jax.placement.studies.pareto import device_mixes, save_pareto
+    from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
+    from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import pareto_table
     from inspe_jax.scene.scene import load_scene
 
-    check_folder(folder)
     objective, constraints = options.checked(prices=prices(price), budget=budget)
+    check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))
     wanted = counts(device or list(DEFAULT_DEVICES))
-    total = len(device_mixes(wanted, objective))
+    mixes = [row for _, row in device_mixes(wanted, objective)]
+    names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
+    claims.folder(folder, names, force=force)
     with busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
     with search_bar("searching") as callback:
@@ -93,23 +97,20 @@ def pareto(
             constraints=constraints,
             **options.of_mixes(method, seed, callback),
         )
-    save_pareto(found, folder)
     out.print(pareto_table(found))
+    folder = claims.keep(partial(save_pareto, found), folder)
     note(f"{mix.name}: {words}" for mix in found for words in mix.result.notes)
-    if len(found) < total:
-        err.print(f"[yellow]Note:[/] stopped after {len(found)} of {total} mixes")
+    if len(found) < len(mixes):
+        err.print(f"[yellow]Note:[/] stopped after {len(found)} of {len(mixes)} mixes")
     with busy("drawing"):
         save_figure(pareto_view(found), folder / "pareto.png")
     out.print(
-        f"wrote pareto.csv and the layouts of the front into {folder}; "
-        f"drew {folder / 'pareto.png'}",
-        highlight=False,
-        soft_wrap=True,
+        f"wrote pareto.csv and the layouts of the front into {folder}; drew {folder / 'pareto.png'}"
     )
 
 
 @app.command()
-@takes(WeightOptions)
+@takes(ScoreOptions)
 def tolerance(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -125,8 +126,9 @@ def tolerance(
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
     record: RecordOption = None,
+    force: ForceOption = False,
     *,
-    options: WeightOptions,
+    options: ScoreOptions,
 ) -> None:
     """Show how installation errors change the score: a slope for each sensor, and random errors.
 
@@ -139,15 +141,18 @@ def tolerance(
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
     """
-    from inspe_jax.placement.objective import Objective
     from inspe_jax.placement.problem import Case
+    from inspe_jax.placement.studies.tolerance import check_errors
     from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
     from inspe_jax.sensing.conditions import Conditions
 
-    check_record(record)
-    objective = Objective(weights=options.weights(), detection=options.curves())
-    objective.check()
+    claims.file(record, force=force)
+    objective = options.objective()
+    errors = dict[str, Any](
+        position=position, angle=float(np.radians(angle)), samples=samples, seed=seed
+    )
+    check_errors(**errors)
     conditions = Conditions.of(light, weather)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
@@ -155,10 +160,7 @@ def tolerance(
         found = installed(
             Case(world, conditions),
             placed,
-            position=position,
-            angle=float(np.radians(angle)),
-            samples=samples,
-            seed=seed,
+            **errors,
             objective=objective,
             progress=report,
         )

@@ -3,11 +3,15 @@
 Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -16,8 +20,10 @@ from inspe_jax.cli.common import (
     SceneArgument,
     app,
     busy,
+    check_layout,
     err,
     known,
+    note,
     out,
     progress,
 )
@@ -155,6 +161,7 @@ def scene(
         Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
     ] = None,
     plot: PlotOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Build a scene of one intersection: its region of interest, voxels and traffic.
 
@@ -169,7 +176,8 @@ def scene(
     - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
-    from inspe_jax.core.files import check_output
+    from inspe_jax.core.files import check_input
+    from inspe_jax.placement.site import Site
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.report.sheet import FORMATS, save_figure
@@ -186,14 +194,14 @@ def scene(
         load_scene,
         save_scene,
     )
-    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES
+    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
     from inspe_jax.scene.traffic.registry import traffic_model
 
     if list_:
         _list_places(source)
         return
-    check_output(save, SCENE_SUFFIXES)
-    check_output(plot, FORMATS)
+    claims.file(save, SCENE_SUFFIXES, force=force)
+    claims.file(plot, FORMATS, force=force)
     options: dict[str, Any] = {
         name: value
         for name, value in dict(
@@ -212,25 +220,18 @@ def scene(
         ).items()
         if value is not None
     }
-    path = Path(source)
+    path, own = Path(source), list[np.ndarray]()
+    places = dict(junction=junction, center=center, at=at, bodies=bodies)
+    places |= dict(elevation=elevation, mesh=mesh)
+    given = [name for name, value in places.items() if value is not None]
     if path.suffix == ".npz":
-        places = dict(junction=junction, center=center, at=at, bodies=bodies)
-        places |= dict(elevation=elevation, mesh=mesh)
-        given = [*options, *(name for name, value in places.items() if value is not None)]
-        if given:
-            raise InspeError(
-                f"{source}: a saved scene keeps the settings it was built with; leave out "
-                + ", ".join(f"--{name}" for name in given)
-            )
+        _refuse(source, "a saved scene keeps the settings it was built with", [*options, *given])
         built = load_scene(source)
     else:
         if traffic is not None and traffic.endswith(LOG_SUFFIXES):
-            own = [name for name in ("density", "mix", "seed") if name in options]
-            if own:
-                raise InspeError(
-                    f"--traffic {traffic}: a log has traffic of its own; leave out "
-                    + ", ".join(f"--{name}" for name in own)
-                )
+            ours = [name for name in ("density", "mix", "seed") if name in options]
+            _refuse(f"--traffic {traffic}", "a log has traffic of its own", ours)
+            load_log(traffic)
         elif traffic is not None:
             traffic_model(traffic)
         if elevation is not None and mesh is not None:
@@ -241,6 +242,8 @@ def scene(
                     f"{source}: choose a place on the map with --junction ID, --at LAT,LON or "
                     "--center X Y; --list shows the junctions"
                 )
+            for file in filter(None, (bodies, elevation, mesh)):
+                check_input(file)
             size = profile_of(profile or DEFAULT_PROFILE).of_scene(radius=radius)["radius"]
             with busy(f"reading {path.name}"):
                 if at is not None:
@@ -248,24 +251,29 @@ def scene(
                 place = read_map(path, junction=junction, center=center, radius=size)
                 place = place if elevation is None else with_elevation(place, elevation, size)
                 place = place if mesh is None else with_mesh(place, mesh, size)
+                before = place.poles
                 place = place if bodies is None else with_own_bodies(place, bodies, size + MARGIN)
+                there = {tuple(foot) for foot in before[:, :2].tolist()}
+                own = [foot for foot in place.poles[:, :2] if tuple(foot.tolist()) not in there]
         else:
-            if [junction, center, at, bodies, elevation, mesh] != [None] * 6:
-                raise InspeError(
-                    f"{source}: --junction, --center, --at, --bodies, --elevation and --mesh are "
-                    "only for maps"
-                )
             place = built_in(known(source))
+            _refuse(source, "a built-in intersection is no map", given)
         with progress("traffic") as report:
             built = build_scene(place, **options, progress=report)
     out.print(scene_table(built))
     _warn_of_full_roads(built)
+    site = Site(built.intersection, built.voxels.radius, depth=30.0, bodies=built.statics)
+    note(
+        f"the pole at ({x:.1f}, {y:.1f}) carries no sensor: {why}"
+        for x, y in own
+        if (why := site.why_none(np.array([x, y])))
+    )
     if save:
-        save_scene(built, save)
-        out.print(f"saved {save}", highlight=False)
+        save = claims.keep(partial(save_scene, built), save)
+        out.print(f"saved {save}")
     if plot:
         save_figure(scene_view(built), plot)
-        out.print(f"drew {plot}", highlight=False)
+        out.print(f"drew {plot}")
 
 
 @app.command()
@@ -281,6 +289,7 @@ def layout(
     save: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Place sensors on a scene by one of the paper's strategies.
 
@@ -289,21 +298,31 @@ def layout(
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
     """
-    from inspe_jax.core.files import check_output
     from inspe_jax.placement.strategies import strategy as place
     from inspe_jax.report.scene_tables import layout_table
     from inspe_jax.scene.scene import load_scene
+    from inspe_jax.sensing.catalogue import device
     from inspe_jax.sensing.layout import save_layout
 
     devices: dict[str, Any] = {
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
     }
-    check_output(save, (".yaml", ".yml"))
+    claims.file(save, (".yaml", ".yml"), force=force)
+    check_layout(strategy)
+    for name in devices.values():
+        device(name)
     placed = place(load_scene(source, profile), strategy, **devices)
     out.print(layout_table(placed))
     if save:
         save_layout(placed, save)
-        out.print(f"saved {save}", highlight=False)
+        out.print(f"saved {save}")
+
+
+def _refuse(what: str, why: str, options: Sequence[str]) -> None:
+    """Raise InspeError that names the options that are given and cannot be, if any."""
+    if options:
+        names = ", ".join(f"--{name}" for name in options)
+        raise InspeError(f"{what}: {why}; leave out {names}")
 
 
 def _degrees(text: str) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -19,20 +20,20 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
-    check_record,
     err,
     out,
     scene_and_layout,
     show,
 )
-from inspe_jax.cli.options import DetectionOption, WeightOptions, takes
+from inspe_jax.cli.options import DetectionOption, ScoreOptions, takes
+from inspe_jax.core.errors import check_known
 
 if TYPE_CHECKING:
     pass
 
 
 @app.command()
-@takes(WeightOptions)
+@takes(ScoreOptions)
 def score(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: LayoutArgument = DEFAULT_LAYOUT,
@@ -55,8 +56,9 @@ def score(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    force: ForceOption = False,
     *,
-    options: WeightOptions,
+    options: ScoreOptions,
 ) -> None:
     """Score a layout on a scene: every metric, and their weighted sum P_sm.
 
@@ -70,38 +72,42 @@ def score(
     - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe score four_way L-d1 --metrics detectability,localisation`
     - `inspe score four_way L-d1 --metrics detectability --detection mine.toml`
+    - `inspe score four_way L-d1 --weight detectability=1 --region crosswalk --road-user pedestrian`
+
+    A layout that a search found says what it was searched for; that is scored too.
     """
     from rich.console import Group
 
-    from inspe_jax.core.files import check_output
+    from inspe_jax.placement.problem import Case
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
     from inspe_jax.scoring.evaluate import evaluate
     from inspe_jax.sensing.conditions import Conditions
 
-    check_output(plot, FORMATS)
-    check_record(record)
-    conditions, weights = Conditions.of(light, weather), options.weights()
-    further, curves = options.further(), options.curves()
+    claims.file(plot, FORMATS, force=force)
+    claims.file(record, force=force)
+    readings = dict(occlusion_reference=occlusion_reference, visibility=visibility)
+    conditions, objective = Conditions.of(light, weather), options.objective(**readings)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
+        world = objective.within(world)
     with busy("scoring"):
         scores = evaluate(
             world,
             placed,
-            weights=weights,
-            occlusion_reference=occlusion_reference,
-            visibility=visibility,
+            **readings,
+            weights=objective.weights,
             conditions=conditions,
-            metrics=further,
-            detection=curves,
+            metrics=objective.metrics,
+            detection=objective.detection,
         )
-    tables = Group(scores_table(scores, placed), "", blind_spots_table(world, scores))
-    show(tables, scores_record(scores, world, placed), record)
+        sought = options.sought(Case(world, conditions), placed)
+    tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(world, scores))
+    show(tables, scores_record(scores, world, placed, sought), record)
     if plot:
         save_figure(plan_view(world, placed, scores), plot)
-        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+        (err if record == "-" else out).print(f"drew {plot}")
 
 
 @app.command()
@@ -117,6 +123,7 @@ def targets(
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
     detection: DetectionOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
@@ -129,17 +136,18 @@ def targets(
     - `inspe targets four_way Cam-d1/L-d1 --plot targets.png`
     - `inspe targets j189.npz layout.yaml --road-user cyclist --weather fog:100 --json -`
     """
-    from inspe_jax.core.files import check_output
     from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
+    from inspe_jax.scene.traffic.frames import CLASSES
     from inspe_jax.scoring.detection import load_detection
     from inspe_jax.scoring.targets import target_view
     from inspe_jax.sensing.conditions import Conditions
 
-    check_output(plot, FORMATS)
-    check_record(record)
+    claims.file(plot, FORMATS, force=force)
+    claims.file(record, force=force)
     conditions = Conditions.of(light, weather)
     curves = None if detection is None else load_detection(detection)
+    check_known(road_user, CLASSES, "road user")
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with busy("counting rays"):
@@ -147,7 +155,7 @@ def targets(
     show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     if plot:
         save_figure(targets_view(world, conditions.layout(placed), view), plot)
-        (err if record == "-" else out).print(f"drew {plot}", highlight=False)
+        (err if record == "-" else out).print(f"drew {plot}")
 
 
 @app.command()

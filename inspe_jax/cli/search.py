@@ -4,11 +4,13 @@ Imports are inside the commands: gradient libraries and matplotlib load slowly.
 """
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
     from inspe_jax.scene.scene import Scene
 
+PICTURE = "before_after.png"
+
 StartOption = Annotated[
     str,
     typer.Option(help="Start of a search: given (the layout), random, or the name of a strategy."),
@@ -47,7 +51,13 @@ StartOption = Annotated[
 @takes(SearchOptions)
 def optimise(
     source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
+    sensors: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="LAYOUT",
+            help=f"A layout file, or the name of a strategy; {DEFAULT_LAYOUT} if not given.",
+        ),
+    ] = None,
     method: MethodOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     start: StartOption = "given",
@@ -62,8 +72,9 @@ def optimise(
         list[str] | None,
         typer.Option(
             metavar="DEVICE:COUNTS",
-            help="With --target: a device of the catalogue, and the numbers of it to try, such as "
-            "0-4 or 0,4,8; repeat it for other devices. Those of the layout if not given.",
+            help="In place of a layout: a device of the catalogue, and the number of it, at the "
+            "junction's corners and roadsides where the search begins; repeat it for others. With "
+            "--target the numbers to try, such as 0-4 or 0,4,8; those of the layout if not given.",
         ),
     ] = None,
     price: PriceOption = None,
@@ -75,6 +86,7 @@ def optimise(
         ),
     ] = None,
     folder: OutOption = Path("optimised"),
+    force: ForceOption = False,
     *,
     options: SearchOptions,
 ) -> None:
@@ -92,26 +104,36 @@ def optimise(
     - `inspe optimise --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
+    - `inspe optimise four_way --device velodyne-vlp-16:2 --device paper-camera:4`
     - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
     """
-    from inspe_jax.core.files import check_folder, check_output
+    from inspe_jax.core.files import check_output
     from inspe_jax.placement import optimise as search
-    from inspe_jax.placement.result import save_result
+    from inspe_jax.placement.result import FILES, save_result
+    from inspe_jax.placement.studies.pareto import starting_layout
+    from inspe_jax.scene.scene import load_scene
     from inspe_jax.scoring.metrics import METRICS
     from inspe_jax.sensing.conditions import FAIR
 
-    check_folder(folder)
+    claims.folder(folder, (*FILES, PICTURE), force=force)
     check_output(checkpoint, (".npz",))
     if target is not None:
         if checkpoint is not None or start != "given":
             raise InspeError("--target searches many mixes: leave out --checkpoint and --start")
+        sensors = sensors or DEFAULT_LAYOUT
         _find_cheapest(source, sensors, target, device, price, method, seed, folder, options)
         return
-    if device or price:
-        raise InspeError("--device and --price are for --target: a layout has its devices")
+    if price:
+        raise InspeError("--price is for --target: other searches do not count what devices cost")
     objective, constraints = options.checked()
+    search.check_search((method or search.DEFAULT_METHOD,), objective, start, (seed,))
+    mix = _mix(device, sensors)
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, options.profile)
+        if mix:
+            world = load_scene(source, options.profile)
+            placed = starting_layout(world, mix)
+        else:
+            world, placed = scene_and_layout(source, sensors or DEFAULT_LAYOUT, options.profile)
         cases = options.cases(world)
     with search_bar("searching") as callback:
         result = search.optimise(
@@ -127,8 +149,8 @@ def optimise(
             progress=lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
-    save_result(result, folder)
     _show(result)
+    folder = claims.keep(partial(save_result, result), folder)
     with busy("drawing"):
         drawn = _draw(world, result, folder)
     names = "layout.yaml, start.yaml, result.json, history.csv and path.csv"
@@ -163,6 +185,7 @@ def compare(
     ] = 3,
     start: StartOption = "given",
     folder: OutOption = Path("compared"),
+    force: ForceOption = False,
     *,
     options: SearchOptions,
 ) -> None:
@@ -177,17 +200,18 @@ def compare(
     - `inspe compare --methods greedy-adam,grid --seconds 10 --seeds 1`
     - `inspe compare j189.npz layout.yaml --seconds 60 --seeds 5 --out j189_methods`
     """
-    from inspe_jax.core.files import check_folder
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import save_comparison
     from inspe_jax.report.progress import history_view
     from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import comparison_table
 
-    check_folder(folder)
+    files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
+    claims.folder(folder, files, force=force)
     objective, constraints = options.checked()
     names = [name.strip() for name in methods.split(",") if name.strip()]
     names = names or list(search.methods(objective))
+    search.check_search(names, objective, start, range(seeds))
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
@@ -211,19 +235,34 @@ def compare(
                 fraction(name, seed, done), best, f"{name}, seed {seed}"
             ),
         )
-    save_comparison(results, folder)
     out.print(comparison_table(results))
+    folder = claims.keep(partial(save_comparison, results), folder)
     note(note for note in dict.fromkeys(note for result in results for note in result.notes))
     if len(results) < len(runs):
         err.print(f"[yellow]Note:[/] stopped after {len(results)} of {len(runs)} searches")
     with busy("drawing"):
         save_figure(history_view(results), folder / "compare.png")
-    files = f"compare.csv, history.csv and layout.yaml into {folder}"
+    written = f"compare.csv, history.csv and layout.yaml into {folder}"
     out.print(
-        f"wrote {files}; drew {folder / 'compare.png'}",
+        f"wrote {written}; drew {folder / 'compare.png'}",
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _mix(device: list[str] | None, sensors: str | None) -> dict[str, int]:
+    """The number of each device of ``--device``; raises InspeError where it is not one number."""
+    from inspe_jax.sensing.catalogue import device as known
+
+    mix = counts(device or [])
+    for name, several in mix.items():
+        known(name)
+        if len(several) > 1 or several[0] < 0:
+            raise InspeError(f"--device {name}: one number of it; several are for --target")
+    if mix and (sensors or not sum(n for (n,) in mix.values())):
+        what = f"{sensors} has its own devices: give one of them" if sensors else "no sensor"
+        raise InspeError(f"--device: {what}")
+    return {name: n for name, (n,) in mix.items()}
 
 
 def _find_cheapest(
@@ -238,14 +277,19 @@ def _find_cheapest(
     options: SearchOptions,
 ) -> None:
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
+    from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
     from inspe_jax.placement.result import save_result
     from inspe_jax.placement.studies.cheapest import cheapest, check_target
+    from inspe_jax.placement.studies.pareto import device_mixes
     from inspe_jax.report.tables import cheapest_table
 
     check_target(target)
     if not options.weight and not options.three_weights:
         options = replace(options, weight=["detectability=1"])
     objective, constraints = options.checked(prices=prices(price))
+    check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))
+    if device:
+        device_mixes(counts(device), objective)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
@@ -262,7 +306,7 @@ def _find_cheapest(
         )
     out.print(cheapest_table(found))
     best = found.best
-    save_result(best.result, folder)
+    folder = claims.keep(partial(save_result, best.result), folder)
     if found.found is None:
         words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
     else:
@@ -306,7 +350,7 @@ def _draw(world: "Scene", result: "Result", folder: Path) -> Path:
     from inspe_jax.report.progress import before_after
     from inspe_jax.report.sheet import save_figure
 
-    path = folder / "before_after.png"
+    path = folder / PICTURE
     parts = (result.start, result.layout, result.scores_before, result.scores)
     save_figure(before_after(world, *parts, path=result.path), path)
     return path

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inspe_jax.cli.claims import ForceOption, claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
@@ -21,13 +22,14 @@ from inspe_jax.cli.common import (
     WeatherOption,
     app,
     busy,
+    check_layout,
     layout_on,
     leave_at_once,
     note,
     out,
     progress,
 )
-from inspe_jax.cli.options import PriceOption, WeightOptions, prices, takes
+from inspe_jax.cli.options import PriceOption, ScoreOptions, WeightOptions, prices, takes
 
 if TYPE_CHECKING:
     from inspe_jax.placement.result import Result
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@takes(WeightOptions)
+@takes(ScoreOptions)
 def report(
     source: SceneArgument = DEFAULT_SCENE,
     sensors: Annotated[
@@ -72,8 +74,9 @@ def report(
     light: LightOption = "midday",
     weather: WeatherOption = "clear",
     profile: ProfileOption = None,
+    force: ForceOption = False,
     *,
-    options: WeightOptions,
+    options: ScoreOptions,
 ) -> None:
     """Write a page to hand on: what is mounted where and what it costs, scores side by side, blind
     spots, maps, and the scene in three dimensions.
@@ -88,45 +91,50 @@ def report(
       folder of `inspe optimise`)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
     """
-    from inspe_jax.core.files import check_output, whole_file, write_text
-    from inspe_jax.placement.objective import Objective
+    from inspe_jax.core.files import whole_file, write_text
     from inspe_jax.placement.problem import Case
     from inspe_jax.placement.studies.pareto import load_pareto
     from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets
+    from inspe_jax.report.tables import goal_words
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.visibility.queries import check_frame
 
-    check_output(path, (".html", ".htm"))
-    check_output(pdf, (".pdf",))
-    conditions, weights = Conditions.of(light, weather), options.weights()
-    further, curves = options.further(), options.curves()
+    claims.file(path, (".html", ".htm"), force=force)
+    claims.file(pdf, (".pdf",), force=force)
+    conditions, objective = Conditions.of(light, weather), options.objective()
     priced = prices(price)
+    wanted = sensors or [DEFAULT_LAYOUT]
+    for given in wanted:
+        if not Path(given).is_dir():
+            check_layout(given)
+    mixes = load_pareto(front) if front else []
     with busy(f"reading {source}"):
-        world = load_scene(source, profile)
+        world = objective.within(load_scene(source, profile))
         check_frame(world, frame)
-        placed = [found_or_placed(world, given) for given in sensors or [DEFAULT_LAYOUT]]
-        mixes = load_pareto(front) if front else []
+        placed = [found_or_placed(world, given) for given in wanted]
     case = Case(world, conditions)
     check_names([layout.name for layout, _ in placed])
     entries = []
     for layout, result in placed:
         with busy(f"scoring {layout.name}"):
-            entry = report_entry(case, layout, weights, result, further, curves)
+            further, curves = objective.metrics, objective.detection
+            entry = report_entry(case, layout, objective.weights, result, further, curves)
+            entry = replace(entry, sought=options.sought(case, layout))
         if tolerance:
             with progress(f"installations of {layout.name}") as callback:
-                wanted = Objective(weights=weights, detection=curves)
-                slopes = installed(case, layout, objective=wanted, progress=callback)
+                slopes = installed(case, layout, objective=objective, progress=callback)
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
         page = report_page(
             world, entries, front=mixes, frame=frame, prices=priced, progress=callback
         )
-    write_text(path, page)
+    path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
-        out.print(f"{entry.layout.name}: P_sm {entry.scores.surrogate:.4f}", highlight=False)
+        words = goal_words(entry.layout, entry.scores, entry.sought)
+        out.print(words, highlight=False, soft_wrap=True)
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB", highlight=False)
     if pdf:
         with busy("drawing"):
@@ -200,14 +208,15 @@ def view(
     check_output(path, (".yaml", ".yml"))
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
-    with busy(f"reading {source}"):
-        world = load_scene(source, profile)
-        layout = layout_on(world, sensors, unit_rule=False)
     access = AccessRules(host) if token else AccessRules(host, token="")
     if not (token or access.local):
         raise InspeError(
             f"--no-token is allowed only on this machine, but --host {host} lets others connect"
         )
+    check_layout(sensors, unit_rule=False)
+    with busy(f"reading {source}"):
+        world = load_scene(source, profile)
+        layout = layout_on(world, sensors, unit_rule=False)
     viewer = Viewer(
         Case(world, conditions),
         layout,

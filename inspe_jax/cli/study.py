@@ -77,8 +77,7 @@ def sweep(
         layouts = {job.layout for job in study.jobs}
         out.print(
             f"{study.name}: {counted(len(study.jobs), 'job')}, "
-            f"{counted(len(layouts), 'layout')} on {counted(len(scenes), 'scene')}",
-            highlight=False,
+            f"{counted(len(layouts), 'layout')} on {counted(len(scenes), 'scene')}"
         )
         return
     rows = run_study(study, folder, "jobs", scheduler, workers, retry)
@@ -87,7 +86,7 @@ def sweep(
     note(f"{row['layout']} on {row['scene']}: {row['error']}" for row in failures[:SHOWN])
     if len(failures) > SHOWN:
         note([f"{len(failures)} jobs failed in all; results.csv has their errors"])
-    out.print(f"wrote {folder / 'results.csv'}", highlight=False, soft_wrap=True)
+    out.print(f"wrote {folder / 'results.csv'}")
     if failures:
-        err.print("some jobs failed; --retry runs them again", soft_wrap=True)
+        err.print("some jobs failed; --retry runs them again")
         raise typer.Exit(1)

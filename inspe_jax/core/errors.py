@@ -1,7 +1,10 @@
 """The exception for errors of the user, and hints for misspelt names."""
 
+import json
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from importlib import metadata
+from urllib.parse import unquote, urlsplit
 
 
 class InspeError(ValueError):
@@ -21,6 +24,29 @@ def check_known(name: str, known: Iterable[str], what: str) -> None:
     if name not in known:
         hint = nearest(str(name), known)
         raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}")
+
+
+def missing_extra(what: str, extra: str, where: str = "") -> InspeError:
+    """The error of a library that is not installed: ``what`` needs it, and how the ``extra`` with
+    it is installed, as this package was. ``where`` says where there is such a library."""
+    return InspeError(f"{what}: {_install(extra)}{where and f' ({where})'}")
+
+
+def _install(extra: str) -> str:
+    """The command that installs an extra: from the folder or address that this package is from."""
+    package = f"inspe_jax[{extra}]"
+    try:
+        origin = json.loads(metadata.distribution("inspe_jax").read_text("direct_url.json") or "{}")
+    except metadata.PackageNotFoundError:  # run in its folder
+        origin = {}
+    url = origin.get("url", "")
+    if "dir_info" in origin:
+        editable = "-e " if origin["dir_info"].get("editable") else ""
+        return f"in {unquote(urlsplit(url).path)}: pip install {editable}'.[{extra}]'"
+    if url:
+        vcs = origin.get("vcs_info", {}).get("vcs")
+        return f"pip install '{package} @ {f'{vcs}+' if vcs else ''}{url}'"
+    return f"pip install '{package}'"
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

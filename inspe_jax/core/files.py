@@ -200,9 +200,16 @@ def check_folder(folder: str | os.PathLike[str]) -> None:
         raise InspeError(f"{folder}: is a file; name a folder")
     if not folder.exists() and not folder.parent.is_dir():
         raise InspeError(f"{folder}: no such folder: {folder.parent}")
-    place = folder if folder.exists() else folder.parent
-    if not os.access(place, os.W_OK):
-        raise InspeError(f"{folder}: cannot be written: no permission in {place}")
+    check_writable(folder if folder.exists() else folder.parent)
+
+
+def check_writable(folder: Path) -> None:
+    """Raise InspeError if no file can be written in a folder that there is."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as e:
+        raise InspeError(f"{folder}: no file can be written there: {e.strerror}") from e
 
 
 def lock_folder(folder: Path, name: str) -> FileLock:

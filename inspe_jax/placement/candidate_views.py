@@ -110,7 +110,6 @@ def _view(
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"], Float[Array, "K N Q C"]]:
     """Views, what is seen in frames, and chances of Q classes; Q is 0 unless they are asked for."""
     curves = asked.detection or detection_curves()
-    of_kind = curves.camera if rays.slants else curves.lidar
 
     def view_from(pose: Array) -> tuple[Array, Array, Array]:
         views = view_masks(rays, pose, chunk.tile, half)
@@ -130,7 +129,7 @@ def _view(
             sight = number.astype(tile.heights.dtype) / len(chunk.prisms.top)
             if statics is not None:
                 sight *= bitmask.chances(past, len(tile.heights)).astype(sight.dtype)
-            at = rays, pixels, pose, tile, sight, last, None, of_kind
+            at = rays, pixels, pose, tile, sight, last, None, curves
             return seen, target_evidence_of_sensor(*at).chance
 
         def see_nothing(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:

@@ -12,10 +12,10 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.detection import DetectionCurves
+from inspe_jax.scoring.detection import DetectionCurves, detection_curves
 from inspe_jax.scoring.evaluate import check_options
 from inspe_jax.sensing.catalogue import device
-from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout import Goal, Layout
 
 COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, np.min)}
 """How the scores of several scenes become one, in JAX and in NumPy."""
@@ -52,6 +52,29 @@ class Objective:
         """The weight of every metric in P_sm. Raises InspeError as :func:`metrics.weights_of`
         does."""
         return metrics.weights_of(self.weights)
+
+    @property
+    def goal(self) -> Goal | None:
+        """What is maximised, for the layouts that are found; None if it is the usual P_sm."""
+        own, usual = (
+            tuple((name, weight) for name, weight in of.items() if weight)
+            for of in (self.weights_by_name, metrics.weights_of())
+        )
+        users = self.detection.road_users if self.detection else ()
+        goal = Goal(own, self.regions, users, self.failures)
+        return None if goal == Goal(usual) else goal
+
+    @classmethod
+    def of_goal(cls, goal: Goal, detection: DetectionCurves | None = None) -> "Objective":
+        """The objective of a layout's goal, with these curves of detectability."""
+        if goal.road_users:
+            detection = (detection or detection_curves()).for_road_users(goal.road_users)
+        return cls(
+            dict(goal.weights),
+            regions=goal.regions,
+            failures=goal.failures,
+            detection=detection,
+        )
 
     def check(self) -> None:
         """Raise InspeError where a setting is unknown or out of range."""

@@ -109,10 +109,8 @@ def optimise(
     that of the start. Raises InspeError if an option is unknown or out of range, if a unit has
     nowhere to stand, or if the checkpoint is of another search.
     """
-    row = _method(method, objective)
+    (row,) = check_search((method,), objective, start, (seed,))
     seconds = _seconds(seconds, evaluations)
-    check_seed(seed)
-    _check_start(start)
     check_output(checkpoint, SUFFIXES)
     problem = Problem(scene, layout, objective, constraints)
     x, notes = _start(problem, start, seed)
@@ -161,18 +159,9 @@ def compare(
     with the searches so far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
     methods = [row.name for row in _knowing(objective)] if methods is None else methods
-    rows = [_method(name, objective) for name in methods]
-    if not rows:
-        raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")
-    if len(set(methods)) < len(rows):
-        raise InspeError(f"methods {', '.join(methods)}: one is named twice")
-    seconds = _seconds(seconds, evaluations)
     several = range(seeds) if isinstance(seeds, int) else seeds
-    if not several:
-        raise InspeError(f"seeds {seeds}: give at least 1")
-    for seed in several:
-        check_seed(seed)
-    _check_start(start)
+    rows = check_search(methods, objective, start, several)
+    seconds = _seconds(seconds, evaluations)
     problem = Problem(scene, layout, objective, constraints)
     results: list[Result] = []
     most = np.inf if evaluations is None else evaluations
@@ -268,7 +257,7 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     case = problem.cases[0]
 
     def scores(of: Layout) -> Scores:
-        found = evaluate(
+        return evaluate(
             case.scene,
             of,
             conditions=case.conditions,
@@ -278,13 +267,10 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
             metrics=objective.metrics,
             detection=objective.detection,
         )
-        if not objective.regions:
-            return found
-        return replace(found, settings=found.settings | dict(regions=list(objective.regions)))
 
     after = scores(found)
     return Result(
-        layout=named_optimised(found),
+        layout=replace(named_optimised(found), goal=objective.goal),
         start=start,
         scores_before=scores(start),
         scores=after,
@@ -372,13 +358,30 @@ def _naming(
     return lambda done, best: progress(name, seed, done, best)
 
 
-def _check_start(start: str | Layout) -> None:
+def check_search(
+    methods: Sequence[str],
+    objective: Objective | None = None,
+    start: str | Layout = "given",
+    seeds: Sequence[int] = (0,),
+) -> list[Method]:
+    """The methods of these names. Raises InspeError where one is unknown or named twice, does not
+    know the objective, or the start or a seed cannot be: all that needs no scene to be seen."""
+    rows = [_method(name, objective) for name in methods]
+    if not rows:
+        raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")
+    if len(set(methods)) < len(rows):
+        raise InspeError(f"methods {', '.join(methods)}: one is named twice")
+    if not seeds:
+        raise InspeError(f"seeds {len(seeds)}: give at least 1")
+    for seed in seeds:
+        check_seed(seed)
     known = (*STARTS, *STRATEGIES)
     if isinstance(start, str) and start.lower() not in (name.lower() for name in known):
         raise InspeError(
             f"start '{start}': give one of {', '.join(known)}, or a layout of the same sensors"
             f"{nearest(start, known)}"
         )
+    return rows
 
 
 def _start(problem: Problem, start: str | Layout, seed: int) -> Start:

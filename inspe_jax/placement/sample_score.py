@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from inspe_jax.placement.candidate_views import FOUND, CandidateViews
 from inspe_jax.placement.problem import Problem, Sample
-from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.detection import detection_curves
 
 PAPER = ("coverage", "occlusion", "information_gain")
 KNOWN = (*PAPER, FOUND)
@@ -81,7 +81,8 @@ class SampleScore:
         self._free = o * each.free
         self._entropy = ig * each.entropy
         places = d * each.places if d else np.zeros(0)
-        self._places = np.tile(places / len(CLASSES), len(CLASSES))
+        classes = len((problem.asked.detection or detection_curves()).counted)
+        self._places = np.tile(places / classes, classes)
         self._sighted = objective.visibility != "in_view"
         # Under "targets" and "line_of_sight", the rows count what is inside a vehicle as seen if no
         # other vehicle hides it. That is right for O; for IG such voxels are not in line of sight.

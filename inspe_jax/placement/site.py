@@ -288,13 +288,21 @@ class Site:
     def poles(self) -> Float[np.ndarray, "P 2"]:
         """Feet of the existing poles within the radius, off the lanes and free of bodies [m]."""
         feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
-        keep = [
-            np.hypot(*(foot - self.center)) <= self.radius
-            and not self.lanes.intersects(Point(foot))
-            and self.body_near(foot) is None
-            for foot in feet
-        ]
-        return feet[np.array(keep, bool)]
+        return feet[np.array([not self.why_none(foot) for foot in feet], bool)]
+
+    def why_none(self, foot: Float[np.ndarray, "2"]) -> str:
+        """Why an existing pole at ``foot`` (x, y) carries no unit; empty if it can."""
+        if (away := np.hypot(*(foot - self.center))) > self.radius:
+            return f"{away:.0f} m from the centre, beyond the radius of {self.radius:g} m"
+        if self.lanes.intersects(Point(foot)):
+            return "on a driving lane"
+        if (body := self.body_near(foot)) is None:
+            return ""
+        if body.kind != "pole" or np.hypot(*(foot - body.middle)) > AT_AXIS:
+            return f"in or beside a {body.kind}"
+        if body.height < self.lowest:
+            return f"{body.height:g} m high, lower than the lowest sensor, {self.lowest:g} m"
+        return "too thick for brackets, or too near to another pole"
 
     @cached_property
     def corners(self) -> Float[np.ndarray, "2N 2"]:

@@ -83,7 +83,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     facts = (
         f"radius {grid.radius:g} m, {grid.words}: {len(grid.columns):,} columns × "
         f"{grid.level_count} levels = {grid.count:,} voxels\n"
-        f"{len(place.arms)} arms, {len(_near_poles(scene))} poles; {_users(scene, frame)}"
+        f"{len(place.arms)} arms, {len(scene.poles)} poles; {_users(scene, frame)}"
     )
     with house_style():
         fig, ax, panel = sheet(scene.name, facts, notes, 0.0)
@@ -93,7 +93,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
         draw_routes(ax, scene)
         draw_bodies(ax, scene)
         draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
-        near = _near_poles(scene)
+        near = scene.poles
         ax.plot(*near.T[:2], **_POLE, zorder=6)
         panel.legend(handles=_scene_keys(scene), loc="upper left", **KEYS)
     return fig
@@ -208,7 +208,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
     offered: list[tuple[bool, Any]] = [
         *((r in here, Patch(**_LINE, fc=c, label=r.key)) for r, c in REGION_COLORS.items()),
         (not place.mounting.is_empty, Patch(**{**_HATCH, "fc": "white"}, label="mounting area")),
-        (len(_near_poles(scene)) > 0, Line2D([], [], **_POLE, label="standing pole")),
+        (len(scene.poles) > 0, Line2D([], [], **_POLE, label="standing pole")),
         ("vehicle" in users, Line2D([], [], **LANE, marker=">", ms=2.5, label="lane")),
         ("pedestrian" in users, Line2D([], [], **WALK, label="walking route")),
         *(
@@ -244,12 +244,6 @@ def _users(scene: Scene, frame: int) -> str:
     check_frame(scene, frame)
     count, mean = int(traffic.valid[frame].sum()), traffic.mean_count
     return f"frame {frame} of {traffic.frame_count}: {count} road users (mean {mean:.1f})"
-
-
-def _near_poles(scene: Scene) -> np.ndarray:
-    """Poles within the region of interest."""
-    poles = scene.intersection.poles
-    return poles[center_distance(scene, poles) <= scene.voxels.radius]
 
 
 def _disc(scene: Scene) -> BaseGeometry:

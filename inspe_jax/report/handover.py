@@ -9,7 +9,7 @@ from jaxtyping import Float
 from shapely.geometry import Polygon, mapping
 from shapely.geometry.polygon import orient
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import missing_extra
 from inspe_jax.core.files import csv_text
 from inspe_jax.report.outlines import view_outline
 from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, materials
@@ -91,7 +91,7 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
         from fastkml.styles import LineStyle, PolyStyle
         from pygeoif import shape
     except ImportError as error:
-        raise InspeError("KML needs: pip install 'inspe_jax[geo]'") from error
+        raise missing_extra("KML needs fastkml", "geo") from error
 
     def placemark(one: dict[str, Any]) -> Any:
         own, geometry = dict(one["properties"]), one["geometry"]

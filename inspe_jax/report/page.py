@@ -39,7 +39,7 @@ from inspe_jax.report.schedule import (
 )
 from inspe_jax.report.sheet import house_style, jpeg_text, png_text
 from inspe_jax.report.still import DOTS, still_view
-from inspe_jax.report.tables import scores_record, tolerance_record
+from inspe_jax.report.tables import goal_words, scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
@@ -81,7 +81,8 @@ class ReportEntry:
     ``result``: if a search found the layout, its result. ``start`` and ``before``: if given, the
     layout before, as the start of the search, and its scores. ``target``: if given, the P_sm that
     the layout should reach. ``tolerance``: if given, how carefully the layout must be installed.
-    ``targets``: if given, what a pedestrian gets at each place.
+    ``targets``: if given, what a pedestrian gets at each place. ``sought``: the score that the
+    layout was searched for, if that is not P_sm.
     """
 
     layout: Layout
@@ -93,6 +94,7 @@ class ReportEntry:
     before: Scores | None = None
     target: float | None = None
     targets: TargetView | None = None
+    sought: float | None = None
 
     @property
     def moves(self) -> bool:
@@ -175,7 +177,8 @@ def report_page(
         parts.append(
             dict(
                 name=entry.layout.name,
-                record=(record := scores_record(entry.scores, scene, entry.layout)),
+                goal=entry.layout.goal and entry.layout.goal.words,
+                record=(record := scores_record(entry.scores, scene, entry.layout, entry.sought)),
                 units=(
                     units := installation_schedule(entry.layout, scene.intersection, prices or {})
                 ),
@@ -316,7 +319,8 @@ def _summary(
         price += f" without {' and '.join(unknown)}, of unknown price"
     units, sensors = counted(len(layout.units), "unit"), sensors_in_words(layout)
     where = f"{scene.voxels.radius:g} m around the middle of {scene.name}{scores.conditions.words}"
-    found = [
+    found = [] if entry.sought is None else [f"{goal_words(layout, scores, entry.sought)}."]
+    found += [
         f"{units} with {sensors} watch {where}{price}.",
         f"They have {scores.coverage:.0%} of the region of interest in view, by weight, and see "
         f"{scores.occlusion:.0%} of it on average with traffic in the way.",

@@ -107,7 +107,7 @@ class Scene3D:
             for ring in (part.exterior, *part.interiors)
         ]
         lines = [segments(self._on_ground(shapely.get_coordinates(ring))) for ring in rings]
-        at = place.poles[np.hypot(*(place.poles[:, :2] - center).T) <= radius]
+        at = self.scene.poles
         if len(at):
             feet = self._on_ground(at[:, :2], lift=0.0)
             lines.append(np.stack([feet, feet + [0, 0, POLE]], 1))

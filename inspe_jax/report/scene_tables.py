@@ -36,7 +36,7 @@ def scene_table(scene: Scene) -> RenderableType:
         "region of interest": f"radius {grid.radius:g} m",
         "voxels": f"{len(grid.columns):,} columns × {grid.level_count} levels = {grid.count:,}; "
         f"{grid.words}",
-        "arms, poles, routes": f"{len(place.arms)}, {len(place.poles)}, {len(place.routes)}",
+        "arms, poles, routes": f"{len(place.arms)}, {len(scene.poles)}, {len(place.routes)}",
         "traffic": f"{traffic.frame_count} frames, {traffic.mean_count:.1f} road users on average",
         "static bodies": _bodies(scene),
         "terrain": _terrain(scene.terrain),

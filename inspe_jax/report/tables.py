@@ -8,8 +8,9 @@ import jax
 import numpy as np
 from rich import box
 from rich.columns import Columns
-from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.measure import Measurement
+from rich.table import Column, Table
 from rich.text import Text
 
 from inspe_jax.core.errors import InspeError
@@ -36,16 +37,35 @@ _TURNS = ("yaw", "pitch")
 _ENDS = ("seeds", "median", "worst", "best", "work", "time\n[s]")
 
 
-def scores_table(scores: Scores, layout: Layout) -> RenderableType:
+def goal_words(layout: Layout, scores: Scores, sought: float | None) -> str:
+    """The headline of a layout: its P_sm, after the score that it was searched for, if any."""
+    words = f"P_sm {scores.surrogate:.4f}{_only(scores)}"
+    if sought is not None and layout.goal is not None:
+        words = f"searched for {layout.goal.words}: {sought:.4f}; {words}"
+    return f"{layout.name}: {words}"
+
+
+def _only(scores: Scores) -> str:
+    """Which regions and road users alone count in a score, in brackets."""
+    words = []
+    if regions := scores.settings.get("regions"):
+        some = [m.symbol for m in listed_in(scores) if m.by_region]
+        words.append(f"{' and '.join(some)} of {', '.join(regions)} only")
+    if users := scores.settings.get("road_users"):
+        words.append(f"road users: {', '.join(users)} only")
+    return f" ({'; '.join(words)})" if words else ""
+
+
+def scores_table(scores: Scores, layout: Layout, sought: float | None = None) -> RenderableType:
     """Scores: every metric and P_sm, coverage by region and level, and what each sensor adds.
 
-    What a sensor adds is what the layout loses without it. Raises InspeError if the scores are of
-    another layout.
+    What a sensor adds is what the layout loses without it. ``sought`` is the score that the layout
+    was searched for, if that is not P_sm. Raises InspeError if the scores are of another layout.
     """
     members = _members(scores, layout)
     weights, rows = scores.settings.get("weights", {}), listed_in(scores)
 
-    title = f"Scores of {layout.name}{scores.conditions.words}"
+    title = f"Scores of {layout.name}{scores.conditions.words}{_only(scores)}"
     total = table_of(title, "metric", "symbol", "weight", "score")
     for metric in rows:
         look = "bold" if metric.name == "surrogate" else ""
@@ -69,7 +89,10 @@ def scores_table(scores: Scores, layout: Layout) -> RenderableType:
 
     # Side by side as far as the terminal has room.
     beside = Columns([total, regions, levels], padding=(0, 4))
-    return Group(beside, "", each)
+    tables = Group(beside, "", each)
+    if sought is None:
+        return tables
+    return Group(Text(goal_words(layout, scores, sought)), "", tables)
 
 
 def metrics_table() -> RenderableType:
@@ -87,9 +110,7 @@ def before_after_table(result: Result) -> RenderableType:
     Metrics that one of the two records does not have are left out.
     """
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
-    if regions := result.scores.settings.get("regions"):
-        some = [m.symbol for m in listed_in(result.scores) if m.by_region]
-        title += f"\n({' and '.join(some)} of {', '.join(regions)} only)"
+    title += _only(result.scores)
     table = table_of(title, "metric", "symbol", *_CHANGE)
     before, after = result.scores_before, result.scores
     rows = [
@@ -226,8 +247,11 @@ def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str
     }
 
 
-def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any]:
-    """Scores as a record for JSON, with every number exactly as scored.
+def scores_record(
+    scores: Scores, scene: Scene, layout: Layout, sought: float | None = None
+) -> dict[str, Any]:
+    """Scores as a record for JSON, with every number exactly as scored; ``sought`` as in
+    :func:`scores_table`.
 
     It also has the scene, the layout, the settings and the versions, so that the scores can be
     repeated. Raises InspeError if the scores are of another layout.
@@ -248,8 +272,15 @@ def scores_record(scores: Scores, scene: Scene, layout: Layout) -> dict[str, Any
         ],
         "blind_spots": [json_value(asdict(spot)) for spot in blind_spots(scene, scores.seen_share)],
         "settings": json_value(scores.settings),
+        **_sought(layout, sought),
         **_origin(scene, layout),
     }
+
+
+def _sought(layout: Layout, sought: float | None) -> dict[str, Any]:
+    if sought is None or layout.goal is None:
+        return {}
+    return {"searched_for": {**layout.goal.record, "score": sought}}
 
 
 def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:
@@ -283,6 +314,7 @@ def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
 
 
 _PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view", "devices"}
+_PROSE |= {"reason"}
 _NAMES = {
     "mix",
     "P_sm",
@@ -296,20 +328,82 @@ _NAMES = {
     "name",
     "centre [m]",
 }
-_NAMES |= {"pixels,\nchannels", "split", "class", "column"}
+_NAMES |= {"pixels,\nchannels", "split", "class", "column", "setting", "value", "id"}
+_WORD = 24
+"""Longer words of prose may break [characters]."""
+
+
+class WholeTable(Table):
+    """A table that cuts no number and no name, whatever its width.
+
+    Columns of prose break between words. Where that is not enough, every row becomes a block of
+    lines, one for each column.
+    """
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        """From the narrowest width in which it is a table, to that of whole lines."""
+        self._measure_columns(console, options)
+        return super().__rich_measure__(console, options)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The table, or its rows as blocks of lines."""
+        wide = options.update(width=_UNBOUNDED)
+        more = self._measure_columns(console, wide)
+        spare = options.max_width - super().__rich_measure__(console, wide).minimum
+        if spare < 0:
+            yield from self._rows_as_blocks(console, options)
+            return
+        for left, k in zip(
+            range(len(more), 0, -1), sorted(more, key=more.__getitem__), strict=True
+        ):
+            given = min(more[k], spare // left)
+            spare -= given
+            self.columns[k].width = (self.columns[k].min_width or 0) + given
+        yield from super().__rich_console__(console, options)
+
+    def _measure_columns(self, console: Console, options: ConsoleOptions) -> dict[int, int]:
+        """Set each column's least width; returns how much wider whole lines are, of prose."""
+        wide, more = options.update(width=_UNBOUNDED), {}
+        for k, column in enumerate(self.columns):
+            cells = [Measurement.get(console, wide, x) for x in (column.header, *column.cells)]
+            most = max(cell.maximum for cell in cells)
+            least = most if column.no_wrap else min(max(cell.minimum for cell in cells), _WORD)
+            column.width, column.min_width = None, least
+            if not column.no_wrap:
+                more[k] = most - least
+        return more
+
+    def _rows_as_blocks(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        heads = (str(x.header).replace("-\n", "") for x in self.columns)
+        names = [Text(" ".join(head.split())) for head in heads]
+        grid = Table.grid(Column(no_wrap=True), Column(overflow="fold"), padding=(0, 2))
+        for cells, row in zip(
+            zip(*(x.cells for x in self.columns), strict=True), self.rows, strict=True
+        ):
+            for name, cell in zip(names, cells, strict=True):
+                if str(cell):
+                    grid.add_row(name, cell, style=row.style)
+            grid.add_row()
+        longest = max((x.min_width or 0 for x in self.columns if x.no_wrap), default=0)
+        needed = max(map(len, names)) + 2 + longest
+        yield Text(f"{self.title}\n", style="bold")
+        yield from console.render(grid, options.update(width=max(options.max_width, needed)))
+
+
+_UNBOUNDED = 10_000
 
 
 def table_of(title: str, *columns: str) -> Table:
     """An empty table. Columns of prose may break between words; numbers and names never break."""
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table = WholeTable(
+        title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD
+    )
     table.pad_edge, table.collapse_padding = False, True
     for name in columns:
-        breaks = name in _PROSE
         table.add_column(
             Text(name),
             justify="left" if name in _PROSE | _NAMES else "right",
-            no_wrap=not breaks,
-            min_width=5 if breaks else None,
+            no_wrap=name not in _PROSE,
             overflow="fold",
         )
     return table

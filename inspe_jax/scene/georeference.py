@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 
 LOCAL = 0.5
 """Directions are those of a line of twice this length [m]."""
@@ -127,5 +127,5 @@ def _pyproj() -> Any:
     try:
         import pyproj
     except ImportError as error:
-        raise InspeError("coordinates need: pip install 'inspe_jax[geo]'") from error
+        raise missing_extra("coordinates need pyproj", "geo") from error
     return pyproj

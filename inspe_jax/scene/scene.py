@@ -125,6 +125,12 @@ class Scene:
         return weight if inside is None else np.where(inside.ravel(), 0.0, weight)
 
     @property
+    def poles(self) -> Float[np.ndarray, "P 3"]:
+        """Feet of the existing poles within the radius of the region of interest [m]."""
+        poles, center = self.intersection.poles, self.voxels.center[:2]
+        return poles[np.hypot(*(poles[:, :2] - center).T) <= self.voxels.radius]
+
+    @property
     def name(self) -> str:
         """The intersection's name."""
         return self.intersection.name

@@ -27,6 +27,7 @@ from pydantic import BaseModel, create_model
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import (
     STRICT,
@@ -93,12 +94,29 @@ class DetectionCurves:
     """One curve for each kind of sensor and each class of road user.
 
     ``lidar`` and ``camera`` have a curve for each of
-    :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in that order. Scores are compiled for the
-    curves, so they are compared by value.
+    :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in that order. Metrics of what a detector gets
+    are means over the classes named in ``road_users``, all of them if it is empty. Scores are
+    compiled for the curves, so they are compared by value.
     """
 
     lidar: tuple[DetectionCurve, ...]
     camera: tuple[DetectionCurve, ...]
+    road_users: tuple[str, ...] = added(())
+
+    def for_road_users(self, names: Iterable[str]) -> "DetectionCurves":
+        """These curves, with only these classes counted; all if none is named.
+
+        Raises InspeError where a class is unknown.
+        """
+        names = tuple(names)
+        for name in names:
+            check_known(name, CLASSES, "road user")
+        return replace(self, road_users=tuple(name for name in CLASSES if name in names))
+
+    @property
+    def counted(self) -> list[int]:
+        """The classes that count, as indices of :data:`~inspe_jax.scene.traffic.frames.CLASSES`."""
+        return [CLASSES.index(name) for name in self.road_users or CLASSES]
 
     def of(self, kind: str) -> tuple[DetectionCurve, ...]:
         """The curves of one kind of sensor, a curve for each class."""
@@ -115,7 +133,8 @@ class DetectionCurves:
             check_known(kind, KINDS, "kind of sensor")
             check_known(road_user, CLASSES, "road user")
             new[kind][CLASSES.index(road_user)] = curve
-        return replace(self, **{kind: tuple(of) for kind, of in new.items()})
+        lidar, camera = (tuple(new[kind]) for kind in KINDS)
+        return replace(self, lidar=lidar, camera=camera)
 
     @property
     def record(self) -> dict[str, dict[str, dict[str, float]]]:
@@ -129,7 +148,7 @@ class DetectionCurves:
         }
 
 
-KINDS = tuple(f.name for f in fields(DetectionCurves))
+KINDS = ("lidar", "camera")
 """The kinds of sensors that have curves."""
 
 
@@ -137,12 +156,11 @@ KINDS = tuple(f.name for f in fields(DetectionCurves))
 def detection_curves() -> DetectionCurves:
     """The usual curves, from ``detection.toml``."""
     text = files("inspe_jax.scoring").joinpath("detection.toml").read_text("utf-8")
-    return DetectionCurves(
-        **{
-            kind: tuple(DetectionCurve(**of[name]) for name in CLASSES)
-            for kind, of in tomllib.loads(text).items()
-        }
+    content = tomllib.loads(text)
+    lidar, camera = (
+        tuple(DetectionCurve(**content[kind][name]) for name in CLASSES) for kind in KINDS
     )
+    return DetectionCurves(lidar, camera)
 
 
 class _CurveEntry(BaseModel):

@@ -192,9 +192,21 @@ def evaluate(
             **options,
             softness=softness,
             **conditions.record,
-            **({} if asked.detection is None else dict(detection=asked.detection.record)),
+            **_limits(scene, asked.detection),
         ),
     )
+
+
+def _limits(scene: Scene, detection: DetectionCurves | None) -> dict[str, Any]:
+    """The settings of a score that not all have: what alone counts, and curves of one's own."""
+    found: dict[str, Any] = {}
+    if scene.voxels.counted:
+        found["regions"] = [Region(region).key for region in scene.voxels.counted]
+    if detection is not None:
+        found["detection"] = detection.record
+        if detection.road_users:
+            found["road_users"] = list(detection.road_users)
+    return found
 
 
 def _measured(

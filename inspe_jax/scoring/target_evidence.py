@@ -5,7 +5,6 @@ same is found for scores, in one pass for all classes: rays are counted on slabs
 and a road user is a face of its mean width, with its roof above.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,7 +17,6 @@ from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import (
     BANDS,
-    DetectionCurve,
     DetectionCurves,
     detection_curves,
 )
@@ -46,7 +44,7 @@ WALKER = SIZES[CLASSES.index("pedestrian"), 2]
 
 
 class TargetEvidence(NamedTuple):
-    """What S sensors have on road users of K classes that stand at C columns of a tile.
+    """What S sensors have on road users of the K classes that count, at C columns of a tile.
 
     Behind traffic, mean over frames; what belongs to the levels of the tile. ``chance`` is the
     chance that a sensor alone finds the road user. ``returns`` are expected LiDAR returns.
@@ -82,8 +80,7 @@ def target_evidence(
     def look(kind: Kind, row: tuple[RayTable, Array, Array, Array]) -> TargetEvidence:
         table, pixels, pose, seen = row
         rays = kind.rays(table)
-        of_kind = curves.camera if rays.slants else curves.lidar
-        return target_evidence_of_sensor(rays, pixels, pose, tile, seen, last, width, of_kind)
+        return target_evidence_of_sensor(rays, pixels, pose, tile, seen, last, width, curves)
 
     def nothing(row: Any) -> TargetEvidence:
         shapes = jax.eval_shape(partial(look, sensors.kinds[0]), row)
@@ -109,12 +106,12 @@ def target_evidence_of_sensor(
     sight: Float[Array, "Z C"],
     last: Bool[Array, ""],
     width: Width,
-    curves: Sequence[DetectionCurve],
+    detection: DetectionCurves,
 ) -> TargetEvidence:
     """What one sensor has on the road users at the columns of one tile.
 
-    ``pixels`` is the number of pixels that a ray stands for. ``curves`` has one for each class;
-    other arguments as in :func:`target_evidence`, and ``sight`` (Z, C) is of this sensor.
+    ``pixels`` is the number of pixels that a ray stands for. Other arguments as in
+    :func:`target_evidence`, and ``sight`` (Z, C) is of this sensor.
     """
     kind, transform, camera = tile.heights.dtype, transform_of(pose), rays.slants
     to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
@@ -129,7 +126,10 @@ def target_evidence_of_sensor(
     # but below a crown they may be in sight.
     shown = jnp.where(sight > 0, dense, 0.0)
 
-    tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in (SIZES[:, 2], WIDTH, CHORD))
+    users = detection.counted
+    curves = [(detection.camera if camera else detection.lidar)[k] for k in users]
+    sizes = (x[users] for x in (SIZES[:, 2], WIDTH, CHORD))
+    tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in sizes)
     front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
     roof = chord * jnp.maximum(-foot[None] - tall, 0.0) / away[None]  # as a part of the face
     middle = (*to, foot + WALKER / 2)
@@ -167,7 +167,9 @@ def target_evidence_of_sensor(
         chance,
         none if camera else amount,
         _sharp(rays, transform, pixels, middle, tile, width),
-        _precision(to, away, foot, amount, dense[0], sight[0] * inside[-1], low[0], camera),
+        _precision(
+            to, away, foot, amount, WIDTH[users], dense[0], sight[0] * inside[-1], low[0], camera
+        ),
     )
 
 
@@ -206,6 +208,7 @@ def _precision(
     away: Float[Array, " C"],
     foot: Float[Array, " C"],
     amount: Float[Array, "K C"],
+    wide: Float[np.ndarray, " K"],
     dense: Float[Array, " C"],
     foot_seen: Float[Array, " C"],
     low: Float[Array, " C"],
@@ -222,7 +225,7 @@ def _precision(
     level to :data:`LEVEL_GROUND`. ``foot_seen`` is how often the foot is in sight and in the
     picture.
     """
-    across = (12.0 * amount / jnp.asarray(WIDTH**2, amount.dtype)[:, None]).mean(0)
+    across = (12.0 * amount / jnp.asarray(wide**2, amount.dtype)[:, None]).mean(0)
     if camera:
         slant = away / jnp.maximum(-foot, 0.5)
         some = jnp.maximum(dense, 1e-6)

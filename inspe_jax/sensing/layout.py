@@ -19,7 +19,10 @@ With ``like`` it has another device's keys where it gives none::
     devices:
       my-camera: {like: paper-camera, depth_m: 45}
 
-``profile: paper`` names the profile that the layout was made under.
+``profile: paper`` names the profile that the layout was made under, ``searched_for`` what a search
+has maximised, where that is not the usual P_sm::
+
+    searched_for: {weights: {detectability: 1.0}, regions: [crosswalk], road_users: [pedestrian]}
 """
 
 import os
@@ -32,12 +35,14 @@ import yaml
 from jaxtyping import Array, Float
 from pydantic import BaseModel, Field
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.profiles import profile_of
+from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
@@ -69,6 +74,32 @@ class Sensor:
     unit: int
 
 
+@dataclass(frozen=True)
+class Goal:
+    """What a search has maximised: ``weights`` by metric; ``regions`` and ``road_users``, by name,
+    that alone count, all if none is given; and ``failures``, whether a score is N−1."""
+
+    weights: tuple[tuple[str, float], ...]
+    regions: tuple[str, ...] = ()
+    road_users: tuple[str, ...] = ()
+    failures: bool = False
+
+    @property
+    def words(self) -> str:
+        """Such as "detectability (crosswalk, pedestrian only)"."""
+        parts = [name if w == 1 else f"{w:g} {name}" for name, w in self.weights]
+        only = ", ".join((*self.regions, *self.road_users))
+        words = " + ".join(parts).replace("_", " ") + (f" ({only} only)" if only else "")
+        return words + ", N−1" * self.failures
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The content of a layout file under ``searched_for``."""
+        record = dict[str, Any](weights=dict(self.weights), regions=list(self.regions))
+        record |= dict(road_users=list(self.road_users), failures=self.failures)
+        return {key: value for key, value in record.items() if value}
+
+
 @pytree
 @dataclass(frozen=True)
 class Layout:
@@ -76,7 +107,8 @@ class Layout:
 
     ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians. They
     are the only part that is differentiated; sensors and units are static.
-    ``profile`` names the profile that the layout was made under, None if unknown.
+    ``profile`` names the profile that the layout was made under, None if unknown; ``goal`` is what
+    the search that found it has maximised, None if that is the usual P_sm.
     """
 
     poses: Float[Array | np.ndarray, "S 6"]
@@ -84,6 +116,7 @@ class Layout:
     units: tuple[Unit, ...] = field(metadata={"static": True})
     name: str = field(metadata={"static": True}, default="layout")
     profile: str | None = field(metadata={"static": True}, default=None)
+    goal: Goal | None = field(metadata={"static": True}, default=None)
 
     def __len__(self) -> int:
         return len(self.sensors)
@@ -205,9 +238,17 @@ class _UnitEntry(_Strict):
     sensors: Annotated[list[_SensorEntry], Field(min_length=1)]
 
 
+class _GoalEntry(_Strict):
+    weights: dict[str, float]
+    regions: list[str] = []
+    road_users: list[str] = []
+    failures: bool = False
+
+
 class _LayoutFile(_Strict):
     name: str | None = None
     profile: str | None = None
+    searched_for: _GoalEntry | None = None
     devices: dict[str, Any] = {}
     units: Annotated[list[_UnitEntry], Field(min_length=1)]
 
@@ -260,7 +301,20 @@ def parse_layout(
     layout = make_layout(
         sensors, units, np.array(poses), entry.name or name, where, unit_rule=unit_rule
     )
-    return replace(layout, profile=entry.profile)
+    return replace(layout, profile=entry.profile, goal=_goal(entry.searched_for, where))
+
+
+def _goal(entry: _GoalEntry | None, where: str) -> Goal | None:
+    if entry is None:
+        return None
+    try:
+        regions_of(entry.regions)
+        for name in entry.road_users:
+            check_known(name, CLASSES, "road user")
+    except InspeError as e:
+        raise InspeError(f"{where}: searched_for: {e}") from None
+    named = tuple(entry.regions), tuple(entry.road_users)
+    return Goal(tuple(entry.weights.items()), *named, entry.failures)
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
@@ -303,11 +357,13 @@ def layout_text(layout: Layout) -> str:
 
 
 def made_with(layout: Layout) -> dict[str, Any]:
-    """A layout's profile and the devices that its file must describe; without those it lacks.
+    """A layout's profile, its goal and the devices that its file must describe; without those it
+    lacks.
 
     Raises InspeError where two devices have one name.
     """
-    made = {"profile": layout.profile, "devices": _own_devices(layout)}
+    goal = layout.goal and layout.goal.record
+    made = {"profile": layout.profile, "searched_for": goal, "devices": _own_devices(layout)}
     return {key: value for key, value in made.items() if value}
 
 

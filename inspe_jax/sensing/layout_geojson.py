@@ -127,7 +127,8 @@ def load_layout_geojson(
             )
         )
     content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}
-    content |= {key: further[key] for key in ("name", "profile", "devices") if key in further}
+    kept = ("name", "profile", "searched_for", "devices")
+    content |= {key: further[key] for key in kept if key in further}
     content["units"] = [
         dict(name=name, base=[*base.tolist(), float(place.ground(base)[0])], sensors=members)
         for name, (base, members) in units.items()

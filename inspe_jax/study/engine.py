@@ -14,7 +14,7 @@ from itertools import groupby
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 
 JOBS_AHEAD = 3
 """Jobs that wait at each worker's thread, so that no worker waits for the next."""
@@ -54,9 +54,7 @@ def load_cluster() -> Any:
     except ModuleNotFoundError as e:
         if e.name not in ("dask", "distributed"):
             raise
-        raise InspeError(
-            "this needs Dask, which is not installed: pip install 'inspe_jax[sweep]'"
-        ) from e
+        raise missing_extra("this needs Dask", "sweep") from e
     return cluster
 
 

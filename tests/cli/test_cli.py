@@ -12,6 +12,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -19,11 +20,14 @@ from urllib.request import urlopen
 import jax
 import numpy as np
 import pytest
+import typer
 from processes import inspe_here, inspe_process
 from worlds import rilsa
 
 from inspe_jax.cli import stopping
+from inspe_jax.cli.claims import Claims
 from inspe_jax.core.compiling import keep_programs, prune
+from inspe_jax.core.files import write_text
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 
@@ -458,7 +462,7 @@ BAD = [
     (("scene", "s.npz", "--statics", "street"), "leave out --statics"),
     (
         ("scene", "four_way", "--junction", 3),
-        "--junction, --center, --at, --bodies, --elevation and --mesh are only for maps",
+        "a built-in intersection is no map; leave out --junction",
     ),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
@@ -466,7 +470,10 @@ BAD = [
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
     (("scene", "page.xodr"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
-    (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, profile, units"),
+    (
+        ("score", "s.npz", "list.yaml"),
+        "must hold keys with values: devices, name, profile, searched_for, units",
+    ),
     (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
     (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
     (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),
@@ -557,6 +564,110 @@ def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message)
     assert sorted(files.iterdir()) == before  # nothing half-written
 
 
+SLOW = [
+    (("score", "four_way", "missing.yaml"), "missing.yaml: no such file"),
+    (("score", "four_way", "list.yaml"), "list.yaml"),
+    (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3'"),
+    (("score", "four_way", "--visibility", "all"), "visibility 'all': one of"),
+    (("targets", "four_way", "missing.geojson"), "missing.geojson: no such file"),
+    (("targets", "four_way", "--road-user", "dog"), "one of car, truck, cyclist, pedestrian"),
+    (("layout", "four_way", "--strategy", "L-x"), "no layout 'L-x'"),
+    (("layout", "four_way", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
+    (("optimise", "four_way", "missing.yaml"), "missing.yaml: no such file"),
+    (("optimise", "four_way", "--method", "adm"), "method 'adm': one of adam"),
+    (("optimise", "four_way", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
+    (("optimise", "four_way", "--also", "missing.npz"), "missing.npz: no such file"),
+    (("optimise", "four_way", "--out", "/proc/o"), "/proc: no file can be written there"),
+    (("optimise", "four_way", "--target", 1, "--device", "a:1"), "a"),
+    (("compare", "four_way", "--methods", "grid,grid"), "one is named twice"),
+    (("compare", "four_way", "--out", "mine"), "mine/layout.yaml: is there already, and `inspe"),
+    (("pareto", "four_way", "--method", "adm"), "method 'adm': one of adam"),
+    (("tolerance", "four_way", "--angle", 90), "angle 90° is out of range"),
+    (("report", "four_way", "Cam-d1", "missing.yaml"), "missing.yaml: no such file"),
+    (("report", "four_way", "--pareto", "."), "pareto.csv: no such file"),
+    (
+        ("report", "four_way", "--out", "mine/r.html"),
+        "r.html: is there already, and `inspe",
+    ),
+    (("export", "four_way", "missing.yaml"), "missing.yaml: no such file"),
+    (("view", "four_way", "missing.yaml"), "missing.yaml: no such file"),
+    (("view", "four_way", "--host", "0.0.0.0", "--no-token"), "--no-token is allowed only on"),
+    (("scene", "page.xodr", "--junction", 1, "--traffic", "no.log"), "no.log: no such file"),
+    (("scene", "page.xodr", "--junction", 1, "--traffic", "page.log"), "not a log of CARLA"),
+    (("scene", "page.xodr", "--junction", 1, "--mesh", "no.glb"), "no.glb: no such file"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), SLOW, ids=[" ".join(map(str, arguments)) for arguments, _ in SLOW]
+)
+def test_what_needs_no_scene_is_refused_before_one_is_read(
+    inspe, files, monkeypatch, arguments, message
+):
+    """To build the scene, or to read the map, takes up to minutes."""
+
+    def slow(*_, **__):
+        pytest.fail("the scene was read first")
+
+    for name in ("scene.load_scene", "scene.build_scene", "maps.registry.read_map"):
+        monkeypatch.setattr(f"inspe_jax.scene.{name}", slow)
+    (files / "mine").mkdir(exist_ok=True)
+    for name in ("mine/layout.yaml", "mine/r.html", "page.log"):
+        (files / name).write_text("mine")
+    status, _, error = inspe(*arguments)
+    assert status == 2
+    assert message in " ".join(error.split())
+    assert (files / "mine" / "layout.yaml").read_text() == "mine"
+
+
+WRITES = [
+    ("layout", "s.npz", "--out", "own.yaml"),
+    ("scene", "s.npz", "--out", "own.npz"),
+    ("score", "s.npz", "layout.yaml", "--json", "own.json"),
+    ("targets", "s.npz", "layout.yaml", "--plot", "own.svg"),
+    ("optimise", "s.npz", "away.yaml", "--method", "random", "--evaluations", 1, "--out", "own"),
+]
+
+
+@pytest.mark.parametrize("arguments", WRITES, ids=[row[0] for row in WRITES])
+def test_a_command_replaces_what_it_wrote_itself_alone(inspe, files, arguments):
+    """And not when somebody has changed that since, nor what another command wrote."""
+    path = files / arguments[-1]
+    if not path.suffix:
+        path.mkdir()
+        path /= "layout.yaml"
+    path.write_bytes(b"mine")
+
+    def refused(*words):
+        before = path.read_bytes()
+        status, _, error = inspe(*arguments)
+        assert (status, path.read_bytes()) == (2, before)
+        for word in (path.name, "--force", *words):
+            assert word in error
+
+    refused("is there already", f"`inspe {arguments[0]}` did not write it")
+    assert inspe(*arguments, "--force")[0] == 0
+    assert path.read_bytes() != b"mine"
+    assert inspe(*arguments)[0] == 0
+    path.write_bytes(path.read_bytes() + b"# mine")
+    refused("was changed since")
+    status, _, error = inspe("score", "s.npz", "layout.yaml", "--json", path)
+    assert (arguments[0] == "score") == ("was changed since" in error)
+    assert status == 2
+
+
+def test_what_cannot_be_written_after_the_work_is_kept_elsewhere(tmp_path, capsys):
+    claims = Claims()
+    claims.begin("optimise")
+    kept = claims.keep(lambda at: write_text(at, "found"), tmp_path / "gone" / "layout.yaml")
+    assert kept.read_text() == "found"
+    error = capsys.readouterr().err
+    assert f"no such folder: {tmp_path / 'gone'}; kept in {kept} instead" in error
+    with pytest.raises(typer.Exit) as ended:
+        claims.end()
+    assert ended.value.exit_code == 1
+
+
 def test_unknown_junction_lists_those_there_are(inspe, maps):
     status, _, error = inspe("scene", maps / "Town10HD.xodr", "--junction", 7)
     assert status == 2
@@ -581,12 +692,28 @@ def test_a_network_and_its_traffic(inspe, files):
     (files / "sumo.npz").unlink()
 
 
-def test_missing_extra_says_what_to_install(inspe, files, monkeypatch):
+HERE = "file:///home/a%20b/inspe"
+ORIGINS = [
+    (None, "pip install 'inspe_jax[opendrive]' (Linux"),
+    ({"url": HERE, "dir_info": {}}, "in /home/a b/inspe: pip install '.[opendrive]' (Linux"),
+    ({"url": HERE, "dir_info": {"editable": True}}, "inspe: pip install -e '.[opendrive]'"),
+    (
+        {"url": "https://a.org/i.git", "vcs_info": {"vcs": "git"}},
+        "pip install 'inspe_jax[opendrive] @ git+https://a.org/i.git'",
+    ),
+]
+
+
+@pytest.mark.parametrize(("origin", "command"), ORIGINS)
+def test_missing_extra_says_what_to_install(inspe, files, monkeypatch, origin, command):
+    """As this package was installed: from a registry, a folder or an address."""
+    text = SimpleNamespace(read_text=lambda _: origin and json.dumps(origin))
+    monkeypatch.setattr("inspe_jax.core.errors.metadata.distribution", lambda _: text)
     monkeypatch.setitem(sys.modules, "carla", None)
     (files / "ok.xodr").write_text("<OpenDRIVE><road id='1' length='9'/></OpenDRIVE>")
     status, _, error = inspe("scene", "ok.xodr", "--list")
     assert status == 2
-    assert "pip install 'inspe_jax[opendrive]'" in " ".join(error.split())
+    assert command in " ".join(error.split())
 
 
 ON_ONE_CORE = """import os

@@ -46,6 +46,7 @@ def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
     )  # fmt: skip
     assert status == 0, error
     assert "latitude, longitude" in table
+    assert error.count(") carries no sensor: in or beside a building") == 1
     place = load_scene(files / "city.npz").intersection
     assert any(one.height == 7.0 and one.kind == "pole" for one in place.bodies)
     status, text, error = inspe(
@@ -60,9 +61,10 @@ def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
     )
     for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
         assert again[metric] == pytest.approx(first[metric], abs=1e-4)
+    (files / "plan.kml").write_text("mine")
     status, _, error = inspe("export", "city.npz", "L-d1", "--out", "plan.kml")
     assert status == 2
-    assert "plan.kml: is there already; --force replaces it" in error
+    assert "plan.kml: is there already, and was changed since `inspe export` wrote it" in error
     assert inspe("export", "city.npz", "L-d1", "--out", "plan.kml", "--force")[0] == 0
 
 
@@ -71,8 +73,11 @@ BAD = [
     (("scene", "city.osm", "--at", "10,10"), "no junction within 100 m of 10,10; the middle of"),
     (("scene", "city.osm"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "city.osm", "--at", "48,11", "--junction", "1"), "choose a place on the map"),
-    (("scene", "four_way", "--at", "48,11"), "--at, --bodies, --elevation and --mesh are only"),
-    (("scene", "four_way", "--bodies", "poles.geojson"), "are only for maps"),
+    (("scene", "four_way", "--at", "48,11"), "a built-in intersection is no map; leave out --at"),
+    (
+        ("scene", "four_way", "--bodies", "poles.geojson"),
+        "a built-in intersection is no map; leave out --bodies",
+    ),
     (("export", "four_way", "Cam-d1", "--force"), "four_way: has no coordinates on the Earth"),
     (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "must end in .geojson or .kml or .csv"),
     (

@@ -7,7 +7,15 @@ import pytest
 from processes import inspe_here
 from worlds import place_sensors
 
-from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save_scene
+from inspe_jax import (
+    build_scene,
+    built_in,
+    device,
+    evaluate,
+    load_layout,
+    save_layout,
+    save_scene,
+)
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
@@ -147,7 +155,8 @@ def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
     [
         (("--target", "95"), "scores are between 0 and 1"),
         (("--target", "0.9", "--start", "random"), "leave out --checkpoint and --start"),
-        (("--device", "velodyne-vlp-16:1"), "--device and --price are for --target"),
+        (("--device", "velodyne-vlp-16:1"), "layout.yaml has its own devices: give one of them"),
+        (("--price", "paper-camera=1"), "--price is for --target"),
         (("--target", "0.9", "--device", "paper-camera:1"), "--price paper-camera=USD"),
         (("--region", "crosswalk"), "occlusion counts every voxel"),
         (("--region", "kerb", "--weight", "coverage=1"), "region 'kerb': one of driveway"),
@@ -155,3 +164,51 @@ def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
 )
 def test_what_does_not_go_together_is_said(run, arguments, words):
     assert words in run("optimise", "s.npz", "layout.yaml", *arguments, fails=True)
+
+
+def test_a_search_begins_with_a_mix_of_devices(run, tmp_path):
+    mix = ("--device", "velodyne-vlp-16:1", "--device", "paper-camera:2")
+    run("optimise", "s.npz", *mix, "--method", "random", "--evaluations", 1, "--out", "m")
+    text = (tmp_path / "m" / "start.yaml").read_text()
+    assert (text.count("device: velodyne-vlp-16"), text.count("device: paper-camera")) == (1, 2)
+    for given, words in (("paper-camera:1-2", "one number of it"), ("a:1", "device 'a'")):
+        assert words in run("optimise", "s.npz", "--device", given, fails=True)
+    assert "no sensor" in run("optimise", "s.npz", "--device", "paper-camera:0", fails=True)
+
+
+AIM = ("--weight", "detectability=1", "--region", "crosswalk", "--road-user", "pedestrian")
+
+
+def test_a_layout_says_what_it_was_searched_for_and_is_scored_for_that(run, tmp_path):
+    """The same number from search, score, report and Python; the usual P_sm beside it."""
+    words = run(
+        "optimise", "s.npz", "layout.yaml", *AIM, "--method", "random", "--evaluations", 2,
+        "--out", "g",
+    )  # fmt: skip
+    assert "D of crosswalk only; road users: pedestrian only" in words
+    found = json.loads((tmp_path / "g" / "result.json").read_text())["objective"]
+    layout = load_layout(tmp_path / "g" / "layout.yaml")
+    goal = dict(weights={"detectability": 1.0}, regions=["crosswalk"], road_users=["pedestrian"])
+    assert layout.goal.record == goal
+    assert load_layout(tmp_path / "g" / "start.yaml").goal is None
+    with_goal = json.loads(run("score", "s.npz", "g/layout.yaml", "--json", "-"))
+    assert with_goal["searched_for"].pop("score") == pytest.approx(found, abs=1e-6)
+    assert with_goal["searched_for"] == goal
+    given = json.loads(run("score", "s.npz", "g/layout.yaml", *AIM, "--json", "-"))
+    assert given["surrogate"] == pytest.approx(found, abs=1e-6)
+    assert "searched_for" not in given
+    assert given["settings"]["regions"] == ["crosswalk"]
+    assert abs(with_goal["surrogate"] - found) > 0.01
+    headline = "searched for detectability (crosswalk, pedestrian only): "
+    numbers = f"{found:.4f}; P_sm {with_goal['surrogate']:.4f}"
+    assert f"{headline}{numbers}" in run("score", "s.npz", "g/layout.yaml")
+    assert f"{headline}{numbers}" in run("report", "s.npz", "g/layout.yaml")
+    page = " ".join((tmp_path / "report.html").read_text().split())
+    assert f"{headline}{numbers}." in page
+    card = f'{found:.3f}</span></b> <span class="soft">{headline[:-2]};'
+    assert card in page
+    wrong = (tmp_path / "g" / "layout.yaml").read_text().replace("[crosswalk]", "[kerb]")
+    (tmp_path / "wrong.yaml").write_text(wrong)
+    assert "wrong.yaml: searched_for: region 'kerb': one of" in run(
+        "score", "s.npz", "wrong.yaml", fails=True
+    )

@@ -19,6 +19,7 @@ from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.sample_score import SampleScore, times
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 METHODS = {method.name: method for method in SEARCHES}
@@ -378,7 +379,11 @@ OBJECTIVES = {
     ),
     "past others": (Objective(visibility="past_others"), False),
     "detectability, N−1": (
-        Objective({"detectability": 0.7, "occlusion": 0.3}, failures=True),
+        Objective(
+            {"detectability": 0.7, "occlusion": 0.3},
+            failures=True,
+            detection=detection_curves().for_road_users(["pedestrian", "cyclist"]),
+        ),
         False,
     ),
     "detectability, two scenes": (

@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,22 +13,26 @@ from rich.console import Console
 from worlds import CAMERA, LIDAR, place_sensors, world
 
 import inspe_jax
+from inspe_jax.cli.common import WholeConsole
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report.scene_tables import (
     built_ins_table,
     devices_table,
     junctions_table,
     layout_table,
+    profile_table,
     scene_table,
 )
-from inspe_jax.report.tables import scores_record, scores_table
+from inspe_jax.report.tables import scores_record, scores_table, sweep_table, table_of
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scene.profiles import profiles
 from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate
 from inspe_jax.sensing.catalogue import Device, devices
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 METRICS = ("coverage", "occlusion", "information_gain", "surrogate")
 WIDTHS = (80, 160)
+NARROW = (40, 60, 80)
 
 
 def named(*values):
@@ -65,7 +70,7 @@ def layout():
 
 def shown(table, width=160):
     out = io.StringIO()
-    Console(file=out, width=width, color_system=None).print(table)
+    Console(file=out, width=width, color_system=None).print(table, crop=False)
     return out.getvalue()
 
 
@@ -237,3 +242,67 @@ def test_built_ins_for_people():
     for name in BUILT_INS:
         assert name in text
     assert row(text, "t_junction")[1] == "3"
+
+
+# ── Narrow terminals ────────────────────────────────────────────────────────
+
+
+def junctions(*ids):
+    names = ("id", "center", "arms", "size", "crosswalks", "signals")
+    rows = [dict(zip(names, (i, (-12.5, 7.0, 0.0), 4, 44.26, 12, 3), strict=True)) for i in ids]
+    return junctions_table([SimpleNamespace(**row) for row in rows], "city.osm")
+
+
+def mixes():
+    table = table_of("Cost", "mix", "cost\n[US$]", "C", "O", "IG", "P_sm", "objective", "")
+    for cost in (10_800, 1_234_567):
+        name = "2 velodyne-vlp-32c + 4 basler-aca1600-60gc"
+        table.add_row(name, f"{cost:,}", "0.812", "0.300", "0.333", "0.701", "0.7004", "front")
+    return table
+
+
+SWEPT = dict(layout="Cam-d1/L-d1", status="done", coverage="0.81", occlusion="0.3", surrogate="0.7")
+
+
+@pytest.mark.parametrize("width", NARROW)
+@pytest.mark.parametrize(
+    "table",
+    [
+        mixes(),
+        junctions("cluster_1580411983_1580411984_26704401_26704402_29271345_3_4_5_6_7_8_9"),
+        junctions(*range(26704401, 26704409)),
+        devices_table(devices()).renderables[0],
+        *(profile_table(profile) for profile in profiles().values()),
+        sweep_table([SWEPT]),
+        built_ins_table(),
+    ],
+    ids=lambda x: str(getattr(x, "title", x)).split(":")[0],
+)
+def test_no_table_cuts_a_number_or_a_name(table, width):
+    """As wide as the terminal; else rows are blocks, whose lines are whole even if they are longer.
+
+    A word of prose that no line holds is the only one that breaks.
+    """
+    lines = [line.rstrip() for line in shown(table, width).splitlines()]
+    whole = [str(cell) for column in table.columns if column.no_wrap for cell in column.cells]
+    for cell in whole:
+        assert any(line == cell or f" {cell} " in f" {line} " for line in lines), cell
+    for column in table.columns:
+        for unit in re.findall(r"\[.*\]", str(column.header)):
+            assert unit in " ".join(lines)
+    longest = max(map(len, whole)) + 2 + max(len(str(x.header)) for x in table.columns)
+    assert max(map(len, lines)) <= max(width, longest)
+    for column in table.columns:
+        for word in " ".join(map(str, column.cells)).split():
+            assert len(word) > 24 or word in " ".join(lines)
+
+
+def test_a_pipe_is_as_wide_as_its_tables(monkeypatch):
+    for columns, widest in ((None, 100), ("60", 60)):
+        monkeypatch.setenv("COLUMNS", columns) if columns else monkeypatch.delenv("COLUMNS", False)
+        file = io.StringIO()
+        WholeConsole(file=file).print(mixes())
+        lines = [line.rstrip() for line in file.getvalue().splitlines()]
+        one_line = "0.812 0.300 0.333 0.701 0.7004 front" in " ".join(file.getvalue().split())
+        assert one_line == (columns is None)
+        assert max(map(len, lines)) <= widest

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from worlds import MAPS, crossing
 
 from inspe_jax.core.errors import InspeError
@@ -122,10 +123,12 @@ def test_who_is_above_the_road_is_left_out(path):
 
 
 def test_bad_input(place, path, tmp_path):
-    with pytest.raises(InspeError, match=r"a log of map 'Town01'; test crossing is map 'Town05'"):
-        log_traffic(replace(place, map=Path("Town05.net.xml")), path, radius=60, frames=3)
-    with pytest.raises(InspeError, match="not read from a map: read the intersection from Town01"):
-        log_traffic(replace(place, map=None), path, radius=60, frames=3)
+    beside = {key: shapely.affinity.translate(of, 30, 30) for key, of in place.regions.items()}
+    with pytest.raises(InspeError, match=r"map 'Town01', and not of test crossing: 33% of"):
+        log_traffic(replace(place, regions=beside), path, radius=60, frames=3)
+    for name in ("renamed.xodr", "Town05.net.xml"):  # what its map's file is called says nothing
+        named = log_traffic(replace(place, map=Path(name)), path, radius=60, frames=3)
+        assert named.frame_count == 3
     with pytest.raises(InspeError, match="in 2 s nobody comes within 5 m of"):
         log_traffic(replace(place, center=np.array([90.0, 90, 0])), path, radius=5, frames=3)
     with pytest.raises(InspeError, match="no such file"):

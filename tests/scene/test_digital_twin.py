@@ -297,4 +297,4 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch, capsys):
     run = partial(inspe_here, tmp_path, monkeypatch, capsys)
     status, _, errors = run("scene", "four_way", "--mesh", "twin.ply")
     assert status == 2
-    assert "only for maps" in " ".join(errors.split())
+    assert "a built-in intersection is no map" in " ".join(errors.split())

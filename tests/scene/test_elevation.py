@@ -187,7 +187,7 @@ def test_only_maps_take_a_model(tmp_path, monkeypatch, capsys):
     run = partial(inspe_here, tmp_path, monkeypatch, capsys)
     status, _, errors = run("scene", "four_way", "--elevation", "dem.tif")
     assert status == 2
-    assert "only for maps" in " ".join(errors.split())
+    assert "a built-in intersection is no map" in " ".join(errors.split())
 
 
 def test_there_is_no_step_at_the_rim_of_what_is_known():

@@ -1,5 +1,6 @@
 """Bodies of one's own from GeoJSON, CSV and SUMO's polygons."""
 
+import io
 import json
 import os
 import subprocess
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 import shapely
 from osm_town import full_town
+from rich.console import Console
 from shapely.geometry import mapping
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.site import Site
+from inspe_jax.report.scene_tables import scene_table
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.bodies import Ways
 from inspe_jax.scene.maps.own_bodies import with_own_bodies
@@ -79,6 +82,36 @@ def test_poles_carry_sensors(place, spots, tmp_path, crs):
     assert [one.kind for one in found.bodies] == ["pole", "pole"]
     assert {one.height for one in found.bodies} == {6.0}
     assert any("1 of 4 features are farther than 40 m: left out" in n for n in found.notes)
+    far = "poles.geojson: pole features[3]: left out: "
+    assert [n.startswith(far) and "farther than 40 m" in n for n in found.notes].count(True) == 1
+
+
+def test_poles_that_carry_nothing_are_named_with_why(place, spots, tmp_path):
+    way = next(of for of in place.routes if of.user == "vehicle").waypoints[:, :2]
+    lane = way[np.hypot(*way.T).argmin()]
+    rows = [dict(name="A 7"), dict(height_m=2.0), {}, dict(height_m=8.0)]
+    beside = spots[3] + 0.6  # nearer than brackets reach
+    points = shapely.points([lane, spots[0], spots[3], beside])
+    path = write(tmp_path / "poles.geojson", place, points, rows)
+    found = with_own_bodies(place, path, REACH)
+    assert "poles.geojson: pole A 7: left out: on lanes, crossings or footpaths" in found.notes
+    far = replace(found, poles=np.vstack([found.poles, [[28.0, 28.0, 0.0]]]))
+    scene = build_scene(far, radius=30, voxel=1.0, frames=2, density="none", statics="map")
+    site = Site(scene.intersection, 30.0, depth=30.0, bodies=scene.statics)
+    for at, why in (
+        (spots[0], "2 m high, lower than the lowest sensor, 3 m"),
+        (spots[3], "too thick for brackets, or too near to another pole"),
+        (beside, "in or beside a pole"),
+        (np.array([28.0, 28.0]), "40 m from the centre, beyond the radius of 30 m"),
+        (lane, "on a driving lane"),
+    ):
+        assert site.why_none(at) == why
+    assert not len(site.poles)
+    # As many as on the picture: within the radius.
+    text = io.StringIO()
+    Console(file=text, width=120).print(scene_table(scene))
+    arms, routes = len(place.arms), len(place.routes)
+    assert f"{arms}, 3, {routes}" in text.getvalue()
 
 
 def test_a_pole_of_one_s_own_takes_the_place_of_the_map_s(place, spots, tmp_path):

@@ -203,6 +203,22 @@ def test_weights_bring_a_metric_with_them(scene, layout, scores):
         evaluate(scene, layout, metrics=("detectabilty",))
 
 
+def test_classes_of_road_users_count_alone(scene, layout, scores):
+    """The mean over all classes is that over some of the means of each."""
+    parts = ("pedestrian",), ("car", "cyclist", "truck")
+    of = [detection_curves().for_road_users(names) for names in parts]
+    found = [evaluate(scene, layout, metrics=FURTHER, detection=curves) for curves in of]
+    for name in ("detectability", "points_on_target"):
+        few, many = (one.metrics[name] for one in found)
+        assert name != "detectability" or abs(few - many) > 1e-3
+        assert (few + 3 * many) / 4 == pytest.approx(scores.metrics[name], abs=1e-6), name
+    assert [one.settings["road_users"] for one in found] == [["pedestrian"], list(CLASSES[:3])]
+    for name in ("coverage", "pixel_density", "redundancy"):
+        assert [one.metrics[name] for one in found] == [scores.metrics[name]] * 2, name
+    with pytest.raises(InspeError, match="road user 'dog': one of car"):
+        detection_curves().for_road_users(["dog"])
+
+
 @pytest.mark.slow
 def test_columns_in_slabs_of_levels_are_whole(layout):
     """Columns of more levels than a word has bits give what those of fewer give."""

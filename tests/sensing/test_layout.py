@@ -82,7 +82,7 @@ def test_a_file_gives_world_poses(tmp_path):
         ),
         (
             (GOOD, "just words"),
-            "the file: must hold keys with values: devices, name, profile, units",
+            "the file: must hold keys with values: devices, name, profile, searched_for, units",
         ),
         ((GOOD, "units: [}"), "not YAML"),
     ],

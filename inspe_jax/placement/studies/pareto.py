@@ -83,6 +83,11 @@ def mix_name(counts: Mapping[str, int]) -> str:
     return " + ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
+def layout_file(counts: Mapping[str, int]) -> str:
+    """The name of the file of a mix's layout."""
+    return "_".join(f"{n}_{name}" for name, n in counts.items() if n) + ".yaml"
+
+
 def starting_layout(
     scene: Scene, counts: Mapping[str, int], own: Mapping[str, Spec] | None = None
 ) -> Layout:
@@ -184,7 +189,7 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
     place = prepare_folder(folder)
     rows, metrics = [], listed_in(*(mix.result.scores for mix in found))
     for mix in found:
-        file = "_".join(f"{n}_{name}" for name, n in mix.counts.items() if n) + ".yaml"
+        file = layout_file(mix.counts)
         if mix.front:
             save_layout(mix.result.layout, place / file)
         scores = {m.name: mix.result.scores.value(m.name) for m in metrics}

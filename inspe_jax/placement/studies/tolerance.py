@@ -66,6 +66,18 @@ class Tolerance:
         return float(np.quantile(self.left, 0.05))
 
 
+def check_errors(position: float, angle: float, samples: int, seed: int) -> None:
+    """Raise InspeError where an option of :func:`tolerance` is out of range."""
+    check_seed(seed)
+    given = dict(position=position, angle=float(np.degrees(angle)), samples=samples)
+    for name, value in given.items():
+        low, high, unit = LIMITS[name]
+        if not low <= round(value, 9) <= high:
+            raise InspeError(
+                f"{name} {value:g}{unit} is out of range: between {low}{unit} and {high}{unit}"
+            )
+
+
 def tolerance(
     scene: Scene | Case,
     layout: Layout,
@@ -90,14 +102,7 @@ def tolerance(
 
     Raises InspeError if an option is out of range, or as :func:`inspe_jax.evaluate` does.
     """
-    check_seed(seed)
-    given = dict(position=position, angle=float(np.degrees(angle)), samples=samples)
-    for name, value in given.items():
-        low, high, unit = LIMITS[name]
-        if not low <= round(value, 9) <= high:
-            raise InspeError(
-                f"{name} {value:g}{unit} is out of range: between {low}{unit} and {high}{unit}"
-            )
+    check_errors(position, angle, samples, seed)
     if not softness > 0:
         raise InspeError(
             f"softness {softness:g} m: must be more than 0, since the exact score has no slope"

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.georeference import from_wgs84
 from inspe_jax.scene.intersection import Intersection
@@ -168,5 +168,5 @@ def _rasterio() -> Any:
             import rasterio
             import rasterio.windows
     except ImportError as error:
-        raise InspeError("elevation models need: pip install 'inspe_jax[geo]'") from error
+        raise missing_extra("elevation models need rasterio", "geo") from error
     return rasterio

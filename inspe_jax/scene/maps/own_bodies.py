@@ -1,7 +1,7 @@
 """Bodies of one's own from files: GeoJSON, CSV, and SUMO's polygons."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -35,6 +35,8 @@ HEIGHTS = {
 """Height of each kind of body of which the file says none [m]."""
 LARGE = 10.0
 """What lies this much beyond the reach may still come into it, as a crown about a point [m]."""
+NAMED = 20
+"""Most poles that are named because they are left out."""
 USUAL = {"Polygon": "building", "LineString": "wall", "Point": "pole"}
 """The kind of body of a geometry of which the file says none."""
 
@@ -88,14 +90,32 @@ def with_own_bodies(
         for one in place.bodies
         if one.kind != "pole" or not shapely.dwithin(poles, one.polygon, SAME_POLE).any()
     )
-    words = [f"{os.path.basename(path)}: {note.replace('of the map ', '')}" for note in notes]
     if len(near) < len(features):
-        words.append(
-            f"{os.path.basename(path)}: {len(features) - len(near)} of {len(features)} features "
-            f"are farther than {reach:g} m: left out"
-        )
+        far = f"{len(features) - len(near)} of {len(features)} features"
+        notes.append(f"{far} are farther than {reach:g} m: left out")
+    lost = list(_poles_left_out(features, poles, place, reach))
+    notes += lost[:NAMED]
+    notes += [f"and {len(lost) - NAMED:,} more poles: left out"] if len(lost) > NAMED else []
+    words = [f"{os.path.basename(path)}: {note.replace('of the map ', '')}" for note in notes]
     before = tuple(note for note in place.notes if note != NO_POLES or not len(found.poles))
     return replace(found, bodies=(*kept, *found.bodies), notes=(*before, *words))
+
+
+def _poles_left_out(
+    features: Sequence[Feature], poles: list[Polygon], place: Intersection, reach: float
+) -> Iterator[str]:
+    """A line for each pole of the file that is not among ``poles``: its name or number, and why."""
+    for one in features:
+        kind = one.properties.get("kind") or USUAL.get(one.geometry.geom_type)
+        if kind != "pole":
+            continue
+        if poles and shapely.dwithin(poles, one.geometry, SAME_POLE).any():
+            continue
+        away = one.geometry.distance(shapely.Point(place.center[:2]))
+        far = f"{away:.0f} m from the centre, farther than {reach:g} m"
+        name = one.properties.get("name") or one.where.rpartition(": ")[2]
+        why = far if away > reach else "on lanes, crossings or footpaths"
+        yield f"pole {name}: left out: {why}"
 
 
 def _once(shapes: list[Shape]) -> list[Shape]:

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
+from shapely.ops import unary_union
 
 from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
@@ -24,6 +26,9 @@ LONG = 6.0
 """A vehicle longer than this [m] is a truck, whatever its name."""
 JUMP = 5.0
 """An actor that moves farther than this between two recorded frames [m] was teleported."""
+
+ON_ROADS = 0.5
+"""Least share of the cars and trucks that are on the roads of the log's own map."""
 
 _MAGIC = "CARLA_RECORDER"
 _FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
@@ -169,24 +174,17 @@ def log_traffic(
     frames: int,
     step: float = 1.0,
 ) -> TrafficFrames:
-    """The recorded traffic at an intersection of the log's own map.
+    """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
     There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, or as many as
     it holds, with all road users within ``radius`` [m] of the centre. Between recorded frames
     positions are interpolated linearly. Boxes stand on the intersection's ground. Road users above
     or beneath it, as just after spawning, are left out.
 
-    Raises InspeError if the log cannot be read or is of another map, or if nobody comes within the
-    radius.
+    Raises InspeError if the log cannot be read, if nobody comes within the radius, or if most cars
+    and trucks are beside the roads, so that the log is of another map.
     """
     log = load_log(path)
-    town = intersection.map.name.split(".")[0] if intersection.map else None
-    if town is None or town.removesuffix("_Opt") != log.map.removesuffix("_Opt"):
-        what = f"map '{town}'" if town else "not read from a map"
-        raise InspeError(
-            f"{path}: a log of map '{log.map}'; {intersection.name} is {what}: read the "
-            f"intersection from {log.map}.xodr"
-        )
     times = np.array([moment.time for moment in log.moments])
     wanted = times[0] + step * np.arange(frames)
     wanted = wanted[wanted <= times[-1] + 1e-9]
@@ -196,7 +194,21 @@ def log_traffic(
             f"{path}: in {log.duration:.0f} s nobody comes within {radius:g} m of "
             f"({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
         )
+    if (share := _on_roads(seen, intersection)) < ON_ROADS:
+        raise InspeError(
+            f"{path}: a log of map '{log.map}', and not of {intersection.name}: {share:.0%} of its "
+            "cars and trucks are on the roads here; read the intersection from the log's own map"
+        )
     return pack_frames(seen, step)
+
+
+def _on_roads(seen: list[Snapshot], intersection: Intersection) -> float:
+    """The share of cars and trucks that are on some region; 1 where there are none."""
+    roads = unary_union(list(intersection.regions.values()))
+    kind = np.concatenate([frame.kind for frame in seen])
+    middle = np.concatenate([frame.center for frame in seen])
+    cars = middle[np.isin(kind, [CLASSES.index("car"), CLASSES.index("truck")])]
+    return float(shapely.intersects_xy(roads, *cars[:, :2].T).mean()) if len(cars) else 1.0
 
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:

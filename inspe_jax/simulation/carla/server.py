@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, missing_extra, nearest
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.recorder import Server
 
@@ -29,10 +29,8 @@ def client_library() -> Any:
     try:
         import carla
     except ImportError as error:
-        raise InspeError(
-            "recording with CARLA needs its client, in the server's version: "
-            "pip install 'inspe_jax[opendrive]' (Linux and Windows, Python up to 3.12)"
-        ) from error
+        what = "recording with CARLA needs its client, in the server's version"
+        raise missing_extra(what, "opendrive", "Linux and Windows, Python up to 3.12") from error
     return carla
 
 

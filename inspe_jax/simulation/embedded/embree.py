@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import missing_extra
 
 
 class RayHits(NamedTuple):
@@ -81,7 +81,7 @@ def _library() -> tuple[Any, Any]:
     try:
         from embreex import mesh_construction, rtcore_scene
     except ImportError as error:
-        raise InspeError(
-            "recording needs Embree: pip install 'inspe_jax[dataset]' (no wheels for Linux on ARM)"
+        raise missing_extra(
+            "recording needs Embree", "dataset", "no wheels for Linux on ARM"
         ) from error
     return rtcore_scene, mesh_construction

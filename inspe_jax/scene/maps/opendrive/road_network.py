@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.maps.bodies import Shape
@@ -101,9 +101,10 @@ def load_map(path: Path) -> TownMap:
     try:
         import carla
     except ImportError as error:
-        raise InspeError(
-            "reading OpenDRIVE needs the CARLA client: pip install 'inspe_jax[opendrive]' "
-            "(Linux and Windows, Python up to 3.12)"
+        raise missing_extra(
+            "reading OpenDRIVE needs the CARLA client",
+            "opendrive",
+            "Linux and Windows, Python up to 3.12",
         ) from error
     try:
         with _quiet():

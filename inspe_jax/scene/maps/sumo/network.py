@@ -23,7 +23,7 @@ from xml.sax import SAXException
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
 
@@ -90,9 +90,7 @@ def load_net(path: Path) -> RoadNet:
     try:
         import sumolib
     except ImportError as error:
-        raise InspeError(
-            "SUMO networks and OpenStreetMap need: pip install 'inspe_jax[sumo]'"
-        ) from error
+        raise missing_extra("SUMO networks and OpenStreetMap need sumolib", "sumo") from error
     is_net = path.name.lower().endswith(NET_SUFFIXES)
     file = path.resolve() if is_net else _converted(path)
     _check_root(file, path, "net")
@@ -156,7 +154,7 @@ def program(name: str) -> str:
         found = None
     found = found or shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
     if found is None:
-        raise InspeError(f"{name} is missing: pip install 'inspe_jax[sumo]'")
+        raise missing_extra(f"{name} is missing", "sumo")
     return found
 
 

@@ -196,27 +196,11 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
-    from inspe_jax.placement.strategies import STRATEGIES, strategy
-    from inspe_jax.scene.geojson import SUFFIX
-    from inspe_jax.sensing.layout import load_layout
-    from inspe_jax.sensing.layout_geojson import load_layout_geojson
+    from inspe_jax.sensing.named import layout_of
 
-    suffix = Path(sensors).suffix.lower()
-    if suffix in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file():
-        layout = (
-            load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
-            if suffix == SUFFIX
-            else load_layout(sensors, world, unit_rule=unit_rule)
-        )
-        note_other_profile(world, layout)
-        return layout
-    if sensors.lower() not in (name.lower() for name in STRATEGIES):
-        raise InspeError(
-            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
-            + ", ".join(STRATEGIES)
-            + nearest(sensors, tuple(STRATEGIES))
-        )
-    return strategy(world, sensors)
+    layout = layout_of(sensors, world, unit_rule=unit_rule)
+    note_other_profile(world, layout)
+    return layout
 
 
 def note_other_profile(world: "Scene", layout: "Layout") -> None:

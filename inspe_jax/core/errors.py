@@ -2,6 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from typing import Any, TypeVar
+
+Kind = TypeVar("Kind")
 
 
 class InspeError(ValueError):
@@ -21,6 +24,20 @@ def check_known(name: str, known: Iterable[str], what: str) -> None:
     if name not in known:
         hint = nearest(str(name), known)
         raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}")
+
+
+def wrong_kind(name: str, given: Any, wanted: str) -> InspeError:
+    """The error of an argument that is something else than what is ``wanted``."""
+    text = " ".join(repr(given).split())
+    text = text if len(text) <= 80 else f"{text[:77]}…"
+    return InspeError(f"{name}: got {text}, of type {type(given).__name__}; give {wanted}")
+
+
+def or_usual(name: str, given: Kind | None, kind: type[Kind]) -> Kind:
+    """``given``, or the usual one of its kind for None. Raises InspeError for another kind."""
+    if given is not None and not isinstance(given, kind):
+        raise wrong_kind(name, given, f"inspe_jax.{kind.__name__}(…), or None for the usual one")
+    return kind() if given is None else given
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
@@ -13,10 +15,12 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.digest import ADDED, ORIGIN, added
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.records import Described, check_record, check_values
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.statics import StaticBody
+from inspe_jax.scene.statics import StaticBody, check_bodies
 
 BUILT_IN = "built-in"
 """Source of a place that is made up."""
@@ -65,8 +69,8 @@ class Route:
         return float(self.arc[-1])
 
 
-@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Intersection:
+@dataclass(frozen=True, eq=False, repr=False)  # arrays inside: identity is equality
+class Intersection(Described):
     """A junction and what surrounds it, in world metres (ENU).
 
     ``regions`` have one shapely geometry each. They may overlap: a column takes
@@ -99,6 +103,30 @@ class Intersection:
     level_points: Float[np.ndarray, "N 3"] | None = field(
         default=None, metadata={ORIGIN: None, ADDED: None}
     )
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+        counts = {part: len(getattr(self, part)) for part in ("arms", "routes", "poles", "bodies")}
+        return {"name": self.name, "source": self.source} | counts
+
+    def check(self, where: str) -> None:
+        """Raise InspeError, which begins with ``where``, if an array has another shape than its
+        own, or anything has a coordinate that is not finite."""
+        check_record(self, where)
+        if not len(self.ground_points):
+            raise InspeError(f"{where}: ground_points are empty: at least one is needed")
+        for name in ("arms", "routes"):
+            for k, part in enumerate(getattr(self, name)):
+                check_record(part, f"{where}: {name}[{k}]")
+        for name, shape in {
+            **{r.key: s for r, s in self.regions.items()},
+            "mounting": self.mounting,
+        }.items():
+            check_values(shapely.get_coordinates(shape), f"{where}: corners of {name}")
+        check_bodies(self.bodies, f"{where}: bodies")
+        if self.mesh is not None:
+            check_record(self.mesh, f"{where}: mesh")
 
     @cached_property
     def _ground_index(self) -> cKDTree:

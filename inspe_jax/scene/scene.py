@@ -9,15 +9,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
 from inspe_jax.core.digest import ADDED, added
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest, wrong_kind
 from inspe_jax.core.files import check_input, check_output, whole_file
 from inspe_jax.core.pytree import pytree
+from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
@@ -26,7 +29,7 @@ from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
+from inspe_jax.scene.statics import StaticBody, check_bodies, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
@@ -63,8 +66,8 @@ class _Earlier(Exception):
 
 
 @pytree
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Described):
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
     ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
@@ -79,6 +82,32 @@ class Scene:
     settings: tuple[tuple[str, str], ...] = field(metadata={"static": True}, default=())
     statics: tuple[StaticBody, ...] = added((), static=True)
     terrain: Terrain | None = field(default=None, metadata={ADDED: None, "static": True})
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+        bodies = {"static bodies": len(self.statics)} if self.statics else {}
+        own = {"name": self.name, "profile": self.profile.name}
+        return own | self.voxels.facts | self.traffic.facts | bodies
+
+    @cached_property
+    def checked(self) -> "Scene":
+        """This scene, whose arrays are checked once: their shapes, and that all values are finite
+        and in range. A traced scene passes.
+
+        Raises InspeError that names the part, and the index of the first value that is wrong.
+        """
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self)):
+            return self
+        for name, kind in _PARTS.items():
+            part = getattr(self, name)
+            if not isinstance(part, kind):
+                raise wrong_kind(f"{name} of a scene", part, f"one of {kind.__name__}")
+            part.check(f"{self.name}: {name}" if name != "intersection" else part.name)
+        check_bodies(self.statics, f"{self.name}: statics")
+        if self.terrain is not None:
+            check_record(self.terrain, f"{self.name}: terrain")
+        return self
 
     def with_terrain(self) -> "Scene":
         """This scene with the ground of its map in the way: it hides what is behind its brows.
@@ -148,8 +177,11 @@ class Scene:
         return shortfall(self.traffic, density_count(density), mix)
 
 
+_PARTS = {"intersection": Intersection, "voxels": VoxelGrid, "traffic": TrafficFrames}
+
+
 def build_scene(
-    intersection: Intersection,
+    intersection: Intersection | str,
     *,
     profile: str = DEFAULT_PROFILE,
     radius: float | None = None,
@@ -165,7 +197,7 @@ def build_scene(
     terrain: str = "none",
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
-    """Voxelise an intersection and fill it with traffic.
+    """Voxelise an intersection, or the built-in one of a name, and fill it with traffic.
 
     ``profile`` is one of :func:`~inspe_jax.scene.profiles.profiles`; it gives the values that are
     None. ``radius``, ``voxel`` and ``spacing`` [m] are those of
@@ -188,6 +220,12 @@ def build_scene(
     own = profile_of(profile).of_scene(**given)
     check_statics(statics)
     check_terrain(terrain)
+    if isinstance(intersection, str) and not is_map(intersection):
+        intersection = built_in(intersection)
+    if not isinstance(intersection, Intersection):
+        wanted = "an Intersection, as read_map() or built_in() makes, or the name of a built-in"
+        raise wrong_kind("intersection", intersection, wanted)
+    intersection.check(intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
     voxels = build_voxels(intersection, **lengths)
@@ -216,7 +254,7 @@ def build_scene(
         settings |= dict(terrain=terrain)
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
     scene = scene if terrain == "none" else scene.with_terrain()
-    return scene.with_statics(statics_of(statics, intersection, radius, found))
+    return scene.with_statics(statics_of(statics, intersection, radius, found)).checked
 
 
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:
@@ -259,14 +297,20 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             f"{path}: built under the profile {own}, not {profile}; build it again: "
             f"inspe scene … --profile {profile}"
         )
-    return scene
+    try:
+        return scene.checked
+    except InspeError as e:
+        raise InspeError(f"{path}: {e}") from None
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene to a compressed ``.npz`` file, whole or not at all."""
+    """Write a scene to a compressed ``.npz`` file, whole or not at all. Raises InspeError as
+    :attr:`Scene.checked` does."""
+    if not isinstance(scene, Scene):
+        raise wrong_kind("scene", scene, "a Scene")
     check_output(path, SCENE_SUFFIXES)
     with whole_file(path) as f:
-        np.savez_compressed(f, **_pack(scene))  # type: ignore[arg-type]  # names are ours
+        np.savez_compressed(f, **_pack(scene.checked))  # type: ignore[arg-type]  # names are ours
 
 
 def density_count(density: str | int) -> int:

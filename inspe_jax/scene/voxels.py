@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import shapely
@@ -11,6 +12,7 @@ from jaxtyping import Float, Int
 from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.pytree import pytree
+from inspe_jax.core.records import ByContent, Described, check_record, check_values
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 
@@ -27,8 +29,8 @@ BYTES_PER_VOXEL = 50
 
 
 @pytree
-@dataclass(frozen=True)
-class VoxelGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class VoxelGrid(ByContent, Described):
     """Voxels as columns × levels, in world metres.
 
     ``columns`` (L, 2) are plan centres on a lattice of ``spacing`` [m] that has a corner
@@ -48,6 +50,20 @@ class VoxelGrid:
     level_count: int = field(metadata={"static": True})
     spacing: float = field(metadata={"static": True})
     counted: tuple[int, ...] = added((), static=True)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+        return {"radius": f"{self.radius:g} m", "size": self.words, "voxels": self.count}
+
+    def check(self, where: str) -> None:
+        """Raise InspeError, which begins with ``where``, if an array has another shape than its
+        own, or a value is not finite or out of range."""
+        check_record(self, where)
+        check_values(self.region, f"{where}: region", 0, len(Region) - 1)
+        for name in ("size", "spacing", "radius", "level_count"):
+            least = 1 if name == "level_count" else VOXEL_LIMITS[0]
+            check_values(getattr(self, name), f"{where}: {name}", least)
 
     @property
     def words(self) -> str:

@@ -127,7 +127,9 @@ def load_layout_geojson(
             )
         )
     content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}
-    content |= {key: further[key] for key in ("name", "profile", "devices") if key in further}
+    content |= {
+        key: further[key] for key in ("name", "profile", "devices", "order") if key in further
+    }
     content["units"] = [
         dict(name=name, base=[*base.tolist(), float(place.ground(base)[0])], sensors=members)
         for name, (base, members) in units.items()

@@ -1,0 +1,45 @@
+"""Layouts as users give them: as such, by the name of a file, or by that of a strategy."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from inspe_jax.core.errors import InspeError, nearest, wrong_kind
+from inspe_jax.scene.geojson import SUFFIX
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.layout import Layout, load_layout
+from inspe_jax.sensing.layout_geojson import load_layout_geojson
+
+LAYOUT_RULES: dict[str, Callable[[Scene, str], Layout]] = {}
+"""Rules that make a layout for a scene, by name: the strategies register themselves here."""
+
+
+def layout_of(given: Any, scene: Scene, *, unit_rule: bool = True) -> Layout:
+    """A layout on a scene that is given as such, as a file, or by the name of a strategy; checked.
+
+    ``unit_rule`` is for files, as in :func:`~inspe_jax.sensing.layout.make_layout`. Raises
+    InspeError as :func:`~inspe_jax.sensing.layout.load_layout` and :meth:`Layout.check` do, and
+    for anything else than a layout.
+    """
+    known = tuple(LAYOUT_RULES)
+    if isinstance(given, Layout):
+        given.check(given.name)
+        return given
+    if not isinstance(given, str | os.PathLike):
+        wanted = (
+            f"a Layout, the name of a .yaml or .geojson file, or a strategy: {', '.join(known)}"
+        )
+        raise wrong_kind("layout", given, wanted)
+    name, suffix = str(given), Path(given).suffix.lower()
+    if suffix == SUFFIX:
+        return load_layout_geojson(given, scene.intersection, unit_rule=unit_rule)
+    if suffix in (".yaml", ".yml") or Path(given).is_file():
+        return load_layout(given, scene, unit_rule=unit_rule)
+    rules = {key.lower(): rule for key, rule in LAYOUT_RULES.items()}
+    if name.lower() not in rules:
+        raise InspeError(
+            f"no layout '{name}': give a .yaml or .geojson file, or a strategy: "
+            f"{', '.join(known)}{nearest(name, known)}"
+        )
+    return rules[name.lower()](scene, name)

@@ -1,12 +1,12 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
-    python tests/carla_wire.py MAP.xodr [MAP.xodr ...] [--rpc PORT] [--scenery FILE.json] [--log]
+    python tests/carla_wire.py MAP.xodr [MAP.xodr ...] [--rpc PORT] [--scenery FILE.json]
         [--mute BLUEPRINT] [--after MEASUREMENTS] [--version VERSION]
 
 prints the port it listens on, on the loopback only. It ends on SIGTERM and with its parent. What
 it tells is in `carla_world`, what its sensors see in `carla_rays`, what can be spawned in
-`carla_blueprints`; `carla_client` shows a client. A layout that the client does not expect ends
-the client's process: clients of tests run in processes of their own.
+`carla_blueprints`. A layout that the client does not expect ends the client's process: clients of
+tests run in processes of their own.
 
 **Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a
 reply [1, id, nil, response]. A response is [[1, value]], or [[False]] where nothing is returned.
@@ -94,13 +94,12 @@ class Wire:
         maps: Sequence[Path],
         port: int = 0,
         scenery: Sequence[dict] = (),
-        log: bool = False,
         mute: str = "",
         after: int = 0,
     ):
         self.servers = [Server(self, Calls, port), Server(self, Streams, 0)]
         self.port, self.stream_port = (server.server_address[1] for server in self.servers)
-        self.world, self.log = World(maps, self.token, scenery), log
+        self.world = World(maps, self.token, scenery)
         self.mute, self.left = mute, after
         self.sights: dict[tuple, tuple] = {}  # of this frame's cameras, by pose and attributes
         self.changed = threading.Condition()
@@ -127,8 +126,6 @@ class Wire:
         """Replies first, and publishes the frame afterwards, as CARLA does."""
         _, number, name, (_, *arguments) = message
         with self.changed:
-            if self.log:
-                print(name, str(arguments)[:200], file=sys.stderr, flush=True)
             if name in ("tick_cue", "apply_batch"):
                 self.gather()
             if name == "apply_batch":
@@ -188,9 +185,7 @@ class Wire:
         body = struct.pack("<Qdf", world.episode, time.time(), world.step)
         body += struct.pack("<3iI", 0, 0, 0, world.fresh)
         for actor in world.actors.values():
-            moving = actor.velocity if actor.physics else (0.0, 0.0, 0.0)
-            body += struct.pack("<IB6f3f", actor.number, 1, *world.placed(actor), *moving)
-            body += bytes(24 + 54)
+            body += struct.pack("<IB6f", actor.number, 1, *world.placed(actor)) + bytes(36 + 54)
         return self.header("snapshot", (0.0,) * 6) + body
 
     # -- Streams -------------------------------------------------------------------------------
@@ -282,7 +277,6 @@ def main() -> None:
     parser.add_argument("maps", type=Path, nargs="+", help="OpenDRIVE files; the first is loaded")
     parser.add_argument("--rpc", type=int, default=0, help="port; 0 takes a free one")
     parser.add_argument("--scenery", type=Path, help="JSON: a list of {tag, pose, extent}")
-    parser.add_argument("--log", action="store_true", help="tell every call on stderr")
     parser.add_argument("--mute", default="", help="sensors of this blueprint go silent")
     parser.add_argument("--after", type=int, default=0, help="when so many measurements are sent")
     parser.add_argument("--version", default=VERSION, help="what the server says that it is")
@@ -290,7 +284,7 @@ def main() -> None:
     parent = os.getppid()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     scenery = json.loads(given.scenery.read_text()) if given.scenery else ()
-    wire = Wire(given.maps, given.rpc, scenery, given.log, given.mute, given.after)
+    wire = Wire(given.maps, given.rpc, scenery, given.mute, given.after)
     wire.world.release = given.version
     wire.run()
     print(wire.port, flush=True)

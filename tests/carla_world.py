@@ -1,12 +1,8 @@
 """The world behind the wire-level CARLA server: one episode, and what clients may do to it.
 
-There is no simulation: actors stay where they are placed. Actors with physics move on at their
-given velocity; actors without stand still, and the snapshots say so, as the simulator's do. There
-is no gravity, and the only collision is an actor that is spawned where another one is.
-
-Calls that are answered but have no effect: `NOTED`. Calls that are not answered, so that the client
-raises a RuntimeError: the traffic manager (also of `set_autopilot`), queries of physics and lights
-of vehicles, bones of walkers, traffic lights, `cast_ray`, the simulator's recorder.
+There is no simulation: actors stay where they are placed. There is no gravity, and the only
+collision is an actor that is spawned where another one is. Calls that recording does not need are
+not answered, so that the client raises a RuntimeError.
 """
 
 import time
@@ -42,51 +38,7 @@ LOADING = 0.3
 CALLS: dict[str, Callable] = {}
 """The calls of a client, and the methods of the world that answer them."""
 
-NOTED = [
-    "add_actor_angular_impulse",
-    "add_actor_force",
-    "add_actor_impulse",
-    "add_actor_torque",
-    "apply_ackermann_control_to_vehicle",
-    "apply_control_to_vehicle",
-    "apply_control_to_walker",
-    "apply_physics_control",
-    "disable_actor_constant_velocity",
-    "draw_debug_shape",
-    "enable_actor_constant_velocity",
-    "freeze_all_traffic_lights",
-    "reset_all_traffic_lights",
-    "set_actor_autopilot",
-    "set_actor_collisions",
-    "set_actor_enable_gravity",
-    "set_actor_target_angular_velocity",
-    "set_vehicle_light_state",
-    "show_vehicle_debug_telemetry",
-    "update_lights_state",
-]
-CALLS |= {name: lambda *_: None for name in NOTED}
-
-COMMANDS = [
-    "spawn_actor",
-    "destroy_actor",
-    "apply_control_to_vehicle",
-    "apply_ackermann_control_to_vehicle",
-    "apply_control_to_walker",
-    "apply_physics_control",
-    "set_actor_transform",
-    "set_walker_state",
-    "set_actor_target_velocity",
-    "set_actor_target_angular_velocity",
-    "add_actor_impulse",
-    "add_actor_force",
-    "add_actor_angular_impulse",
-    "add_actor_torque",
-    "set_actor_simulate_physics",
-    "set_actor_enable_gravity",
-    "set_actor_autopilot",
-    "show_vehicle_debug_telemetry",
-    "set_vehicle_light_state",
-]
+COMMANDS = {0: "spawn_actor", 1: "destroy_actor", 6: "set_actor_transform"}
 """The calls of the commands in a batch, by number."""
 
 
@@ -111,8 +63,6 @@ class Actor:
     description: list
     pose: tuple[float, ...]
     parent: int = 0
-    physics: bool = True
-    velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
     stream: int = 0
     since: float = 0.0
     angle: float = 0.0
@@ -209,10 +159,6 @@ class World:
         return []
 
     @call
-    def copy_opendrive_to_file(self, opendrive: str, parameters: list) -> None:
-        self.maps["OpenDriveMap"] = opendrive
-
-    @call
     def load_new_episode(self, name: str, reset_settings: bool, layers: int) -> None:
         name = name.rpartition("/")[2] or self.map
         if name not in self.maps:
@@ -247,10 +193,6 @@ class World:
             self.hidden -= set(objects)
         else:
             self.hidden |= set(objects)
-
-    @call
-    def get_all_level_BBs(self, tag: int) -> list:
-        return [around for _, around, *_ in self.get_environment_objects(tag)]
 
     @call
     def project_point(self, start: list, direction: list, reach: float) -> list:
@@ -335,10 +277,6 @@ class World:
         return [self.told(self.actors[actor]) for actor in actors if actor in self.actors]
 
     @call
-    def get_spectator(self) -> list:
-        return self.told(self.spectator)
-
-    @call
     def get_actor_bounding_box(self, actor: int) -> list:
         return self.told(self.find(actor))[3]
 
@@ -346,35 +284,14 @@ class World:
     def set_actor_transform(self, actor: int, transform: list) -> None:
         self.find(actor).pose = (*transform[0], *transform[1])
 
-    @call
-    def set_actor_location(self, actor: int, location: list) -> None:
-        found = self.find(actor)
-        found.pose = (*location, *found.pose[3:])
-
-    @call
-    def set_actor_simulate_physics(self, actor: int, enabled: bool) -> None:
-        self.find(actor).physics = enabled
-
-    @call
-    def set_actor_target_velocity(self, actor: int, velocity: list) -> None:
-        self.find(actor).velocity = tuple(velocity)
-
-    @call
-    def set_walker_state(self, actor: int, transform: list, speed: float) -> None:
-        self.set_actor_transform(actor, transform)
-
-    def command(self, kind: int, arguments: list, spawned: int = 0) -> int:
-        """Run one command of a batch, or one that follows a spawn; gives the actor's number."""
+    def command(self, kind: int, arguments: list) -> int:
+        """Run one command of a batch; gives the actor's number."""
         if COMMANDS[kind] != "spawn_actor":
-            actor = spawned or arguments[0]
-            CALLS[COMMANDS[kind]](self, actor, *arguments[1:])
-            return actor
-        description, transform, parent, attachment, bone, after = arguments
+            CALLS[COMMANDS[kind]](self, *arguments)
+            return arguments[0]
+        description, transform, parent, attachment, bone, _ = arguments
         on = parent[1] if parent[0] else 0
-        actor = self.spawn_actor_with_parent(description, transform, on, attachment, bone)[0]
-        for [[then, fields]] in after:
-            self.command(then, fields, actor)
-        return actor
+        return self.spawn_actor_with_parent(description, transform, on, attachment, bone)[0]
 
     # -- Time ----------------------------------------------------------------------------------
 
@@ -387,9 +304,6 @@ class World:
         self.frame, self.time, self.ticked = self.frame + 1, self.time + self.step, True
         for actor in self.actors.values():
             actor.since += self.step
-            if actor.physics and actor.solid:
-                moved = np.array(actor.pose[:3]) + self.step * np.array(actor.velocity)
-                actor.pose = (*moved.tolist(), *actor.pose[3:])
         return self.frame
 
     def due(self) -> Iterator[tuple[Actor, float, float]]:

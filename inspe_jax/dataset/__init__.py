@@ -1,8 +1,6 @@
 """Data sets of recorded frames: generate, write and read them, in OPV2V's format or another, and
 load them for training."""
 
-import warnings
-
 from inspe_jax.dataset.check import Check, check
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
@@ -55,14 +53,3 @@ __all__ = [
     "write_frame",
     "write_protocol",
 ]
-
-_RENAMED = {"Thing": RoadUserBox, "Made": GenerationResult}
-
-
-def __getattr__(name: str) -> type:
-    """Deprecated names: each gives its object and a warning with the new name."""
-    if name not in _RENAMED:
-        raise AttributeError(f"module {__name__} has no attribute {name}")
-    new = _RENAMED[name]
-    warnings.warn(f"{__name__}.{name} is now {new.__name__}", DeprecationWarning, stacklevel=2)
-    return new

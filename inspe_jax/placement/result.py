@@ -20,7 +20,7 @@ from inspe_jax.placement.run import Progress
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
 
-FORMAT, BEFORE = "inspe_jax result 3", "inspe_jax result 2"
+FORMAT = "inspe_jax result 3"
 FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv", "path.csv")
 """The files of a result: the layout that was found, the start, the record, all exact scores, and
 the poses of every layout that was the best so far."""
@@ -110,10 +110,7 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         check_input(place / name)
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
-        if record.pop("format") == BEFORE:
-            _name_weights(record["settings"]["objective"])
-            _name_weights(record["scores_before"]["settings"])
-            _name_weights(record["scores"]["settings"])
+        del record["format"]
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
@@ -152,7 +149,7 @@ def _read_record(place: Path) -> dict[str, Any]:
         written = str(record["format"])
     except (AttributeError, KeyError, TypeError, ValueError) as e:
         raise InspeError(f"{place}: not a result saved by this package") from e
-    if written not in (FORMAT, BEFORE):
+    if written != FORMAT:
         known = written.startswith(FORMAT.rstrip("0123456789"))
         what = (
             "a result of another version of inspe_jax; run the search again"
@@ -163,7 +160,6 @@ def _read_record(place: Path) -> dict[str, Any]:
     return record
 
 
-_PAPER = ("coverage", "occlusion", "information_gain")
 _POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
@@ -209,23 +205,8 @@ def _record(result: Result) -> dict[str, Any]:
 
 
 def _scores(record: dict[str, Any]) -> Scores:
-    record = _by_metric(record)
-    record["contributions"] = tuple(
-        Contribution(**_by_metric(row)) for row in record["contributions"]
-    )
+    record = dict(record)
+    record["contributions"] = tuple(Contribution(**row) for row in record["contributions"])
     record["level_coverage"] = tuple(record["level_coverage"])
     record["seen_share"] = np.array(record["seen_share"], float)
     return Scores(**record)
-
-
-def _by_metric(record: dict[str, Any]) -> dict[str, Any]:
-    """A record of scores with its metrics by name. In format 2 each metric was a key."""
-    if "metrics" in record:
-        return dict(record)
-    rest = {key: value for key, value in record.items() if key not in _PAPER}
-    return rest | {"metrics": {name: record[name] for name in _PAPER}}
-
-
-def _name_weights(settings: dict[str, Any]) -> None:
-    """Replace three weights, as format 2 has them, by weights with names."""
-    settings["weights"] = dict(zip(_PAPER, settings["weights"], strict=True))

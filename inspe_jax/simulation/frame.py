@@ -4,7 +4,6 @@ Everything is in the world frame (ENU), in metres and radians. A pose is (x, y, 
 yaw).
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
@@ -133,12 +132,6 @@ class Frame:
     time: float
     boxes: tuple[RoadUserBox, ...]
     stations: tuple[Station, ...]
-
-    @property
-    def things(self) -> tuple[RoadUserBox, ...]:
-        """Deprecated: the earlier name of ``boxes``."""
-        warnings.warn("Frame.things is now Frame.boxes", DeprecationWarning, stacklevel=2)
-        return self.boxes
 
 
 def check_frame(frame: Frame) -> None:

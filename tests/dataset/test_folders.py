@@ -279,9 +279,3 @@ def test_folders_that_are_not_data_sets(tmp_path):
         InspeError, match=f"{tmp_path}: not a data set: expected one of SPLIT/SCENARIO"
     ):
         dataset.open(tmp_path)
-
-
-def test_the_earlier_name_of_boxes_works_and_says_the_new_one():
-    given = frame()
-    with pytest.warns(DeprecationWarning, match="Frame.things is now Frame.boxes"):
-        assert given.things is given.boxes

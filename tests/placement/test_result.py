@@ -3,7 +3,6 @@
 import csv
 import json
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from worlds import world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_folder
-from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.result import FILES, FORMAT, Result, load_result, save_result
 from inspe_jax.placement.run import Progress
 from inspe_jax.scoring import metrics
@@ -80,27 +78,6 @@ def test_a_result_comes_back(result, tmp_path):
             }
         else:
             assert theirs == mine, name  # numbers to the last digit
-
-
-def test_a_result_of_the_format_before_is_read(tmp_path):
-    """The folder is of a search by the version before metrics went by name."""
-    back = load_result(Path(__file__).parent / "result_2")
-    paper = {"coverage": 0.3, "occlusion": 0.5, "information_gain": 0.2}
-    for scores in (back.scores, back.scores_before):
-        assert scores.metrics == {
-            "coverage": 0.813003420829773,
-            "occlusion": 0.8159995675086975,
-            "information_gain": 0.41257867217063904,
-        }
-        assert scores.surrogate == scores.value("surrogate") == 0.7344165444374084
-        assert scores.contributions[0].coverage == 0.813003420829773
-        assert scores.settings["weights"] == paper
-    assert back.settings["objective"]["weights"] == paper
-    weights = Objective(**back.settings["objective"]).weights_by_name
-    assert {name: weight for name, weight in weights.items() if weight} == paper
-    save_result(back, tmp_path)
-    assert json.loads((tmp_path / "result.json").read_text())["format"] == FORMAT
-    assert load_result(tmp_path).scores.metrics == back.scores.metrics
 
 
 def test_others_can_read_the_files(result, tmp_path):

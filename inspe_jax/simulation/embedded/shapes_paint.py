@@ -11,7 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.simulation.embedded.shapes_mesh import PARTS
+
+PARTS: tuple[str, ...] = (
+    "body", "window", "trim", "tyre", "hub", "lamp", "lamp rear", "cargo", "tub", "load", "frame",
+    "skin", "hair", "helmet", "cloth", "trousers", "shoe", "bag",
+)  # fmt: skip
+"""The parts of road users, as ``shapes.npz`` counts them. Each has colours of its own."""
 
 RGB = Float[np.ndarray, "3"]
 Palette = dict[tuple[int, int, int], float]

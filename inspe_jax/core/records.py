@@ -1,17 +1,18 @@
 """Records of numbers: checked by their annotations, compared by content, shown in one line."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import fields
-from functools import cache
+from dataclasses import fields, is_dataclass
 from html import escape
-from typing import Any, get_args, get_origin
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 import jax
 import numpy as np
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, wrong_kind
 
-KINDS = {
+NUMBERS = {
     "bool": ("b", "true or false"),
     "float": ("iuf", "numbers"),
     "int": ("iu", "whole numbers"),
@@ -21,38 +22,72 @@ KINDS = {
 
 
 def check_record(record: Any, where: str, **axes: int) -> None:
-    """Raise InspeError where a dataclass has a number that is not finite, or an array that is not
-    as its annotation says, such as ``Float[np.ndarray, "T B 3"]``.
+    """Raise InspeError where a dataclass, or one in it, has a value of another kind than annotated,
+    a number that is not finite, or an array of another shape, as of ``Float[Array, "T B 3"]``.
 
-    A letter is one length in the whole record; ``axes`` are those that are known. What is traced
-    has no values to check and passes.
+    A letter is one length in a whole record; ``axes`` are those that are known. What is traced has
+    no values to check and passes. A record's own method ``_check`` adds what annotations cannot
+    say; it is given what its messages begin with.
     """
-    for name, kind, shape, optional in _numbers_of(type(record)):
-        value = getattr(record, name)
-        if isinstance(value, jax.core.Tracer) or (optional and value is None):
-            continue
-        allowed, words = KINDS[kind]
-        try:
-            array = np.asarray(value)
-        except ValueError:  # rows of several lengths
-            array = np.asarray(None)
-        if array.size and array.dtype.kind not in allowed:
-            got = f"an array of {array.dtype.name}" if array.ndim else repr(value)
-            raise InspeError(f"{where}: {name} must be {words}, got {got}")
-        if shape is not None:
-            pairs = zip(shape, array.shape, strict=False)
-            lengths = [int(x) if x.isdigit() else axes.setdefault(x, n) for x, n in pairs]
-            if (len(shape), lengths) != (array.ndim, [*array.shape]):
-                expected = ", ".join(str(axes.get(x, x)) for x in shape)
-                raise InspeError(f"{where}: {name}: shape {array.shape}, expected ({expected})")
-        check_values(array, f"{where}: {name}")
+    _walk(record, f"{where}: ", axes)
+
+
+def _walk(record: Any, prefix: str, axes: dict[str, int]) -> None:
+    for f in fields(record):
+        _check(getattr(record, f.name), f.type, prefix + f.name, axes)
+    if hasattr(record, "_check"):
+        record._check(prefix)
+
+
+def _check(value: Any, kind: Any, where: str, axes: dict[str, int]) -> None:
+    if get_origin(kind) in (Union, UnionType):
+        if value is None and type(None) in get_args(kind):
+            return
+        kind = get_args(kind)[0]
+    if hasattr(kind, "dim_str"):
+        _check_array(value, kind.dtypes[-1].rstrip("0123456789_"), kind.dim_str, where, axes)
+    elif kind in (float, int):
+        if type(value) is not kind or not math.isfinite(value):  # else all is well
+            _check_array(value, kind.__name__, "", where, axes)
+    elif get_origin(kind) is tuple:
+        if not isinstance(value, tuple | list):
+            raise wrong_kind(where, value, "a tuple")
+        for k, one in enumerate(value):
+            _check(one, get_args(kind)[0], f"{where}[{k}]", axes)
+    elif isinstance(kind, type) and kind is not Any:
+        if not isinstance(value, kind):
+            raise wrong_kind(where, value, f"a {kind.__name__}")
+        if is_dataclass(value):
+            _walk(value, f"{where}.", {})
+
+
+def _check_array(value: Any, kind: str, shape: str, where: str, axes: dict[str, int]) -> None:
+    if isinstance(value, jax.core.Tracer):
+        return
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of several lengths
+        array = np.asarray(None)
+    allowed, words = NUMBERS[kind]
+    if array.size and array.dtype.kind not in allowed:
+        got = f"an array of {array.dtype.name}" if array.ndim else repr(value)
+        raise InspeError(f"{where}: must be {words}, got {got}")
+    letters = shape.split()
+    pairs = zip(letters, array.shape, strict=False)
+    lengths = [int(x) if x.isdigit() else axes.setdefault(x, n) for x, n in pairs]
+    if (len(letters), lengths) != (array.ndim, [*array.shape]):
+        expected = ", ".join(str(axes.get(x, x)) for x in letters)
+        raise InspeError(f"{where}: shape {array.shape}, expected ({expected})")
+    check_values(array, where)
 
 
 def check_values(
     values: Any, where: str, low: float = -np.inf, high: float = np.inf, there: Any = True
 ) -> None:
     """Raise InspeError with the index of the first value, of those ``there``, that is not finite or
-    not from ``low`` to ``high``."""
+    not from ``low`` to ``high``; what is traced passes."""
+    if any(isinstance(x, jax.core.Tracer) for x in (values, there)):
+        return
     values = np.asarray(values)
     wrong = ~(np.isfinite(values) & (values >= low) & (values <= high)) & there
     if not wrong.any():
@@ -62,25 +97,6 @@ def check_values(
     limits = f"at least {low:g}" if high == np.inf else f"from {low:g} to {high:g}"
     fault = f"out of range: {limits}" if np.isfinite(values[at]) else "not finite"
     raise InspeError(f"{where}{index}: {values[at]:g} is {fault}")
-
-
-@cache
-def _numbers_of(cls: type) -> tuple[tuple[str, str, tuple[str, ...] | None, bool], ...]:
-    """(name, kind, axes, whether None is allowed) of each field of numbers; axes are None for a
-    tuple."""
-    found = []
-    for f in fields(cls):
-        options = (f.type,) if get_origin(f.type) is tuple else get_args(f.type) or (f.type,)
-        one, optional = options[0], type(None) in options
-        inner = set(get_args(one)) - {...} if get_origin(one) is tuple else set()
-        if hasattr(one, "dim_str"):
-            kind = one.dtypes[-1].rstrip("0123456789_")
-            found.append((f.name, kind, tuple(one.dim_str.split()), optional))
-        elif one in (float, int):
-            found.append((f.name, one.__name__, (), optional))
-        elif inner and inner <= {float, int}:
-            found.append((f.name, "float" if float in inner else "int", None, optional))
-    return tuple(found)
 
 
 class ByContent:
@@ -110,19 +126,18 @@ def _content(x: Any) -> Any:
 
 
 class Described:
-    """For dataclasses with ``repr=False``: one line for a prompt, a small table for a notebook."""
+    """For dataclasses with ``repr=False``: one line for a prompt, a small table for a notebook, of
+    the facts by name that ``_facts`` has."""
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What is shown of it, by name."""
+    def _facts(self) -> dict[str, Any]:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {', '.join(f'{k} {v}' for k, v in self.facts.items())}>"
+        return f"<{type(self).__name__}: {', '.join(f'{k} {v}' for k, v in self._facts().items())}>"
 
     def _repr_html_(self) -> str:
         rows = "".join(
             f"<tr><th>{escape(key)}</th><td>{escape(str(value))}</td></tr>"
-            for key, value in self.facts.items()
+            for key, value in self._facts().items()
         )
         return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"

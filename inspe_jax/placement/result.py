@@ -69,9 +69,7 @@ class Result(Described):
     versions: dict[str, str]
     notes: tuple[str, ...] = ()
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+    def _facts(self) -> dict[str, Any]:
         return {
             "layout": self.layout.name,
             "objective": f"{self.objective:.4f} after {self.objective_before:.4f}",

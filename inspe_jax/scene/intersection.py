@@ -16,11 +16,11 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.digest import ADDED, ORIGIN, added
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.records import Described, check_record, check_values
+from inspe_jax.core.records import Described, check_values
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.statics import StaticBody, check_bodies
+from inspe_jax.scene.statics import StaticBody
 
 BUILT_IN = "built-in"
 """Source of a place that is made up."""
@@ -104,29 +104,15 @@ class Intersection(Described):
         default=None, metadata={ORIGIN: None, ADDED: None}
     )
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+    def _facts(self) -> dict[str, Any]:
         counts = {part: len(getattr(self, part)) for part in ("arms", "routes", "poles", "bodies")}
         return {"name": self.name, "source": self.source} | counts
 
-    def check(self, where: str) -> None:
-        """Raise InspeError, which begins with ``where``, if an array has another shape than its
-        own, or anything has a coordinate that is not finite."""
-        check_record(self, where)
+    def _check(self, prefix: str) -> None:
         if not len(self.ground_points):
-            raise InspeError(f"{where}: ground_points are empty: at least one is needed")
-        for name in ("arms", "routes"):
-            for k, part in enumerate(getattr(self, name)):
-                check_record(part, f"{where}: {name}[{k}]")
-        for name, shape in {
-            **{r.key: s for r, s in self.regions.items()},
-            "mounting": self.mounting,
-        }.items():
-            check_values(shapely.get_coordinates(shape), f"{where}: corners of {name}")
-        check_bodies(self.bodies, f"{where}: bodies")
-        if self.mesh is not None:
-            check_record(self.mesh, f"{where}: mesh")
+            raise InspeError(f"{prefix}ground_points: at least one is needed")
+        for shape in (*self.regions.values(), self.mounting):
+            check_values(shapely.get_coordinates(shape), f"{prefix}regions or mounting")
 
     @cached_property
     def _ground_index(self) -> cKDTree:

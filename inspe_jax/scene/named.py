@@ -12,7 +12,7 @@ from inspe_jax.scene.scene import Scene, load_scene
 def scene_of(given: Any) -> Scene:
     """A scene that is given as such, or by the name of a built-in or of a saved file; checked.
 
-    Raises InspeError as :func:`load_scene` does, as :attr:`Scene.checked` does, and for anything
+    Raises InspeError as :func:`load_scene` does, as :meth:`Scene.check` does, and for anything
     else than a scene.
     """
     if isinstance(given, str | os.PathLike):
@@ -23,7 +23,7 @@ def scene_of(given: Any) -> Scene:
             given,
             f"a Scene, or the name of a built-in ({', '.join(BUILT_INS)}) or of a saved .npz file",
         )
-    return given.checked
+    return given.check()
 
 
 @lru_cache(maxsize=2)  # or each score in a loop would build it again

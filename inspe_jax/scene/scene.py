@@ -11,7 +11,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
@@ -29,7 +28,7 @@ from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.statics import StaticBody, check_bodies, pack_bodies, unpack_bodies
+from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
@@ -83,30 +82,17 @@ class Scene(Described):
     statics: tuple[StaticBody, ...] = added((), static=True)
     terrain: Terrain | None = field(default=None, metadata={ADDED: None, "static": True})
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+    def _facts(self) -> dict[str, Any]:
         bodies = {"static bodies": len(self.statics)} if self.statics else {}
         own = {"name": self.name, "profile": self.profile.name}
-        return own | self.voxels.facts | self.traffic.facts | bodies
+        return own | self.voxels._facts() | self.traffic._facts() | bodies
 
-    @cached_property
-    def checked(self) -> "Scene":
-        """This scene, whose arrays are checked once: their shapes, and that all values are finite
-        and in range. A traced scene passes.
-
-        Raises InspeError that names the part, and the index of the first value that is wrong.
-        """
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self)):
-            return self
-        for name, kind in _PARTS.items():
-            part = getattr(self, name)
-            if not isinstance(part, kind):
-                raise wrong_kind(f"{name} of a scene", part, f"one of {kind.__name__}")
-            part.check(f"{self.name}: {name}" if name != "intersection" else part.name)
-        check_bodies(self.statics, f"{self.name}: statics")
-        if self.terrain is not None:
-            check_record(self.terrain, f"{self.name}: terrain")
+    def check(self) -> "Scene":
+        """This scene, which is checked once: shapes, kinds, and that all values are finite and in
+        range. Raises InspeError that names the part and the index of the first wrong value."""
+        if "_checked" not in self.__dict__:
+            check_record(self, getattr(self.intersection, "name", "scene"))
+            self.__dict__["_checked"] = True
         return self
 
     def with_terrain(self) -> "Scene":
@@ -177,9 +163,6 @@ class Scene(Described):
         return shortfall(self.traffic, density_count(density), mix)
 
 
-_PARTS = {"intersection": Intersection, "voxels": VoxelGrid, "traffic": TrafficFrames}
-
-
 def build_scene(
     intersection: Intersection | str,
     *,
@@ -225,7 +208,7 @@ def build_scene(
     if not isinstance(intersection, Intersection):
         wanted = "an Intersection, as read_map() or built_in() makes, or the name of a built-in"
         raise wrong_kind("intersection", intersection, wanted)
-    intersection.check(intersection.name)
+    check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
     voxels = build_voxels(intersection, **lengths)
@@ -254,7 +237,7 @@ def build_scene(
         settings |= dict(terrain=terrain)
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
     scene = scene if terrain == "none" else scene.with_terrain()
-    return scene.with_statics(statics_of(statics, intersection, radius, found)).checked
+    return scene.with_statics(statics_of(statics, intersection, radius, found)).check()
 
 
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:
@@ -298,19 +281,19 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             f"inspe scene … --profile {profile}"
         )
     try:
-        return scene.checked
+        return scene.check()
     except InspeError as e:
         raise InspeError(f"{path}: {e}") from None
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write a scene to a compressed ``.npz`` file, whole or not at all. Raises InspeError as
-    :attr:`Scene.checked` does."""
+    :meth:`Scene.check` does."""
     if not isinstance(scene, Scene):
         raise wrong_kind("scene", scene, "a Scene")
     check_output(path, SCENE_SUFFIXES)
     with whole_file(path) as f:
-        np.savez_compressed(f, **_pack(scene.checked))  # type: ignore[arg-type]  # names are ours
+        np.savez_compressed(f, **_pack(scene.check()))  # type: ignore[arg-type]  # names are ours
 
 
 def density_count(density: str | int) -> int:

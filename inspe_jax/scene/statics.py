@@ -17,9 +17,8 @@ import shapely
 from jaxtyping import Float
 from shapely.geometry import LineString, Polygon
 
-from inspe_jax.core.errors import InspeError, check_known, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.polygons import merge
-from inspe_jax.core.records import check_record
 
 KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle", "solid")
 """What a body can be. Furniture is what stands about in streets: bus shelters, kiosks, switch
@@ -147,16 +146,6 @@ def body(
     if not shape.exterior.is_ccw:  # of four corners, the first side still points ahead
         corners = corners[::-1]
     return StaticBody(kind, corners, float(height), float(base), float(transmittance), float(trunk))
-
-
-def check_bodies(bodies: Sequence[StaticBody], where: str) -> None:
-    """Raise InspeError, which begins with ``where``, if a body has a number that is not finite."""
-    for k, one in enumerate(bodies):
-        if not isinstance(one, StaticBody):
-            raise wrong_kind(
-                f"{where}[{k}]", one, "a StaticBody, as body(), wall() or tree() makes"
-            )
-        check_record(one, f"{where}[{k}]")
 
 
 def _without_straight(corners: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M 2"]:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.pytree import pytree
-from inspe_jax.core.records import ByContent, Described, check_record, check_values
+from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 
@@ -51,19 +51,14 @@ class VoxelGrid(ByContent, Described):
     spacing: float = field(metadata={"static": True})
     counted: tuple[int, ...] = added((), static=True)
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+    def _facts(self) -> dict[str, Any]:
         return {"radius": f"{self.radius:g} m", "size": self.words, "voxels": self.count}
 
-    def check(self, where: str) -> None:
-        """Raise InspeError, which begins with ``where``, if an array has another shape than its
-        own, or a value is not finite or out of range."""
-        check_record(self, where)
-        check_values(self.region, f"{where}: region", 0, len(Region) - 1)
-        for name in ("size", "spacing", "radius", "level_count"):
-            least = 1 if name == "level_count" else VOXEL_LIMITS[0]
-            check_values(getattr(self, name), f"{where}: {name}", least)
+    def _check(self, prefix: str) -> None:
+        check_values(self.region, f"{prefix}region", 0, len(Region) - 1)
+        check_values(self.level_count, f"{prefix}level_count", 1)
+        for name in ("size", "spacing", "radius"):
+            check_values(getattr(self, name), prefix + name, VOXEL_LIMITS[0])
 
     @property
     def words(self) -> str:

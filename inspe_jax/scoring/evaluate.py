@@ -104,9 +104,7 @@ class Scores(PaperMetrics, ByContent, Described):
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of them."""
+    def _facts(self) -> dict[str, Any]:
         shown = {**self.metrics, "P_sm": self.surrogate}
         return {k: f"{x:.4f}" if isinstance(x, float) else x for k, x in shown.items()}
 

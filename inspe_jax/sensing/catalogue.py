@@ -17,7 +17,6 @@ from pydantic import BaseModel, Field, create_model
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, check_model
-from inspe_jax.core.records import check_record
 from inspe_jax.sensing.kinds import SENSOR_KINDS, DeviceKeys, Positive, keys_of
 from inspe_jax.sensing.sensors import Spec
 
@@ -121,10 +120,9 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
 
 @lru_cache(maxsize=1024)
 def check_spec(spec: Spec) -> None:
-    """Raise InspeError if a device has a number that is not finite, or that no catalogue could
-    have; the message names the key of a catalogue, in degrees and metres."""
+    """Raise InspeError if a device has a number that no catalogue could have; the message names
+    the key of a catalogue, in degrees and metres."""
     where = f"device '{spec.name}'"
-    check_record(spec, where)
     if spec.kind not in SENSOR_KINDS:
         return
     try:

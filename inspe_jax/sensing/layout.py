@@ -94,37 +94,19 @@ class Layout(ByContent, Described):
     def __len__(self) -> int:
         return len(self.sensors)
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+    def _facts(self) -> dict[str, Any]:
         each = Counter(sensor.spec.name for sensor in self.sensors)
         devices = " + ".join(f"{count} {name}" for name, count in each.items())
         made = {"profile": self.profile} if self.profile else {}
         return {"name": self.name, "sensors": devices, "units": len(self.units)} | made
 
-    def check(self, where: str) -> None:
-        """Raise InspeError, which begins with ``where``, if the layout is empty, poses have another
-        shape or values that are not finite, a unit is missing or a device has impossible numbers.
-
-        Traced poses have no values to check and pass.
-        """
+    def _check(self, prefix: str) -> None:
         if not self.sensors:
-            raise InspeError(f"{where}: the layout is empty: it needs at least one sensor")
-        for name, part, kind in (("sensors", self.sensors, Sensor), ("units", self.units, Unit)):
-            for k, one in enumerate(part):
-                if not isinstance(one, kind):
-                    raise wrong_kind(f"{where}: {name}[{k}]", one, f"a {kind.__name__}")
-        for unit in self.units:
-            check_record(unit, f"{where}: unit '{unit.name}'")
+            raise InspeError(f"{prefix}the layout is empty: it needs at least one sensor")
         for sensor in self.sensors:
-            if not isinstance(sensor.spec, Spec):
-                raise wrong_kind(
-                    f"{where}: spec of '{sensor.name}'", sensor.spec, "a device's spec"
-                )
             if not 0 <= sensor.unit < len(self.units):
-                raise InspeError(f"{where}: sensor '{sensor.name}': there is no unit {sensor.unit}")
+                raise InspeError(f"{prefix}sensor '{sensor.name}': there is no unit {sensor.unit}")
             check_spec(sensor.spec)
-        check_record(self, where, S=len(self))
 
     def with_poses(self, poses: Float[Any, "S 6"]) -> "Layout":
         """The same sensors at other world poses, traced or not: an array, or rows of numbers.
@@ -184,13 +166,14 @@ def make_layout(
 
     Sensors keep their order, whatever their units. ``poses`` (S, 6) may be rows of :class:`Pose`.
 
-    Raises InspeError as :meth:`Layout.check` does, and if two sensors or units have one name. With
+    Raises InspeError if the layout is empty, poses are not finite or of another shape, a unit is
+    missing, a device has impossible numbers, or two sensors or units have one name. With
     ``unit_rule`` it is also an error if two sensors of one unit are more than 2 m apart in plan or
     4 m in height.
     """
     where = where or name
     layout = Layout(_numbers(poses), tuple(sensors), tuple(units), name)
-    layout.check(where)
+    check_record(layout, where, S=len(sensors))
     poses = layout.poses
     for kind, names in (("sensor", [s.name for s in sensors]), ("unit", [u.name for u in units])):
         twice = next((name for name in names if names.count(name) > 1), None)

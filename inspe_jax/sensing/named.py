@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest, wrong_kind
+from inspe_jax.core.records import check_record
 from inspe_jax.scene.geojson import SUFFIX
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, load_layout
@@ -19,12 +20,12 @@ def layout_of(given: Any, scene: Scene, *, unit_rule: bool = True) -> Layout:
     """A layout on a scene that is given as such, as a file, or by the name of a strategy; checked.
 
     ``unit_rule`` is for files, as in :func:`~inspe_jax.sensing.layout.make_layout`. Raises
-    InspeError as :func:`~inspe_jax.sensing.layout.load_layout` and :meth:`Layout.check` do, and
-    for anything else than a layout.
+    InspeError as :func:`~inspe_jax.sensing.layout.load_layout` and
+    :func:`~inspe_jax.sensing.layout.make_layout` do, and for anything else than a layout.
     """
     known = tuple(LAYOUT_RULES)
     if isinstance(given, Layout):
-        given.check(given.name)
+        check_record(given, given.name, S=len(given))
         return given
     if not isinstance(given, str | os.PathLike):
         wanted = (

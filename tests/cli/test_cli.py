@@ -464,7 +464,10 @@ BAD = [
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
     (("scene", "page.xodr"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
-    (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, order, profile, units"),
+    (
+        ("score", "s.npz", "list.yaml"),
+        "must hold keys with values: devices, name, order, profile, units",
+    ),
     (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
     (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
     (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),

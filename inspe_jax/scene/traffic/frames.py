@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.pytree import pytree
-from inspe_jax.core.records import ByContent, Described, check_record, check_values
+from inspe_jax.core.records import ByContent, Described, check_values
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
@@ -155,19 +155,14 @@ class TrafficFrames(ByContent, Described):
     velocity: Float[np.ndarray, "T B 3"]
     time: Float[np.ndarray, " T"]
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What :class:`~inspe_jax.core.records.Described` shows of it."""
+    def _facts(self) -> dict[str, Any]:
         return {"frames": self.frame_count, "road users a frame": f"{self.mean_count:.1f}"}
 
-    def check(self, where: str) -> None:
-        """Raise InspeError, which begins with ``where``, if an array has another shape than the
-        others, a value is not finite, or a valid entry has no size or a class that is none."""
-        check_record(self, where)
+    def _check(self, prefix: str) -> None:
         if not self.frame_count:
-            raise InspeError(f"{where}: has no frame: at least one is needed, also of empty roads")
-        check_values(self.kind, f"{where}: kind", 0, len(CLASSES) - 1, self.valid)
-        check_values(self.size, f"{where}: size", SMALLEST, there=self.valid[..., None])
+            raise InspeError(f"{prefix}time: at least one frame is needed, also of an empty road")
+        check_values(self.kind, f"{prefix}kind", 0, len(CLASSES) - 1, self.valid)
+        check_values(self.size, f"{prefix}size", SMALLEST, there=self.valid[..., None])
 
     @property
     def frame_count(self) -> int:

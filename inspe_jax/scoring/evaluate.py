@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, wrong_kind
 from inspe_jax.core.numerics import Softness
-from inspe_jax.core.records import ByContent, Described
+from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
@@ -39,7 +39,7 @@ from inspe_jax.scoring.tiled_scene import (
 from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import from_center, poses_about_center
-from inspe_jax.visibility.queries import check_layout
+from inspe_jax.visibility.queries import check_layout, check_places
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
 """What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
@@ -272,12 +272,13 @@ def evaluate_many(
             f"poses of shape {poses.shape}: (M, {len(layout)}, 6) for M times the sensors of "
             f"{layout.name}, x, y, z, roll, pitch, yaw each"
         )
+    check_values(poses, "poses")
     check_memory(scene.voxels.count, len(layout))
     layouts = [
         replace(layout.with_poses(row), name=f"poses[{number}]") for number, row in enumerate(poses)
     ]
     for one in layouts:
-        check_layout(scene, one)
+        check_places(scene, one)
     layout = perceiving(scene, layout, conditions)
     tiled = whole_tiled_scene_of(scene)
     by_name = weights_of(weights)
@@ -351,10 +352,7 @@ def check_options(
 ) -> None:
     """Raise InspeError where an option of :func:`evaluate` is unknown."""
     if not (detection is None or isinstance(detection, DetectionCurves)):
-        raise InspeError(
-            f"detection {detection!r}: give curves, as inspe_jax.load_detection('curves.toml') "
-            "reads them"
-        )
+        raise wrong_kind("detection", detection, "curves, as inspe_jax.load_detection reads them")
     if occlusion_reference not in OCCLUSION_REFERENCES:
         raise unknown_reference(occlusion_reference)
     if visibility not in VISIBILITIES:

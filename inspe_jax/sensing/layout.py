@@ -172,9 +172,9 @@ def make_layout(
     4 m in height.
     """
     where = where or name
-    layout = Layout(_numbers(poses), tuple(sensors), tuple(units), name)
+    poses = _numbers(poses)
+    layout = Layout(poses, tuple(sensors), tuple(units), name)
     check_record(layout, where, S=len(sensors))
-    poses = layout.poses
     for kind, names in (("sensor", [s.name for s in sensors]), ("unit", [u.name for u in units])):
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:

@@ -98,11 +98,12 @@ def check_layout(
     case = case_of(scene, conditions)
     layout = layout_of(layout, case.scene)
     if not isinstance(layout.poses, jax.core.Tracer):
-        _check_places(case.scene, layout)
+        check_places(case.scene, layout)
     return case.scene, layout, case.conditions
 
 
-def _check_places(scene: Scene, layout: Layout) -> None:
+def check_places(scene: Scene, layout: Layout) -> None:
+    """Raise InspeError where a sensor is in the ground, in a static body or out of reach."""
     grid, poses = scene.voxels, np.asarray(layout.poses, float)
     for pose, sensor in zip(poses, layout.sensors, strict=True):
         where = f"{layout.name}: sensor '{sensor.name}' at ({pose[0]:.2f}, {pose[1]:.2f})"

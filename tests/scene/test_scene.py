@@ -31,7 +31,7 @@ def test_columns_are_labelled_by_precedence_and_stand_on_the_ground():
 
 
 def test_columns_on_a_border_are_not_lost():
-    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels: at ±7 and ±11."""
+    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels.at ±7 and ±11."""
     grid = build_voxels(crossing(), radius=30, voxel=2.0)
     assert sorted(set(grid.columns[grid.columns[:, 0] == 21, 1])) == [
         -11, -9, -7, -5, -3, -1, 1, 3, 5, 7, 9, 11
@@ -127,17 +127,17 @@ CORRUPT = {
     "place_center": "center",
     "poles": "poles",
     "ground_points": "ground_points",
-    "route_points": r"routes\[0\]: waypoints",
-    "grid_columns": "voxels: columns",
-    "grid_ground": "voxels: ground",
-    "grid_center": "voxels: center",
-    "traffic_center": "traffic: center",
-    "traffic_yaw": "traffic: yaw",
-    "traffic_size": "traffic: size",
-    "traffic_velocity": "traffic: velocity",
-    "traffic_time": "traffic: time",
-    "statics_corners": r"statics\[0\]: outline",
-    "statics_numbers": r"statics\[0\]: height",
+    "route_points": r"routes\[0\].waypoints",
+    "grid_columns": "voxels.columns",
+    "grid_ground": "voxels.ground",
+    "grid_center": "voxels.center",
+    "traffic_center": "traffic.center",
+    "traffic_yaw": "traffic.yaw",
+    "traffic_size": "traffic.size",
+    "traffic_velocity": "traffic.velocity",
+    "traffic_time": "traffic.time",
+    "statics_corners": r"statics\[0\].outline",
+    "statics_numbers": r"statics\[0\].height",
 }
 
 
@@ -165,15 +165,15 @@ def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path,
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("yaw", lambda x: x[:, :-1], r"traffic: yaw: shape \(2, \d+\), expected \(2, \d+\)"),
-        ("center", lambda x: x[0], r"traffic: center: shape .*, expected \(\d+, 3, 3\)|expected"),
-        ("kind", lambda x: x + 9, r"traffic: kind\[0, 0\]: 9 is out of range: from 0 to 3"),
-        ("kind", lambda x: x + 0.5, "traffic: kind must be whole numbers, got an array of float64"),
-        ("size", lambda x: x * 0, r"traffic: size\[0, 0, 0\]: 0 is out of range: at least 0.01"),
+        ("yaw", lambda x: x[:, :-1], r"traffic.yaw: shape \(2, \d+\), expected \(2, \d+\)"),
+        ("center", lambda x: x[0], r"traffic.center: shape .*, expected \(\d+, 3, 3\)|expected"),
+        ("kind", lambda x: x + 9, r"traffic.kind\[0, 0\]: 9 is out of range: from 0 to 3"),
+        ("kind", lambda x: x + 0.5, "traffic.kind: must be whole numbers, got an array of float64"),
+        ("size", lambda x: x * 0, r"traffic.size\[0, 0, 0\]: 0 is out of range: at least 0.01"),
         (
             "time",
             lambda x: [str(t) for t in x],
-            "traffic: time must be numbers, got an array of str",
+            "traffic.time: must be numbers, got an array of str",
         ),
     ],
 )
@@ -194,7 +194,7 @@ def test_traffic_of_ones_own_is_checked_by_the_first_function_that_takes_it(
         with pytest.raises(InspeError, match=message):
             function()
     padding = replace(scene.traffic, kind=np.where(scene.traffic.valid, scene.traffic.kind, -1))
-    assert replace(scene, traffic=padding).checked.traffic is padding
+    assert replace(scene, traffic=padding).check().traffic is padding
 
 
 def test_scenes_are_shown_in_one_line():

@@ -340,7 +340,7 @@ def test_scenes_layouts_and_metrics_are_taken_by_name(tmp_path):
         (lambda s, w: ij.strategy("Cam-d1", s), "no scene 'Cam-d1'"),
         (
             lambda s, w: evaluate(s, _with(w, reach=np.nan)),
-            "'test-lidar': reach: nan is not finite",
+            r"sensors\[0\].spec.reach: nan is not finite",
         ),
         (lambda s, w: evaluate(s, _with(w, reach=-2.0)), "'test-lidar': range_m: .* got -2.0"),
         (lambda s, w: evaluate(s, _with(w, azimuth_count=0)), "'test-lidar': it has no rays"),

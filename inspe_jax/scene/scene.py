@@ -206,7 +206,7 @@ def build_scene(
     if isinstance(intersection, str) and not is_map(intersection):
         intersection = built_in(intersection)
     if not isinstance(intersection, Intersection):
-        wanted = "an Intersection, as read_map() or built_in() makes, or the name of a built-in"
+        wanted = "the name of a built-in, or an Intersection, as scene.maps.registry.read_map reads"
         raise wrong_kind("intersection", intersection, wanted)
     check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]

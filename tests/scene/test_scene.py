@@ -144,7 +144,8 @@ CORRUPT = {
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     """The arrays of a saved scene that has everything."""
-    scene = build_scene("four_way", radius=15, voxel=1.0, frames=2, density=4, statics="street")
+    place = built_in("four_way")
+    scene = build_scene(place, radius=15, voxel=1.0, frames=2, density=4, statics="street")
     path = tmp_path_factory.mktemp("scene") / "t.npz"
     save_scene(scene, path)
     with np.load(path) as data:

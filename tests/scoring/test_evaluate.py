@@ -322,7 +322,7 @@ def test_scenes_layouts_and_metrics_are_taken_by_name(tmp_path):
         (lambda s, w: evaluate("four-way", w), "no scene 'four-way'.*did you mean four_way"),
         (lambda s, w: evaluate(s, "Cam-d9"), "no layout 'Cam-d9'.*did you mean Cam-d"),
         (lambda s, w: evaluate(s, w, metrics="al"), "metric 'al': a metric is one of"),
-        (lambda s, w: ij.build_scene(s), "intersection: got <Scene: .*give an Intersection"),
+        (lambda s, w: ij.build_scene(s), "intersection: got <Scene: .*or an Intersection"),
         (lambda s, w: ij.build_scene("a.xodr"), "intersection: got 'a.xodr'.*read_map"),
         (lambda s, w: w.with_poses([[1.0, 2.0]]), r"poses have shape \(1, 2\), expected \(1, 6\)"),
         (lambda s, w: w.with_poses("here"), "poses: give rows of six numbers"),

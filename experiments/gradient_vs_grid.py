@@ -19,6 +19,7 @@ import argparse
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -111,13 +112,19 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
 
 
 def search(
-    problem: Problem, method: Method, seed: int, **budget: Any
+    problem: Problem, method: Method, seed: int, spent: Clock | None = None, **budget: Any
 ) -> tuple[Run, list[Progress]]:
-    """One search from the given layout, without what comes before and after it."""
+    """One search from the given layout, without what comes before and after it.
+
+    ``spent`` are the seconds that count once the start is scored, none if not given.
+    """
     run = Run(problem, problem.space.start(problem.layout)[0], seed=seed, **budget)
     try:
         run.compile_ahead(method)
         run.offer(run.start)
+        if spent is not None:
+            first = [replace(row, seconds=spent()) for row in run.history]
+            run.take_up(spent(), run.evaluations, first, np.array(run.path))
         state: Any = method.begin(run)
         while state is not None:
             state = method.step(run, state)
@@ -135,7 +142,8 @@ def cold_search(
     jax.config.update("jax_enable_compilation_cache", False)
     before, began = compiled().seconds, clock()
     problem = Problem(scene, layout)
-    run, history = search(problem, METHODS[name], seed, seconds=seconds, clock=clock, began=began)
+    spent = lambda: clock() - began  # noqa: E731
+    run, history = search(problem, METHODS[name], seed, spent, seconds=seconds, clock=clock)
     return history, run.evaluations, compiled().seconds - before
 
 

@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.stats import spearmanr
 
-from inspe_jax.cli.common import keep_compiled, progress
+from inspe_jax.cli.common import progress
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.placement.strategies import STRATEGIES
@@ -78,7 +78,6 @@ def begin(given: argparse.Namespace, name: str) -> str:
     """Make sure that the maps are there, keep what is compiled; gives the name of the output."""
     if not given.quick and not MAPS.is_dir():
         raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
-    keep_compiled()
     return f"{name}_quick" if given.quick else name
 
 

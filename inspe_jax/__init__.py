@@ -8,10 +8,17 @@ Conventions, stated once:
   pitch, yaw).
 - Sensor body frame: x forward, y left, z up, for cameras too.
 - Files written by people use degrees and say so in the key (``yaw_deg``).
+- Compiled programs are kept in the user's cache folder, unless INSPE_CACHE is 0 or JAX is given
+  another folder.
 - Axis letters in shapes: S sensors, U infrastructure units, V voxels, L columns,
   Z levels, T frames, B boxes, R rays.
 """
 
+import os
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's alarm of slow compiling is an error log
+
+from inspe_jax.core.compiling import NOTHING, keep_programs
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.version import __version__ as __version__
@@ -45,6 +52,9 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep
 from inspe_jax.visibility.queries import in_view, line_of_sight
+
+if os.environ.get("INSPE_CACHE", "").lower() not in NOTHING:
+    keep_programs()
 
 __all__ = [
     "BUILT_INS",

@@ -1,20 +1,24 @@
 """What all commands share: the app, its consoles, arguments, progress bars, and errors."""
 
 import json
+import os
 import re
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.text import Text
+from typer.core import TyperGroup
 
+from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
+from inspe_jax.core.compiling import compiled, keep_programs, leave
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.placement.compile_ahead import compiles
 
 if TYPE_CHECKING:
     from inspe_jax.scene.scene import Scene
@@ -22,7 +26,18 @@ if TYPE_CHECKING:
     from inspe_jax.study.plan import Study
     from inspe_jax.study.work import Row
 
+
+class _Group(TyperGroup):
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            err.print(plain(stopped()), soft_wrap=True)
+            leave_at_once(CTRL_C)  # XLA may still compute, and crashes if Python ends before it
+
+
 app = typer.Typer(
+    cls=_Group,
     help="Score and optimise roadside cameras and LiDARs at road intersections.",
     no_args_is_help=True,
     add_completion=False,
@@ -80,19 +95,17 @@ def picture_size(text: str) -> tuple[int, int] | None:
 def main() -> None:
     """Run the command line. An InspeError is printed on one line; the exit status is then 2."""
     try:
-        _run()
+        with attended(lambda words: note([words]), leave_at_once):
+            _run()
     except SystemExit as e:
-        # Only if a search has compiled: importing this takes longer than most commands.
-        ahead = sys.modules.get("inspe_jax.placement.compile_ahead")
-        if ahead is not None and ahead.compiles():
+        if compiled().now or compiles():  # Python would wait for the threads that do
             leave_at_once(e.code if isinstance(e.code, int) else int(e.code is not None))
         raise
 
 
 def leave_at_once(status: int) -> NoReturn:
     """End the process, whatever its other threads compile or score."""
-    from inspe_jax.core.compiling import leave
-
+    err.show_cursor()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):  # the reader of the pipe has gone
             stream.flush()
@@ -103,13 +116,32 @@ def _run() -> None:
     try:
         app()
     except InspeError as e:
-        err.print(f"[bold red]Error:[/] {plain(str(e))}", soft_wrap=True)
-        sys.exit(2)
+        words = str(e)
     except OSError as e:
         where = f"{e.filename}: " if e.filename else ""
-        words = e.strerror or str(e) or type(e).__name__  # a TimeoutError often says nothing
-        err.print(f"[bold red]Error:[/] {plain(where + words)}", soft_wrap=True)
-        sys.exit(2)
+        words = where + (e.strerror or str(e) or type(e).__name__)  # a TimeoutError says nothing
+    except (AssertionError, RuntimeError) as e:
+        platforms = os.environ.get("JAX_PLATFORMS")
+        if not platforms or _has_devices():
+            raise
+        known = f" ({str(e).split(' (set')[0]})" if str(e) else ""
+        words = (
+            f"JAX_PLATFORMS={platforms}: JAX finds no such device here{known}; install its driver "
+            "and JAX's plugin for it, or set JAX_PLATFORMS=cpu"
+        )
+    else:
+        return
+    err.print(f"[bold red]Error:[/] {plain(words)}", soft_wrap=True)
+    sys.exit(2)
+
+
+def _has_devices() -> bool:
+    import jax
+
+    try:
+        return bool(jax.devices())
+    except (AssertionError, RuntimeError):
+        return False
 
 
 def _version(wanted: bool) -> None:
@@ -136,38 +168,9 @@ def _root(
     import jax
 
     if cache:
-        keep_compiled()
+        keep_programs()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
-
-
-COMPILED = 512 * 2**20
-"""Largest size of the cache of compiled programs [bytes]; the least used go first."""
-
-
-def keep_compiled() -> None:
-    """Let JAX keep compiled programs from one run to the next.
-
-    A cache folder that the user has set for JAX stays. If no folder can be written, every run
-    compiles again.
-    """
-    import jax
-    from platformdirs import user_cache_path
-
-    if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
-        return
-    try:
-        folder = user_cache_path("inspe_jax", appauthor=False)
-        if not folder.is_absolute():  # there is no home folder
-            return
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except (OSError, RuntimeError):
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_compilation_cache_max_size", COMPILED)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def known(source: str) -> str:
@@ -218,10 +221,7 @@ def note_other_profile(world: "Scene", layout: "Layout") -> None:
 @contextmanager
 def busy(what: str) -> Iterator[None]:
     """Show a spinner, if stderr is a terminal."""
-    if not err.is_terminal:
-        yield
-        return
-    with err.status(f"{what} …"):
+    with step(what), err.status(f"{what} …") if err.is_terminal else nullcontext():
         yield
 
 
@@ -233,7 +233,8 @@ def progress(what: str) -> Iterator[Any]:
     ``facts`` to show beside it.
     """
     if not err.is_terminal:
-        yield None
+        with step(what, writes=True):
+            yield None
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as TimeLeft
@@ -242,7 +243,8 @@ def progress(what: str) -> Iterator[Any]:
     words = TextColumn("{task.description}")
     columns = (words, BarColumn(), MofNCompleteColumn(), TimeLeft(), facts)
     # The time left is estimated from all steps so far, since some take minutes.
-    with Progress(*columns, console=err, transient=True, speed_estimate_period=1e9) as bar:
+    shown = Progress(*columns, console=err, transient=True, speed_estimate_period=1e9)
+    with step(what, writes=True), shown as bar:
         task = bar.add_task(what, total=None, facts="")
 
         def report(done: int, total: int, what: str = what, facts: str = "") -> None:
@@ -281,22 +283,21 @@ def run_study(
 
 
 @contextmanager
-def search_bar(what: str) -> Iterator[Callable[[float, float, str], None] | None]:
+def search_bar(what: str) -> Iterator[Callable[[float, float, str], None]]:
     """Show a bar with the best score and the time left, on a terminal.
 
-    Yields a callback (fraction done, best score, what is being done), or None elsewhere.
+    Yields a callback (fraction done, best score, what is being done).
     """
-    if not err.is_terminal:
-        yield None
-        return
     from rich.progress import BarColumn, Progress, TextColumn
 
     first: list[tuple[float, float]] = []  # time of the first call, and the fraction then
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[facts]}"))
-    with Progress(*columns, console=err, transient=True) as bar:
+    shown = Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
+    with step(what, search=True) as search, shown as bar:
         task = bar.add_task(what, total=1.0, facts="compiling …")
 
         def report(done: float, best: float, now: str) -> None:
+            search.writes = True
             if not first:
                 first.append((time.monotonic(), done))
             began, before = first[0]

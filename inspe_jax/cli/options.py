@@ -131,8 +131,8 @@ class SearchOptions(WeightOptions):
 
     seconds: Annotated[
         float | None,
-        typer.Option(help="Wall time of each search [s]. Without a budget, 60; 20 in commands that "
-                     "run several searches."),
+        typer.Option(help="Time of each search [s], without compiling that it waits for. Without a "
+                     "budget, 60; 20 in commands that run several searches."),
     ] = None  # fmt: skip
     evaluations: Annotated[
         float | None,
@@ -194,7 +194,7 @@ class SearchOptions(WeightOptions):
         return 20.0 if self.seconds is None and self.evaluations is None else self.seconds
 
     def of_mixes(
-        self, method: str | None, seed: int, callback: Callable[[float, float, str], None] | None
+        self, method: str | None, seed: int, callback: Callable[[float, float, str], None]
     ) -> dict[str, Any]:
         """Method, budget, seed and progress of a command that searches many mixes of devices."""
         from inspe_jax.placement.optimise import DEFAULT_METHOD
@@ -205,9 +205,7 @@ class SearchOptions(WeightOptions):
             seconds=self.seconds_each(),
             evaluations=self.evaluations,
             seed=seed,
-            progress=None
-            if callback is None
-            else lambda row, done, best: callback(done, best, mix_name(row)),
+            progress=lambda row, done, best: callback(done, best, mix_name(row)),
         )
 
     def conditions(self) -> "list[Conditions]":

@@ -108,7 +108,7 @@ def plan(
             "that was stopped then ends with the same plan."
         ),
     ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Wall time of each search [s].")] = None,
+    seconds: Annotated[float | None, typer.Option(help="Time of each search [s].")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the traffic and of the searches.")] = 0,
     scheduler: SchedulerOption = None,
     workers: WorkersOption = None,

@@ -124,7 +124,7 @@ def optimise(
             objective,
             constraints,
             start,
-            progress=None if callback is None else lambda done, best: callback(done, best, ""),
+            progress=lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
     save_result(result, folder)
@@ -207,9 +207,7 @@ def compare(
             objective,
             constraints,
             start,
-            progress=None
-            if callback is None
-            else lambda name, seed, done, best: callback(
+            progress=lambda name, seed, done, best: callback(
                 fraction(name, seed, done), best, f"{name}, seed {seed}"
             ),
         )

@@ -1,16 +1,19 @@
-"""What XLA compiles in this process: how many programs, for how long, and whether it does now.
+"""What XLA compiles in this process: how many programs, for how long, and who waits for it.
 
-Progress displays use it to tell users what they are waiting for. It is measured from the events
-that JAX records.
+Progress displays use it to tell users what they are waiting for, and the clock of a search stands
+still while the search waits for a program. It is measured from the events that JAX records. The
+programs are kept on disk for the next process.
 """
 
+import atexit
 import contextlib
 import json
 import os
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -18,6 +21,7 @@ from typing import NoReturn
 
 import jax
 import jax.monitoring
+from platformdirs import user_cache_path
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
@@ -42,69 +46,77 @@ class Compiled:
     now: bool
 
 
+class Stretches:
+    """Stretches of time, in order and without overlaps, and the ``seconds`` of them all."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._stretches: list[tuple[float, float]] = []
+
+    def add(self, begin: float, end: float) -> None:
+        """Add a stretch that ends last; it may contain earlier stretches."""
+        while self._stretches and self._stretches[-1][1] >= begin:
+            first, last = self._stretches.pop()
+            self.seconds -= last - first
+            begin = min(begin, first)
+        self._stretches.append((begin, end))
+        self.seconds += end - begin
+
+    def before(self, time: float) -> float:
+        """The seconds before a time."""
+        seconds = self.seconds
+        for first, last in reversed(self._stretches):
+            if last <= time:
+                break
+            seconds -= last - max(first, time)
+        return seconds
+
+
+class _Local(threading.local):
+    """What this thread has waited."""
+
+    def __init__(self) -> None:
+        self.waits = Stretches()
+
+
 class _Watch:
     """Counts the programs that are compiled since it was created."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._programs = 0
-        # Times at which something was traced or compiled, in order and without overlaps.
-        self._stretches: list[tuple[float, float]] = []
-        self._seconds = 0.0  # sum of all stretches
+        self._all = Stretches()
         self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
-        self._whole: set[int] = set()  # threads whose whole time counts
+        self.local = _Local()
 
     def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Listens to JAX's events. The thread that waits for a program records its events."""
         if event not in (TRACED, LOWERED, COMPILED):
             return
-        thread, now = threading.get_ident(), time.monotonic()
+        thread = threading.get_ident()
         with self._lock:
+            now = time.monotonic()
             self._programs += event == COMPILED
-            if thread in self._whole:
-                return
             if event == LOWERED:
                 self._since[thread] = now
-            else:
-                self._since.pop(thread, None)
-            self._add(now - duration_secs, now)
+                return
+            self._since.pop(thread, None)
+            for stretches in (self._all, self.local.waits):
+                stretches.add(now - duration_secs, now)
 
-    @contextlib.contextmanager
-    def whole(self) -> Iterator[None]:
-        """Count all time of this thread in the block, with tracing from its beginning on."""
-        thread, began = threading.get_ident(), time.monotonic()
+    def holds(self, thread: int) -> bool:
+        """Whether XLA compiles in a thread now."""
         with self._lock:
-            self._whole.add(thread)
-            self._since[thread] = began
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._whole.discard(thread)
-                self._since.pop(thread, None)
-                self._add(began, time.monotonic())
-
-    def _add(self, begin: float, end: float) -> None:
-        """Add a stretch of time that ends last; it may contain earlier stretches."""
-        while self._stretches and self._stretches[-1][1] >= begin:
-            first, last = self._stretches.pop()
-            self._seconds -= last - first
-            begin = min(begin, first)
-        self._stretches.append((begin, end))
-        self._seconds += end - begin
+            return thread in self._since
 
     def compiled(self) -> Compiled:
         alive = {thread.ident for thread in threading.enumerate()}
         with self._lock:
             self._since = {thread: at for thread, at in self._since.items() if thread in alive}
-            seconds = self._seconds
+            seconds = self._all.seconds
             if self._since:
                 since = min(self._since.values())
-                for first, last in reversed(self._stretches):
-                    if last <= since:
-                        break
-                    seconds -= last - max(first, since)
-                seconds += time.monotonic() - since
+                seconds = self._all.before(since) + time.monotonic() - since
             return Compiled(self._programs, seconds, bool(self._since))
 
 
@@ -117,9 +129,103 @@ def compiled() -> Compiled:
     return _watch.compiled()
 
 
-def counts_as_compiling() -> contextlib.AbstractContextManager[None]:
-    """Count all time of this thread in the block as compiling: for a thread that only compiles."""
-    return _watch.whole()
+def holds_main_thread() -> bool:
+    """Whether XLA compiles in the main thread now, which then does not hear Ctrl-C."""
+    return _watch.holds(threading.main_thread().ident or 0)
+
+
+# ── A clock that stands still while something is compiled ───────────────────
+
+
+def working_clock() -> Callable[[], float]:
+    """A clock [s] that stands still while the thread that calls this waits for a program.
+
+    It waits while it traces, and while it or a job that it runs on another thread
+    (:func:`inspe_jax.core.parallel.run`) compiles or reads a program from disk, and in blocks of
+    :func:`waiting`. What other threads compile meanwhile does not stop the clock.
+    """
+    waits = this_thread()
+    return lambda: time.monotonic() - waits.seconds
+
+
+@contextlib.contextmanager
+def waiting() -> Iterator[None]:
+    """Let this thread's :func:`working_clock` stand still in the block."""
+    began = time.monotonic()
+    try:
+        yield
+    finally:
+        this_thread().add(began, time.monotonic())
+
+
+def this_thread() -> Stretches:
+    """What this thread has waited, for :func:`on_behalf_of` in another thread."""
+    return _watch.local.waits
+
+
+@contextlib.contextmanager
+def on_behalf_of(waits: Stretches) -> Iterator[None]:
+    """In the block, a thread that compiles lets the thread wait that has handed it the work."""
+    own, _watch.local.waits = this_thread(), waits
+    try:
+        yield
+    finally:
+        _watch.local.waits = own
+
+
+# ── Programs that are kept on disk ──────────────────────────────────────────
+
+KEPT = 512 * 2**20
+"""Size of the folder of compiled programs [bytes]. What was used least recently is removed first,
+as a process ends."""
+NOTHING = ("0", "false", "f", "no", "n", "off")
+"""Values of INSPE_CACHE that keep nothing."""
+
+
+def keep_programs() -> None:
+    """Keep all programs that this process compiles in the user's cache folder for the next one.
+
+    ``import inspe_jax`` calls it, unless INSPE_CACHE is 0. A folder that the user has set for JAX
+    stays, whether before or after this. If no folder can be written, nothing is kept.
+    """
+    if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
+        return
+    try:
+        folder = user_cache_path("inspe_jax", appauthor=False)
+        if not folder.is_absolute():  # there is no home folder
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    atexit.register(prune, folder)
+
+
+def kept_in() -> Path | None:
+    """The folder that programs are kept in; None if they are not."""
+    on = jax.config.jax_enable_compilation_cache  # type: ignore[attr-defined]
+    folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    return Path(folder) if on and folder else None
+
+
+def prune(folder: Path, most: int = KEPT) -> None:
+    """Remove programs of a folder, the least recently used first, down to so many bytes.
+
+    JAX's own limit would hold for another folder too that is set later, and locks all processes
+    out of the folder for every program.
+    """
+    with contextlib.suppress(OSError):  # another process removes some too
+        found = [(path, path.stat()) for path in folder.glob("*-cache")]
+        found.sort(key=lambda row: max(row[1].st_atime, row[1].st_mtime), reverse=True)
+        size = 0
+        for path, stat in found:
+            size += stat.st_size
+            if size > most:
+                path.unlink(missing_ok=True)
 
 
 # ── About how long it takes ─────────────────────────────────────────────────
@@ -164,8 +270,8 @@ def _times() -> dict[str, float]:
 
 
 def _times_file() -> Path | None:
-    folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    return None if folder is None else Path(folder) / TIMES
+    folder = kept_in()
+    return None if folder is None else folder / TIMES
 
 
 # ── Ending the process while something is compiled ──────────────────────────

@@ -15,6 +15,8 @@ import jax
 import jax.experimental
 import numpy as np
 
+from inspe_jax.core.compiling import on_behalf_of, this_thread
+
 Result = TypeVar("Result")
 
 Job = tuple[Hashable, Callable[[], Any]]
@@ -49,9 +51,11 @@ def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
     For each key that is not ``known``, one job runs first, so that its code is compiled only once.
     Its key is then added to ``known``. Jobs must not call this function themselves.
     """
+    here = this_thread()
 
     def finished(number: int) -> Any:
-        return jax.block_until_ready(jobs[number][1]())
+        with on_behalf_of(here):
+            return jax.block_until_ready(jobs[number][1]())
 
     def side_by_side(numbers: Sequence[int]) -> list[Any]:
         # Threads do not inherit this thread's JAX settings, so double precision stays here.

@@ -9,7 +9,6 @@ from weakref import WeakSet
 
 import jax
 
-from inspe_jax.core.compiling import counts_as_compiling
 from inspe_jax.core.parallel import at_precision
 
 CompileJob = Callable[[], bool]
@@ -53,7 +52,7 @@ class Ahead:
 
 def _work(work: list[tuple["Future[bool]", CompileJob]], double: bool) -> None:
     # Threads do not inherit JAX's settings of the one that starts them.
-    with counts_as_compiling(), at_precision(double), _one_by_one:
+    with at_precision(double), _one_by_one:
         for done, job in work:
             if not done.set_running_or_notify_cancel():
                 continue

@@ -1,7 +1,6 @@
 """Find better places for a layout's sensors, with any search method."""
 
 import os
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -19,7 +18,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import AnyScene, Problem, cases_of
-from inspe_jax.placement.result import Result
+from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.run import (
     BudgetSpent,
     Method,
@@ -78,7 +77,7 @@ def optimise(
     progress: Callable[[float, float], None] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     found: Callable[[Layout, float], None] | None = None,
-    clock: Callable[[], float] = time.monotonic,
+    clock: Callable[[], float] | None = None,
     target: float = np.inf,
     conditions: Conditions | str | None = None,
 ) -> Result:
@@ -94,10 +93,12 @@ def optimise(
     of each kind, or a layout of the same sensors. If mounting does not allow it, the search begins
     at the nearest layout that it allows, and ``notes`` say so.
 
-    The budget is in ``seconds`` of wall time (60 if no budget is given), in ``evaluations`` (exact
-    scores, with all other work in their equivalents), or both. With ``evaluations`` alone, the same
-    ``seed`` gives the same result on the same machine. ``clock`` counts the seconds. The search
-    also ends with a best score of ``target`` or more.
+    The budget is in ``seconds`` (60 if no budget is given), in ``evaluations`` (exact scores, with
+    all other work in their equivalents), or both. Seconds of wall time count from the first exact
+    score on; while the search waits for a program to be compiled they do not, but they do while
+    something is compiled beside it. Another ``clock`` can count them. With ``evaluations`` alone,
+    the same ``seed`` gives the same result on the same machine. The search also ends with a best
+    score of ``target`` or more.
 
     ``progress`` is called with the share of the budget that is spent and the best score so far.
     ``found`` is called with every layout that is the best so far, and its score.
@@ -111,7 +112,6 @@ def optimise(
     that of the start. Raises InspeError if an option is unknown or out of range, if a unit has
     nowhere to stand, or if the checkpoint is of another search.
     """
-    began = clock()
     row = _method(method, objective)
     seconds = _seconds(seconds, evaluations)
     check_seed(seed)
@@ -126,7 +126,6 @@ def optimise(
         seconds=seconds,
         evaluations=evaluations,
         clock=clock,
-        began=began,
         progress=progress,
         found=None if found is None else lambda x, best: found(problem.space.layout(x), best),
         target=target,
@@ -160,7 +159,8 @@ def compare(
     ``methods`` are names of :func:`methods`; None means all that know the objective. ``seeds`` is a
     number of seeds, from 0 on, or the seeds. The other options are as in :func:`optimise`. All
     searches use the same compiled scores. Each method first runs briefly, at most for its budget,
-    and that time is not counted, so no method pays for compiling. ``progress`` is called with the
+    and that time is not counted, so that none pays for compiling, also not by what is compiled
+    beside it. ``progress`` is called with the
     method, the seed, the share of its budget spent and its best score. Ctrl-C ends the comparison
     with the searches so far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
@@ -264,7 +264,10 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     if not run.best >= before:
         raise AssertionError(f"{row.name}: {run.best} is worse than the start's {before}")
     notes = list(run.notes)
-    if run.best == before:
+    if run.evaluations <= 1.0:
+        more = "; give a larger budget" if status == "budget spent" else ""
+        notes.append(f"nothing was searched, only the start was scored: {STATUSES[status]}{more}")
+    elif run.best == before:
         notes.append("nothing better than the start was found; try a larger budget or start")
     case = problem.cases[0]
 

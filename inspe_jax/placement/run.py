@@ -4,7 +4,6 @@ A method says how a search begins and does one step of it. A step goes from one 
 next, so a search can be stopped after any step and resumed.
 """
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.core.compiling import waiting, working_clock
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.compile_ahead import Ahead, CompileJob
 from inspe_jax.placement.problem import Problem, Sample
@@ -63,8 +63,8 @@ class Method:
 class Progress:
     """One exact score of a search.
 
-    ``seconds`` of wall time since the search began; ``evaluations``, the number of exact scores so
-    far, with all other work counted in exact scores; the ``score``, and the ``best`` so far.
+    ``seconds`` since the first one, see :class:`Run`; ``evaluations``, the number of exact scores
+    so far, with all other work counted in exact scores; the ``score``, and the ``best`` so far.
     """
 
     seconds: float
@@ -90,18 +90,18 @@ class Run:
         seed: int = 0,
         seconds: float | None = None,
         evaluations: float | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        began: float | None = None,
+        clock: Callable[[], float] | None = None,
         progress: Callable[[float, float], None] | None = None,
         found: Callable[[Float[np.ndarray, " N"], float], None] | None = None,
         target: float = np.inf,
     ) -> None:
         """Raises InspeError where there is no budget, or one of nothing.
 
-        The budget is spent when the first of ``seconds`` and ``evaluations`` is. ``clock`` counts
-        seconds, and ``began`` is when this search did by it, now if not given. ``progress`` is
-        called with the share of the budget spent and the best score, ``found`` with coordinates
-        that are the best so far and their score. A score of ``target`` or more ends the search.
+        The budget is spent when the first of ``seconds`` and ``evaluations`` is. Seconds count from
+        the first exact score on, without those that this thread waits for a program to be compiled;
+        or by another ``clock``. ``progress`` is called with the share of the budget spent and the
+        best score, ``found`` with coordinates that are the best so far and their score. A score of
+        ``target`` or more ends the search.
         """
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
@@ -111,9 +111,9 @@ class Run:
         self.history: list[Progress] = []
         self.notes: list[str] = []
         self.limits = (seconds, evaluations)
-        self._clock, self._progress, self._found = clock, progress, found
+        self._clock, self._progress, self._found = clock or working_clock(), progress, found
         self.target = target
-        self._began = clock() if began is None else began
+        self._began = self._clock()
         self._ahead = Ahead({})
 
     @property
@@ -123,7 +123,7 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Wall time since the search began, with the time before it was resumed [s]."""
+        """Time since the first exact score, with that before the search was resumed [s]."""
         return self._clock() - self._began
 
     @property
@@ -164,6 +164,8 @@ class Run:
         if self.history:
             self._check_left()
         score = self.problem.exact(x)
+        if not self.history:
+            self._began = self._clock()
         self.evaluations += 1.0
         better = score > self.best
         if better:
@@ -209,8 +211,12 @@ class Run:
         return self._ahead.ready(name)
 
     def wait(self, name: str) -> None:
-        """Wait until a job of ``Method.ahead`` is done, if it was started. Raises its error."""
-        self._ahead.wait(name)
+        """Wait until a job of ``Method.ahead`` is done, if it was started. Raises its error.
+
+        The clock stands still meanwhile.
+        """
+        with waiting():
+            self._ahead.wait(name)
 
     def close(self) -> None:
         """Start no further job."""

@@ -64,13 +64,15 @@ def before_after(
 ) -> Figure:
     """Two plan views side by side, on one scale: a layout before and after a search.
 
-    Colours are those of :func:`~inspe_jax.report.figures.plan_view`. Arrows in the right view lead
-    from the old to the new place of each unit. ``path`` is that of
-    :class:`~inspe_jax.placement.result.Result`; if given, arrows follow the places in between.
-    Raises InspeError if the layouts have different sensors, or if the scores are of another scene.
+    One view where nothing moved. Colours are those of
+    :func:`~inspe_jax.report.figures.plan_view`. Arrows in the right view lead from the old to the
+    new place of each unit. ``path`` is that of :class:`~inspe_jax.placement.result.Result`; if
+    given, arrows follow the places in between. Raises InspeError if the layouts have different
+    sensors, or if the scores are of another scene.
     """
     if not same_sensors(before, after):
         raise InspeError(f"{before.name} and {after.name} are not of the same sensors")
+    moved = not np.array_equal(before.poses, after.poses)
     maps = [
         (
             of_scores.conditions.layout(of),
@@ -78,7 +80,7 @@ def before_after(
             seen_layer(of_scores.seen_share, scene),
             *column_raster(scene.voxels, of_scores.seen_share),
         )
-        for of, of_scores in ((before, scores_before), (after, scores))
+        for of, of_scores in ((before, scores_before), (after, scores))[: 1 + moved]
     ]
     center, radius = scene.voxels.center[:2], scene.voxels.radius
     reach = max(radius, *(np.hypot(*(poses[:, :2] - center).T).max() for _, poses, *_ in maps))
@@ -89,12 +91,13 @@ def before_after(
         below = _BELOW + _ROW * np.ceil((len(keys) + 1) / 2)
         fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, below)
         height = fig.get_figheight()
-        both = zip(maps, ("before", "after"), (scores_before, scores), strict=True)
-        for k, ((layout, poses, layer, raster, extent), when, of_scores) in enumerate(both):
+        captions = [_caption("before" if moved else "nothing moved", scores_before)]
+        captions.append(_caption("after", scores))
+        for k, (layout, poses, layer, raster, extent) in enumerate(maps):
             ax = axes[k]
             frame_map(ax, scene, reach)
             image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
-            ax.set_title(_caption(when, of_scores), size=7.5, loc="left", pad=4)
+            ax.set_title(captions[k], size=7.5, loc="left", pad=4)
             if k == 1:
                 ax.set(ylabel="")
                 way = np.stack([maps[0][1], poses]) if path is None else np.asarray(path, float)

@@ -54,7 +54,7 @@ NICE = 5
 class SearchTask:
     """A search, with the arguments of :func:`~inspe_jax.placement.optimise.optimise`.
 
-    Compiling does not count as part of ``seconds``; ``settings`` are those of JAX.
+    ``settings`` are those of JAX.
     """
 
     case: Case
@@ -142,7 +142,6 @@ def _search(task: SearchTask, out: _MessageWriter) -> None:
             target=task.target,
             progress=lambda done, best: out.send("progress", done, best),
             found=lambda layout, score: out.send("found", layout, score),
-            clock=lambda: time.monotonic() - (compiled().seconds - before),
         )
     except InspeError as e:
         out.send("failed", str(e))

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 from urllib.error import HTTPError
@@ -21,7 +22,8 @@ import pytest
 from processes import inspe_here, inspe_process
 from worlds import rilsa
 
-from inspe_jax.cli.common import keep_compiled
+from inspe_jax.cli import stopping
+from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 
@@ -598,13 +600,13 @@ if hasattr(os, "sched_setaffinity"):
 a kernel by another name, and keeps it once more."""
 
 
-def in_a_new_shell(files, cache, *arguments):
+def in_a_new_shell(files, cache, *arguments, code="from inspe_jax.cli import main; main()", **own):
     """(stdout, names of what was kept in the cache) of the command line in its own process."""
-    own = {key: str(cache) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
+    own |= {key: str(cache) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
     other = ("JAX_", "INSPE_")
     env = {key: value for key, value in os.environ.items() if not key.startswith(other)}
     ran = subprocess.run(
-        [sys.executable, "-c", f"{ON_ONE_CORE}from inspe_jax.cli import main; main()", *arguments],
+        [sys.executable, "-c", ON_ONE_CORE + code, *arguments],
         env=env | own,
         cwd=files,
         capture_output=True,
@@ -612,7 +614,8 @@ def in_a_new_shell(files, cache, *arguments):
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    assert ran.stderr == ""
+    told = f"what is compiled once is kept in {cache / 'inspe_jax'}", "nothing is kept of it"
+    assert ran.stderr in ("", *(f"Note: compiling; {words}\n" for words in told))  # if it is long
     kept = {path.name for path in cache.rglob("*-cache") if "inspe_jax" in path.parts}
     return ran.stdout, kept
 
@@ -633,6 +636,36 @@ def test_nothing_is_kept_where_it_is_not_wanted(files, tmp_path):
     assert not kept
 
 
+IN_PYTHON = """import jax, jax.monitoring
+heard = []
+jax.monitoring.register_event_listener(lambda event, **_: heard.append(event))
+import inspe_jax
+jax.jit(lambda x: x + 1)(1.0)
+print(sum(event.endswith("cache_hits") for event in heard))
+"""
+
+
+@pytest.mark.process
+def test_what_python_compiles_is_kept_too(files, tmp_path):
+    shell = partial(in_a_new_shell, files, tmp_path, code=IN_PYTHON)
+    assert shell(INSPE_CACHE="0") == ("0\n", set())
+    mine = dict(JAX_COMPILATION_CACHE_DIR=str(tmp_path / "own"))
+    assert shell(**mine, JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0") == ("0\n", set())
+    assert list((tmp_path / "own").glob("*-cache"))
+    first, kept = shell()
+    assert (first, bool(kept)) == ("0\n", True)
+    again, after = shell()
+    assert int(again) == len(kept) == len(after)
+
+
+def test_of_kept_programs_the_least_used_go_first(tmp_path):
+    for name, age in (("a-cache", 3), ("b-cache", 1), ("c-cache", 2), ("times.json", 9)):
+        (tmp_path / name).write_bytes(b"x" * 10)
+        os.utime(tmp_path / name, (10**9 - age, 10**9 - age))
+    prune(tmp_path, most=20)
+    assert {path.name for path in tmp_path.iterdir()} == {"b-cache", "c-cache", "times.json"}
+
+
 def no_home(*_, **__):
     raise RuntimeError
 
@@ -641,11 +674,101 @@ def no_home(*_, **__):
     "folder", [no_home, lambda *_, **__: Path("~/x"), lambda *_, **__: Path("/dev/null/x")]
 )
 def test_nowhere_to_keep_what_is_compiled_is_no_error(monkeypatch, folder):
-    monkeypatch.setattr("platformdirs.user_cache_path", folder)
+    monkeypatch.setattr("inspe_jax.core.compiling.user_cache_path", folder)
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     try:
-        keep_compiled()
+        keep_programs()
         assert jax.config.jax_compilation_cache_dir is None
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
+
+
+# ── Ctrl-C, also where Python does not hear it, and devices that are not there ──
+
+
+IN_XLA = """
+import hashlib, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from inspe_jax.cli import main
+from inspe_jax.core import compiling
+from inspe_jax.placement.problem import Problem
+scores = iter([0.5] * {scores})
+def exact(self, x):
+    for score in scores:
+        return score
+    compiling._watch.hear(compiling.LOWERED, 0.0)
+    print("compiles", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # minutes of C
+Problem.exact = exact
+main()
+"""
+LATER = "Note: stops once XLA has compiled, and keeps what it has; Ctrl-C again ends it now\n"
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("scores", "words"),
+    [
+        (0, ["", "stopped before the start was scored: nothing was searched, nothing is written"]),
+        (1, [LATER, "stopped; not finished: searching"]),
+    ],
+)
+def test_ctrl_c_is_answered_while_xla_compiles(files, tmp_path, scores, words):
+    arguments = ("optimise", files / "s.npz", files / "layout.yaml", "--method", "random")
+    code = IN_XLA.format(scores=scores)
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout.readline() == "compiles\n"
+            first, last = words
+            if first:
+                process.send_signal(signal.SIGINT)
+                line = process.stderr.readline()
+                while "compiling; " in line:
+                    line = process.stderr.readline()
+                assert line == first
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=30)[1].splitlines()[-1].endswith(last)
+            assert process.returncode == 130
+        finally:
+            process.kill()
+    assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_that_a_callback_swallows_comes_again(monkeypatch):
+    class Falls:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        began = time.monotonic()
+        with stopping.attended(print, sys.exit), pytest.raises(KeyboardInterrupt):
+            time.sleep(30 if Falls() else 60)  # it falls at once
+        assert time.monotonic() - began < 20
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("found", [AssertionError(), RuntimeError("no such backend"), None])
+def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch, found):
+    def fail(*_, **__):
+        raise found or AssertionError("of this package")
+
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    monkeypatch.setattr("inspe_jax.scoring.evaluate.evaluate", fail)
+    if found is None:
+        with pytest.raises(AssertionError, match="of this package"):
+            inspe("score", "s.npz", "layout.yaml")
+        return
+    monkeypatch.setattr(jax, "devices", fail)
+    status, _, error = inspe("score", "s.npz", "layout.yaml")
+    assert status == 2
+    assert re.fullmatch(r"Error: JAX_PLATFORMS=cuda: .* or set JAX_PLATFORMS=cpu\n", error)

@@ -10,7 +10,15 @@ import jax.numpy as jnp
 import pytest
 
 from inspe_jax.core import compiling
-from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
+from inspe_jax.core.compiling import (
+    compiled,
+    remember_seconds,
+    usual_seconds,
+    waiting,
+    waiting_words,
+    working_clock,
+)
+from inspe_jax.core.parallel import run
 
 
 def compile_something(length):
@@ -55,12 +63,12 @@ def test_programs_are_counted_and_their_time():
 
 def test_that_something_is_being_compiled_is_told_meanwhile():
     """A program whose compilation is held up by another thread's look at it."""
-    seen, watch = [], compiling._Watch()
+    seen, watch, began = [], compiling._Watch(), time.monotonic()
     watch.hear(compiling.LOWERED, 0.0)
     seen.append(watch.compiled())
     time.sleep(0.05)
     seen.append(watch.compiled())
-    watch.hear(compiling.COMPILED, 0.05)
+    watch.hear(compiling.COMPILED, time.monotonic() - began)
     seen.append(watch.compiled())
     assert [state.now for state in seen] == [True, True, False]
     assert seen[1].seconds - seen[0].seconds >= 0.05
@@ -85,25 +93,34 @@ def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_w
     assert watch.compiled().seconds == pytest.approx(3.0, abs=0.05)
 
 
-def test_all_that_a_thread_does_can_count_from_its_beginning_on():
-    """A search's clock stands still meanwhile: time that is taken back when something has been
-    traced would let it run backwards."""
-    watch, seen = compiling._Watch(), []
-    with watch.whole():
-        watch.hear(compiling.LOWERED, 0.0)
-        watch.hear(compiling.COMPILED, 5.0)  # within: it is not counted twice
-        thread = threading.Thread(target=watch.hear, args=(compiling.COMPILED, 0.0))
+@pytest.mark.parametrize(
+    ("where", "stands"),
+    [("here", True), ("in jobs", True), ("in a block", True), ("beside", False)],
+)
+def test_a_clock_stands_still_while_its_thread_waits_for_a_program(monkeypatch, where, stands):
+    watch = compiling._Watch()
+    monkeypatch.setattr(compiling, "_watch", watch)
+    clock = working_clock()
+
+    def compiles():
+        began = time.monotonic()
+        time.sleep(0.3)
+        watch.hear(compiling.TRACED, 0.1)
+        watch.hear(compiling.COMPILED, time.monotonic() - began)
+
+    began = clock()
+    if where == "here":
+        compiles()
+    elif where == "in jobs":
+        run([("a", compiles), ("b", compiles)], set())
+    elif where == "in a block":
+        with waiting():
+            time.sleep(0.3)
+    else:
+        thread = threading.Thread(target=compiles)
         thread.start()
         thread.join()
-        time.sleep(0.05)
-        seen.append(watch.compiled())
-        watch.hear(compiling.TRACED, 0.04)
-        seen.append(watch.compiled())
-    seen.append(watch.compiled())
-    assert [state.now for state in seen] == [True, True, False]
-    assert [state.programs for state in seen] == [2, 2, 2]
-    seconds = [state.seconds for state in seen]
-    assert 0.05 <= seconds[0] <= seconds[1] <= seconds[2] < 1.0
+    assert (clock() - began < 0.15) == stands
 
 
 def test_how_long_it_takes_is_as_long_as_the_last_time(tmp_path, monkeypatch):

@@ -159,12 +159,13 @@ def test_a_camera_s_bracket_turns_with_it(scene, layout):
     with jax.enable_x64(True):
         c = space.split(space.start(layout)[0])
         x = c._replace(arm=0 * c.arm, offset=0 * c.offset).flat()
-        slopes = np.asarray(jax.jacobian(space.poses)(jax.numpy.asarray(x)))
+        slopes = np.asarray(jax.jit(jax.jacobian(space.poses))(x))
         assert np.isfinite(slopes).all()
-        poses = np.asarray(space.poses(jax.numpy.asarray(x)))
+        placed = jax.jit(space.poses)
+        poses = np.asarray(placed(x))
         step = 1e-6
         for k in space.free:
-            ahead = np.asarray(space.poses(jax.numpy.asarray(x + step * np.eye(len(x))[k])))
+            ahead = np.asarray(placed(x + step * np.eye(len(x))[k]))
             if space.names[k].endswith(("yaw", "height", "pitch")):
                 assert np.allclose((ahead - poses) / step, slopes[..., k], atol=1e-4)
     poles = np.asarray(scene.intersection.poles)[:, :2] - space.center[:2]

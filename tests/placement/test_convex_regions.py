@@ -1,5 +1,7 @@
 """Convex pieces: against shapely's own geometry, and on shapes worked out by hand."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +31,7 @@ SOLID = [Polygon(shape) for shape in SHAPES if len(shape) > 1]
 ALL = np.ones((1, len(SHAPES)), bool)
 
 at = jax.jit(lambda v, which: PIECES.at(v, which, jnp))
+nearest = jax.jit(lambda p, ok: PIECES.nearest(p, ok, jnp))
 slope_of_at = jax.jit(jax.jacobian(lambda v, which: PIECES.at(v, which, jnp).sum(0)))
 slope_of_nearest = jax.jit(jax.jacobian(lambda p, ok: PIECES.nearest(p, ok, jnp)[0].sum(0)))
 
@@ -87,10 +90,10 @@ def test_slivers_are_left_out():
     assert merge(np.zeros((0, 3, 2))) == []
 
 
-@pytest.mark.parametrize("xp", [np, jnp])
-def test_nearest_point_is_shapelys(xp):
+@pytest.mark.parametrize("nearest", [PIECES.nearest, nearest])
+def test_nearest_point_is_shapelys(nearest):
     p = np.random.default_rng(1).uniform([-8, -12], [30, 12], (400, 2))
-    found, which, squared = PIECES.nearest(xp.asarray(p), np.repeat(ALL, 400, 0), xp)
+    found, which, squared = nearest(p, np.repeat(ALL, 400, 0))
     union = shapely.union_all([*SOLID, Point(-3, 5)])
     lines = shapely.shortest_line(union, shapely.points(p))
     np.testing.assert_allclose(found, shapely.get_coordinates(lines)[::2], atol=1e-5)
@@ -183,15 +186,16 @@ def test_intervals_and_discs_swing_and_invert():
     way = np.array([[0.6, 0.8]]) * (radius * [0.9, 0.5, 0.0])[:, None]
     np.testing.assert_allclose(to_disc(from_disc(way, radius, np), radius, np), way)
     # In the middle both move as their argument does; the ends are reached and never passed.
-    assert jax.grad(lambda v: to_bounded(v, jnp.asarray(2.0), jnp))(0.0) == pytest.approx(1)
-    turn = jax.jacobian(lambda v: to_disc(v, jnp.asarray(2.0), jnp))(jnp.zeros(2))
+    two = jnp.asarray(2.0)
+    assert jax.jit(jax.grad(lambda v: to_bounded(v, two, jnp)))(0.0) == pytest.approx(1)
+    turn = jax.jit(jax.jacobian(lambda v: to_disc(v, two, jnp)))(np.zeros(2, np.float32))
     np.testing.assert_allclose(turn, np.eye(2), atol=1e-6)
     # What lies on the rim still moves.
-    rim = jnp.asarray([2.0, 0.0]), jnp.asarray(2.0)
-    for there, back, x in ((to_bounded, from_bounded, rim[1]), (to_disc, from_disc, rim[0])):
-        slope = jax.jacobian(lambda v, there=there: there(v, rim[1], jnp))(back(x, rim[1], jnp))
-        assert np.abs(slope).ravel()[0] > 0.1  # outward, of the disc
-        assert np.linalg.norm(np.asarray(there(back(x, rim[1], jnp), rim[1], jnp))) > 1.95
+    for there, back, x in ((to_bounded, from_bounded, 2.0), (to_disc, from_disc, [2.0, 0.0])):
+        v = back(np.float32(x), np.float32(2.0), np)
+        again = partial(there, radius=two, xp=jnp)
+        assert np.abs(jax.jit(jax.jacobian(again))(v)).ravel()[0] > 0.1  # outward, of the disc
+        assert np.linalg.norm(np.asarray(jax.jit(again)(v))) > 1.95
     v = np.linspace(-50, 50, 10001)
     assert np.abs(to_bounded(v, np.full(10001, 2.0), np)).max() == pytest.approx(2, abs=1e-4)
     wide = to_disc(np.random.default_rng(4).normal(size=(5000, 2)) * 9, np.full(5000, 2.0), np)
@@ -204,7 +208,7 @@ def test_nearest_point_of_a_disc():
     radius = np.array([1.0, 1.0, 1.0, 0.0])
     expected = [[0.6, 0.8], [0.3, 0.4], [0, 0], [0, 0]]
     np.testing.assert_allclose(into_disc(x, radius, np), expected, atol=1e-12)
-    slope = jax.jacobian(lambda x: into_disc(x, jnp.asarray(radius), jnp))(jnp.asarray(x))
+    slope = jax.jit(jax.jacobian(partial(into_disc, radius=jnp.asarray(radius), xp=jnp)))(x)
     assert np.isfinite(slope).all()
 
 

@@ -128,12 +128,14 @@ def test_a_way_of_small_steps_is_drawn_as_it_went(result, scene):
     assert arrows[1]._posA_posB[1] == (-9.0, -9.0)
 
 
-def test_no_arrows_and_no_key_of_them_where_nothing_moved(result, scene):
+def test_one_map_and_no_key_of_arrows_where_nothing_moved(result, scene):
     fig = before_after(
         scene, result.start, result.start, result.scores_before, result.scores_before
     )
     words = [text.get_text() for legend in fig.legends for text in legend.get_texts()]
     assert WENT not in words
+    (only,) = maps_of(fig)
+    assert only.get_title(loc="left").startswith("nothing moved: ")
     assert "camera, view to 30 m" in words
 
 

@@ -3,18 +3,13 @@
 import threading
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from worlds import CAMERA, LIDAR, place_sensors, world
 
 from inspe_jax.core import compiling
-from inspe_jax.core.compiling import compiled
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
 from inspe_jax.scoring.evaluate import evaluate
@@ -22,7 +17,6 @@ from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
-from inspe_jax.viewer import search_process
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
@@ -271,29 +265,6 @@ def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(layout, se
     assert searcher._process is process
     assert len(heard.compiling.heard) <= compiled + 4  # hardly any: a second's
     assert second.layout is not None
-
-
-def test_the_time_stands_still_while_a_search_compiles(scene, layout, monkeypatch):
-    told, spent, took = [], [], []
-
-    def search(*_, clock, **__):
-        compiling, at, began = compiled().seconds, time.monotonic(), clock()
-        jax.block_until_ready(jax.jit(lambda x: jnp.sort(x) @ jnp.sin(x))(jnp.ones(1237)))
-        spent.append(clock() - began)
-        took.extend([time.monotonic() - at, compiled().seconds - compiling])
-        time.sleep(0.2)
-        spent.append(clock() - began)
-        return "found"
-
-    monkeypatch.setattr(search_process, "optimise", search)
-    objective = Objective(weights=WEIGHTS)
-    task = search_process.SearchTask(Case(scene), layout, "random", 3.0, objective, Constraints())
-    search_process._search(task, SimpleNamespace(send=lambda *message: told.append(message)))
-    wall, compiling = took
-    assert compiling > 0
-    assert spent[0] == pytest.approx(wall - compiling, abs=0.5 * compiling)
-    assert spent[1] - spent[0] >= 0.2
-    assert told == [("ended", "found")]
 
 
 @pytest.mark.process

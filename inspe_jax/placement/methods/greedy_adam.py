@@ -10,6 +10,7 @@ known, and on detectability with cameras it comes further than Adam in the same 
 compiled.
 """
 
+import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -93,14 +94,14 @@ def begin(run: Run) -> Placing:
 
 def ahead(run: Run) -> dict[str, CompileJob]:
     """What greedy placement needs compiled; then the gradient, if it will be of use in time."""
-    jobs, problem, began = greedy.ahead(run), run.problem, run.spent
+    jobs, problem, began = greedy.ahead(run), run.problem, time.monotonic()
     if "slope" in problem.known:
         return jobs
     _ = problem.arrays
 
     def gradient() -> bool:
-        took = run.spent - began
-        if run.share(run.spent + COMPILES * took) >= UNTIL:
+        takes = COMPILES * (time.monotonic() - began)
+        if run.share(run.spent + np.array([takes, 0.0])) >= UNTIL:
             return False
         trial = Run(problem, run.start, evaluations=np.finfo(float).max)
         start = charted(problem, run.start[None], ONE_LINE)

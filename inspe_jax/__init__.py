@@ -25,7 +25,6 @@ from inspe_jax.core.version import __version__ as __version__
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import compare, methods, optimise
-from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.placement.studies.cheapest import cheapest
@@ -47,7 +46,7 @@ from inspe_jax.scoring.detection import (
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.catalogue import Device, device, devices
-from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
 from inspe_jax.study.plan import Study, load_study

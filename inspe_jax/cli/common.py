@@ -227,27 +227,14 @@ def check_scene(source: str) -> None:
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
     """Raise InspeError if a layout cannot be read: before its scene, which may take minutes."""
     from inspe_jax.core.files import read_json
-    from inspe_jax.placement.strategies import STRATEGIES
     from inspe_jax.scene.geojson import SUFFIX
     from inspe_jax.sensing.layout import load_layout
+    from inspe_jax.sensing.named import rule_of
 
     if Path(sensors).suffix.lower() == SUFFIX:
         read_json(Path(sensors))
-    elif _is_file(sensors):
+    elif rule_of(sensors) is None:
         load_layout(sensors, unit_rule=unit_rule)
-    elif sensors.lower() not in (name.lower() for name in STRATEGIES):
-        raise InspeError(
-            f"no layout '{sensors}': give a .yaml or .geojson file, or a strategy: "
-            + ", ".join(STRATEGIES)
-            + nearest(sensors, tuple(STRATEGIES))
-        )
-
-
-def _is_file(sensors: str) -> bool:
-    """Whether a layout is given as a file, not as the name of a strategy."""
-    from inspe_jax.scene.geojson import SUFFIX
-
-    return Path(sensors).suffix.lower() in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file()
 
 
 def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
@@ -256,17 +243,9 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
-    from inspe_jax.placement.strategies import strategy
-    from inspe_jax.scene.geojson import SUFFIX
-    from inspe_jax.sensing.layout import load_layout
-    from inspe_jax.sensing.layout_geojson import load_layout_geojson
+    from inspe_jax.sensing.named import layout_of
 
-    if not _is_file(sensors):
-        return strategy(world, sensors)
-    if Path(sensors).suffix.lower() == SUFFIX:
-        layout = load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
-    else:
-        layout = load_layout(sensors, world, unit_rule=unit_rule)
+    layout = layout_of(sensors, world, unit_rule=unit_rule)
     note_other_profile(world, layout)
     return layout
 

@@ -115,13 +115,10 @@ class WeightOptions:
 
     def further(self) -> tuple[str, ...]:
         """The names of the further metrics. Raises InspeError if one is of no metric."""
-        from inspe_jax.scoring.metrics import METRICS, chosen
+        from inspe_jax.scoring.metrics import chosen, names_of
 
-        if self.metrics.strip() == "all":
-            return tuple(METRICS)
-        names = tuple(name.strip() for name in self.metrics.split(",") if name.strip())
-        chosen(names)
-        return names
+        chosen(self.metrics)
+        return names_of(self.metrics)
 
 
 def _weights(given: list[str]) -> dict[str, float]:

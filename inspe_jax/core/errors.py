@@ -4,7 +4,10 @@ import json
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib import metadata
+from typing import Any, TypeVar
 from urllib.parse import unquote, urlsplit
+
+Kind = TypeVar("Kind")
 
 
 class InspeError(ValueError):
@@ -47,6 +50,20 @@ def _install(extra: str) -> str:
         vcs = origin.get("vcs_info", {}).get("vcs")
         return f"pip install '{package} @ {f'{vcs}+' if vcs else ''}{url}'"
     return f"pip install '{package}'"
+
+
+def wrong_kind(name: str, given: Any, wanted: str) -> InspeError:
+    """The error of an argument that is something else than what is ``wanted``."""
+    text = " ".join(repr(given).split())
+    text = text if len(text) <= 80 else f"{text[:77]}…"
+    return InspeError(f"{name}: got {text}, of type {type(given).__name__}; give {wanted}")
+
+
+def or_usual(name: str, given: Kind | None, kind: type[Kind]) -> Kind:
+    """``given``, or the usual one of its kind for None. Raises InspeError for another kind."""
+    if given is not None and not isinstance(given, kind):
+        raise wrong_kind(name, given, f"inspe_jax.{kind.__name__}(…), or None for the usual one")
+    return kind() if given is None else given
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

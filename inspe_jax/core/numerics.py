@@ -86,10 +86,10 @@ class Softness:
         widths: list[Width] = []
         for width in (value.field, value.shadow) if whole else (value,):
             if width is not None and not isinstance(width, jax.core.Tracer):
-                try:
-                    width = float(width + 0)  # + 0 refuses text
-                except (TypeError, ValueError):
-                    raise InspeError(f"softness {width!r}: a number of metres, 0 or more") from None
+                number = np.asarray(width)  # an operation of JAX would be traced under jit
+                if number.dtype.kind not in "iuf" or number.size != 1:
+                    raise InspeError(f"softness {width!r}: a number of metres, 0 or more")
+                width = float(number.reshape(()))
                 if not 0 <= width < float("inf"):
                     raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
             widths.append(None if exact(width) else jnp.asarray(width, float))

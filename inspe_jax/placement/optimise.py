@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, check_known, nearest
+from inspe_jax.core.errors import InspeError, check_known, nearest, or_usual, wrong_kind
 from inspe_jax.core.files import check_output, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
@@ -17,7 +17,7 @@ from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.problem import Case, Problem
+from inspe_jax.placement.problem import AnyScene, Problem, cases_of
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.run import (
     BudgetSpent,
@@ -29,8 +29,8 @@ from inspe_jax.placement.run import (
     check_seed,
 )
 from inspe_jax.placement.strategies import STRATEGIES, strategy
-from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
 DEFAULT_METHOD = "greedy-adam"
@@ -60,13 +60,13 @@ def methods(objective: Objective | None = None) -> dict[str, str]:
 
 def _knowing(objective: Objective | None) -> list[Method]:
     """The search methods that know all metrics with weight."""
-    weights = (objective or Objective()).weights_by_name
+    weights = or_usual("objective", objective, Objective).weights_by_name
     return [row for row in METHODS.values() if not row.unknown(weights)]
 
 
 def optimise(
-    scene: Scene | Case | Sequence[Scene | Case],
-    layout: Layout,
+    scene: AnyScene | Sequence[AnyScene],
+    layout: Layout | str,
     method: str = DEFAULT_METHOD,
     seconds: float | None = None,
     evaluations: float | None = None,
@@ -79,12 +79,15 @@ def optimise(
     found: Callable[[Layout, float], None] | None = None,
     clock: Callable[[], float] | None = None,
     target: float = np.inf,
+    conditions: Conditions | str | None = None,
 ) -> Result:
     """Search better places for the sensors of a layout, under constraints and within a budget.
 
     ``scene`` is one scene, or several of one intersection; ``objective.over`` says how their scores
-    are combined. ``layout`` gives the sensors and their units. ``method`` is one of
-    :func:`methods`.
+    are combined. ``layout`` gives the sensors and their units. Both can be given by name, as in
+    :func:`inspe_jax.evaluate`, and so can ``conditions``, the light and weather; several scenes in
+    several conditions are a list of :class:`~inspe_jax.sensing.conditions.Case`. ``method`` is one
+    of :func:`methods`.
 
     ``start`` is "given" (the layout itself), "random", the name of a strategy with as many sensors
     of each kind, or a layout of the same sensors. If mounting does not allow it, the search begins
@@ -112,7 +115,7 @@ def optimise(
     (row,) = check_search((method,), objective, start, (seed,))
     seconds = _seconds(seconds, evaluations)
     check_output(checkpoint, SUFFIXES)
-    problem = Problem(scene, layout, objective, constraints)
+    problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     x, notes = _start(problem, start, seed)
     run = Run(
         problem,
@@ -137,8 +140,8 @@ def optimise(
 
 
 def compare(
-    scene: Scene | Case | Sequence[Scene | Case],
-    layout: Layout,
+    scene: AnyScene | Sequence[AnyScene],
+    layout: Layout | str,
     methods: Sequence[str] | None = None,
     seconds: float | None = None,
     evaluations: float | None = None,
@@ -147,6 +150,7 @@ def compare(
     constraints: Constraints | None = None,
     start: str | Layout = "given",
     progress: Callable[[str, int, float, float], None] | None = None,
+    conditions: Conditions | str | None = None,
 ) -> list[Result]:
     """Search by several methods on equal terms, once for each seed.
 
@@ -162,7 +166,7 @@ def compare(
     several = range(seeds) if isinstance(seeds, int) else seeds
     rows = check_search(methods, objective, start, several)
     seconds = _seconds(seconds, evaluations)
-    problem = Problem(scene, layout, objective, constraints)
+    problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     results: list[Result] = []
     most = np.inf if evaluations is None else evaluations
     try:
@@ -334,7 +338,7 @@ def _settings(problem: Problem) -> dict[str, Any]:
 
 def _method(name: str, objective: Objective | None) -> Method:
     check_known(name, METHODS, "method")
-    if others := METHODS[name].unknown((objective or Objective()).weights_by_name):
+    if others := METHODS[name].unknown(or_usual("objective", objective, Objective).weights_by_name):
         raise InspeError(
             f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "
             f"{', '.join(row.name for row in _knowing(objective))}"
@@ -376,6 +380,8 @@ def check_search(
     for seed in seeds:
         check_seed(seed)
     known = (*STARTS, *STRATEGIES)
+    if not isinstance(start, str | Layout):
+        raise wrong_kind("start", start, f"a Layout, or one of {', '.join(known)}")
     if isinstance(start, str) and start.lower() not in (name.lower() for name in known):
         raise InspeError(
             f"start '{start}': give one of {', '.join(known)}, or a layout of the same sensors"

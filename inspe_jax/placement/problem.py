@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from inspe_jax.core.arrays import on_device, on_host
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, or_usual
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.placement.candidate_views import CandidateViews, joined, view_jobs
 from inspe_jax.placement.candidates import poses
@@ -32,7 +32,7 @@ from inspe_jax.scoring.evaluate import check_entropy, options_of
 from inspe_jax.scoring.exact import measure_exactly
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
-from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
+from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
@@ -45,20 +45,19 @@ frames, with 8 cameras, 4 LiDARs and both, on samples of 384 to 3072 columns and
 0.04 to 0.21. The exact score worked on two cores. Most of a small sample's cost is fixed."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A scene to score on, and the light and weather that the sensors work in."""
-
-    scene: Scene
-    conditions: Conditions = FAIR
+AnyScene = Scene | Case | str
+"""A scene as users give it: as such, in conditions, or by name."""
 
 
-def cases_of(scenes: Scene | Case | Sequence[Scene | Case]) -> tuple[Case, ...]:
-    """One or several scenes as cases. Raises InspeError where the list is empty."""
-    listed = [scenes] if isinstance(scenes, Scene | Case) else list(scenes)
+def cases_of(
+    scenes: AnyScene | Sequence[AnyScene], conditions: Conditions | str | None = None
+) -> tuple[Case, ...]:
+    """One or several scenes as cases. Raises InspeError where the list is empty, and as
+    :func:`~inspe_jax.sensing.conditions.case_of`."""
+    listed = scenes if isinstance(scenes, list | tuple) else [scenes]
     if not listed:
         raise InspeError("no scene to search on: give at least one")
-    return tuple(s if isinstance(s, Case) else Case(s) for s in listed)
+    return tuple(case_of(scene, conditions) for scene in listed)
 
 
 Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
@@ -100,8 +99,8 @@ class Problem:
 
     def __init__(
         self,
-        scenes: "Scene | Case | Sequence[Scene | Case]",
-        layout: Layout,
+        scenes: AnyScene | Sequence[AnyScene],
+        layout: Layout | str,
         objective: Objective | None = None,
         constraints: Constraints | None = None,
     ) -> None:
@@ -109,8 +108,8 @@ class Problem:
 
         Constraints are not checked here, but when :attr:`space` is first used.
         """
-        self.layout = layout
-        wanted = objective or Objective()
+        wanted = or_usual("objective", objective, Objective)
+        self._constraints = or_usual("constraints", constraints, Constraints)
         wanted.check()
         self.cases = tuple(
             replace(case, scene=wanted.within(case.scene)) for case in cases_of(scenes)
@@ -147,7 +146,8 @@ class Problem:
                     f"{case.scene.name} and {first.name} have other static bodies: scenes searched "
                     "together are of one place; give both the same with Scene.with_statics"
                 )
-        check_layout(first, layout)
+        _, layout, _ = check_layout(first, layout)
+        self.layout = layout
         self.price = self.objective.price(layout)
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
@@ -162,7 +162,6 @@ class Problem:
             {name: np.array(weight) for name, weight in self.objective.weights_by_name.items()},
             np.array(len(failures), np.int32),
         )
-        self._constraints = constraints or Constraints()
         self.compiled: dict[Callable[[Problem], Any], Any] = {}  # see per_problem
         self.known: set[Hashable] = set()  # what is compiled already, for methods to note
 

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, csv_text, json_value, prepare_folder, write_text
+from inspe_jax.core.records import Described
 from inspe_jax.placement.run import Progress
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
@@ -32,8 +33,8 @@ STATUSES = {
 """How a search can end, and what that means."""
 
 
-@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Result:
+@dataclass(frozen=True, eq=False, repr=False)  # arrays inside: identity is equality
+class Result(Described):
     """The outcome of a search.
 
     ``layout``: the best layout found; it is feasible, and never worse than the start.
@@ -67,6 +68,15 @@ class Result:
     settings: dict[str, Any]
     versions: dict[str, str]
     notes: tuple[str, ...] = ()
+
+    def _facts(self) -> dict[str, Any]:
+        return {
+            "layout": self.layout.name,
+            "objective": f"{self.objective:.4f} after {self.objective_before:.4f}",
+            "method": self.method,
+            "status": self.status,
+            "work": f"{self.evaluations:.0f} exact scores in {self.seconds:.1f} s",
+        }
 
 
 def save_result(result: Result, folder: str | os.PathLike[str]) -> None:

@@ -40,10 +40,12 @@ from inspe_jax.placement.site import (
     spread,
 )
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.named import scene_of
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit, make_layout
+from inspe_jax.sensing.named import LAYOUT_RULES
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 # ── The rules ───────────────────────────────────────────────────────────────
@@ -181,7 +183,7 @@ STRATEGIES: dict[str, Strategy] = {
 
 
 def strategy(
-    scene: Scene,
+    scene: Scene | str,
     name: str,
     *,
     camera: str | Spec | None = None,
@@ -204,6 +206,7 @@ def strategy(
     or pitch is out of range, or if the intersection has fewer than two arms or no place for a
     pole.
     """
+    scene = scene_of(scene)
     own, place = scene.profile, scene.intersection
     camera_height = own.camera_height if camera_height is None else camera_height
     lidar_height = own.lidar_height if lidar_height is None else lidar_height
@@ -224,6 +227,9 @@ def strategy(
     for rule, spec in ((row.cameras, chosen.camera), (row.lidars, chosen.lidar)):
         views += [(view, spec) for view in rule(site)] if rule else []
     return replace(join(chosen.name, place, views), profile=own.name)
+
+
+LAYOUT_RULES.update(dict.fromkeys(STRATEGIES, strategy))
 
 
 class Chosen(NamedTuple):
@@ -301,7 +307,8 @@ def join(name: str, place: Intersection, views: list[tuple[View, Spec]]) -> Layo
         count = sum(sensor.unit == u and sensor.spec.kind == spec.kind for sensor in sensors)
         sensors.append(Sensor(f"{units[u].name} {spec.kind} {count + 1}", spec, u))
         poses.append(pose)
-    return make_layout(sensors, units, np.array(poses), name)
+    order = sorted(range(len(sensors)), key=lambda s: sensors[s].unit)
+    return make_layout([sensors[s] for s in order], units, np.array(poses)[order], name)
 
 
 def _within_unit(a: np.ndarray, b: np.ndarray) -> bool:

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
@@ -13,6 +15,8 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.digest import ADDED, ORIGIN, added
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.records import Described, check_values
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.regions import Region
@@ -65,8 +69,8 @@ class Route:
         return float(self.arc[-1])
 
 
-@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Intersection:
+@dataclass(frozen=True, eq=False, repr=False)  # arrays inside: identity is equality
+class Intersection(Described):
     """A junction and what surrounds it, in world metres (ENU).
 
     ``regions`` have one shapely geometry each. They may overlap: a column takes
@@ -99,6 +103,16 @@ class Intersection:
     level_points: Float[np.ndarray, "N 3"] | None = field(
         default=None, metadata={ORIGIN: None, ADDED: None}
     )
+
+    def _facts(self) -> dict[str, Any]:
+        counts = {part: len(getattr(self, part)) for part in ("arms", "routes", "poles", "bodies")}
+        return {"name": self.name, "source": self.source} | counts
+
+    def _check(self, prefix: str) -> None:
+        if not len(self.ground_points):
+            raise InspeError(f"{prefix}ground_points: at least one is needed")
+        for shape in (*self.regions.values(), self.mounting):
+            check_values(shapely.get_coordinates(shape), f"{prefix}regions or mounting")
 
     @cached_property
     def _ground_index(self) -> cKDTree:

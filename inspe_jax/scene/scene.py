@@ -9,15 +9,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
 from inspe_jax.core.digest import ADDED, added
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest, wrong_kind
 from inspe_jax.core.files import check_input, check_output, whole_file
 from inspe_jax.core.pytree import pytree
+from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
@@ -63,8 +65,8 @@ class _Earlier(Exception):
 
 
 @pytree
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Described):
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
     ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
@@ -79,6 +81,19 @@ class Scene:
     settings: tuple[tuple[str, str], ...] = field(metadata={"static": True}, default=())
     statics: tuple[StaticBody, ...] = added((), static=True)
     terrain: Terrain | None = field(default=None, metadata={ADDED: None, "static": True})
+
+    def _facts(self) -> dict[str, Any]:
+        bodies = {"static bodies": len(self.statics)} if self.statics else {}
+        own = {"name": self.name, "profile": self.profile.name}
+        return own | self.voxels._facts() | self.traffic._facts() | bodies
+
+    def check(self) -> "Scene":
+        """This scene, which is checked once: shapes, kinds, and that all values are finite and in
+        range. Raises InspeError that names the part and the index of the first wrong value."""
+        if "_checked" not in self.__dict__:
+            check_record(self, getattr(self.intersection, "name", "scene"))
+            self.__dict__["_checked"] = True
+        return self
 
     def with_terrain(self) -> "Scene":
         """This scene with the ground of its map in the way: it hides what is behind its brows.
@@ -155,7 +170,7 @@ class Scene:
 
 
 def build_scene(
-    intersection: Intersection,
+    intersection: Intersection | str,
     *,
     profile: str = DEFAULT_PROFILE,
     radius: float | None = None,
@@ -171,7 +186,7 @@ def build_scene(
     terrain: str = "none",
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
-    """Voxelise an intersection and fill it with traffic.
+    """Voxelise an intersection, or the built-in one of a name, and fill it with traffic.
 
     ``profile`` is one of :func:`~inspe_jax.scene.profiles.profiles`; it gives the values that are
     None. ``radius``, ``voxel`` and ``spacing`` [m] are those of
@@ -194,6 +209,12 @@ def build_scene(
     own = profile_of(profile).of_scene(**given)
     check_statics(statics)
     check_terrain(terrain)
+    if isinstance(intersection, str) and not is_map(intersection):
+        intersection = built_in(intersection)
+    if not isinstance(intersection, Intersection):
+        wanted = "the name of a built-in, or an Intersection, as scene.maps.registry.read_map reads"
+        raise wrong_kind("intersection", intersection, wanted)
+    check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
     voxels = build_voxels(intersection, **lengths)
@@ -222,7 +243,7 @@ def build_scene(
         settings |= dict(terrain=terrain)
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
     scene = scene if terrain == "none" else scene.with_terrain()
-    return scene.with_statics(statics_of(statics, intersection, radius, found))
+    return scene.with_statics(statics_of(statics, intersection, radius, found)).check()
 
 
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:
@@ -265,14 +286,20 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             f"{path}: built under the profile {own}, not {profile}; build it again: "
             f"inspe scene … --profile {profile}"
         )
-    return scene
+    try:
+        return scene.check()
+    except InspeError as e:
+        raise InspeError(f"{path}: {e}") from None
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene to a compressed ``.npz`` file, whole or not at all."""
+    """Write a scene to a compressed ``.npz`` file, whole or not at all. Raises InspeError as
+    :meth:`Scene.check` does."""
+    if not isinstance(scene, Scene):
+        raise wrong_kind("scene", scene, "a Scene")
     check_output(path, SCENE_SUFFIXES)
     with whole_file(path) as f:
-        np.savez_compressed(f, **_pack(scene))  # type: ignore[arg-type]  # names are ours
+        np.savez_compressed(f, **_pack(scene.check()))  # type: ignore[arg-type]  # names are ours
 
 
 def density_count(density: str | int) -> int:

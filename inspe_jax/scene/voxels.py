@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import shapely
@@ -11,6 +12,7 @@ from jaxtyping import Float, Int
 from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.pytree import pytree
+from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 
@@ -27,8 +29,8 @@ BYTES_PER_VOXEL = 50
 
 
 @pytree
-@dataclass(frozen=True)
-class VoxelGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class VoxelGrid(ByContent, Described):
     """Voxels as columns × levels, in world metres.
 
     ``columns`` (L, 2) are plan centres on a lattice of ``spacing`` [m] that has a corner
@@ -48,6 +50,15 @@ class VoxelGrid:
     level_count: int = field(metadata={"static": True})
     spacing: float = field(metadata={"static": True})
     counted: tuple[int, ...] = added((), static=True)
+
+    def _facts(self) -> dict[str, Any]:
+        return {"radius": f"{self.radius:g} m", "size": self.words, "voxels": self.count}
+
+    def _check(self, prefix: str) -> None:
+        check_values(self.region, f"{prefix}region", 0, len(Region) - 1)
+        check_values(self.level_count, f"{prefix}level_count", 1)
+        for name in ("size", "spacing", "radius"):
+            check_values(getattr(self, name), prefix + name, VOXEL_LIMITS[0])
 
     @property
     def words(self) -> str:

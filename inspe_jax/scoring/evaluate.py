@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, wrong_kind
 from inspe_jax.core.numerics import Softness
+from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
@@ -35,10 +36,10 @@ from inspe_jax.scoring.tiled_scene import (
     tiled_scene_without_masks,
     whole_tiled_scene_of,
 )
-from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
+from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import from_center, poses_about_center
-from inspe_jax.visibility.queries import check_layout
+from inspe_jax.visibility.queries import check_layout, check_places
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
 """What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
@@ -81,8 +82,8 @@ class Contribution(PaperMetrics):
     surrogate: float
 
 
-@dataclass(frozen=True)
-class Scores(PaperMetrics):
+@dataclass(frozen=True, eq=False, repr=False)
+class Scores(PaperMetrics, ByContent, Described):
     """The scores of one layout on one scene, each between 0 and 1, higher is better.
 
     ``metrics`` are by name, and ``surrogate`` is their weighted sum P_sm. They are numbers, or JAX
@@ -103,6 +104,10 @@ class Scores(PaperMetrics):
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
 
+    def _facts(self) -> dict[str, Any]:
+        shown = {**self.metrics, "P_sm": self.surrogate}
+        return {k: f"{x:.4f}" if isinstance(x, float) else x for k, x in shown.items()}
+
     @property
     def information_gain_literal(self) -> float:
         """IG as the paper prints it, for comparison only: it falls as sensors see more."""
@@ -117,32 +122,37 @@ class Scores(PaperMetrics):
 
 
 def evaluate(
-    scene: Scene,
-    layout: Layout,
+    scene: Scene | Case | str,
+    layout: Layout | str,
     *,
     weights: Weights = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
     softness: Any = 0.0,
-    conditions: Conditions = FAIR,
-    metrics: Sequence[str] = (),
+    conditions: Conditions | str | None = None,
+    metrics: str | Sequence[str] = (),
     detection: DetectionCurves | None = None,
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
+
+    Both can be given by name: ``evaluate("four_way", "Cam-d1")``. A scene is that of a built-in or
+    of a saved file, a layout that of a strategy or of a file.
 
     The scene's static bodies hide voxels in every frame, from every metric. Read exactly, a tree's
     crown hides if its transmittance is below 0.5; read softly, transmittances are multiplied.
 
     ``weights`` of the metrics in P_sm are given by name, or as three numbers for C, O and IG.
-    ``metrics`` are the names of those to compute besides the usual ones and those with weight.
+    ``metrics`` are the names of those to compute besides the usual ones and those with weight, or
+    "all".
     ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and
     ``visibility`` for information gain is one of :data:`VISIBILITIES`; without them, the scene's
     profile decides. Metrics that need line of sight take the same, or ``past_others`` in place of
     ``in_view``. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
     view and shadows are read, and then rays are read as a density; or a
     :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are the light and the weather that
-    the sensors work in. ``detection`` has the curves of detectability, the usual ones if None
-    (:func:`~inspe_jax.scoring.detection.load_detection`).
+    the sensors work in, also as text such as "night, rain:10"; or ``scene`` is a
+    :class:`~inspe_jax.sensing.conditions.Case`. ``detection`` has the curves of detectability, the
+    usual ones if None (:func:`~inspe_jax.scoring.detection.load_detection`).
 
     With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
     differentiable in P. The exact score is a step function, with gradient 0. The
@@ -153,11 +163,11 @@ def evaluate(
     unknown, or the arrays would not fit in memory. It is also raised where there is no traffic and
     so no entropy to resolve, unless information gain has weight 0; then information gain is 0.
     """
+    scene, layout, conditions = check_layout(scene, layout, conditions)
     options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, conditions=conditions, detection=detection)
+    check_options(weights, **options, detection=detection)
     by_name = weights_of(weights)
     asked = Asked.of(**options, names=chosen(metrics, by_name), detection=detection)
-    check_layout(scene, layout)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
     # Without each sensor in turn, but not where poses are traced.
@@ -232,8 +242,8 @@ def _measured(
     return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
 
 
-@dataclass(frozen=True)
-class ManyScores(PaperMetrics):
+@dataclass(frozen=True, eq=False)
+class ManyScores(PaperMetrics, ByContent):
     """The exact scores of M layouts: ``metrics`` by name and ``surrogate``, P_sm, each (M,)."""
 
     metrics: dict[str, Float[np.ndarray, " M"]]
@@ -241,15 +251,15 @@ class ManyScores(PaperMetrics):
 
 
 def evaluate_many(
-    scene: Scene,
-    layout: Layout,
+    scene: Scene | Case | str,
+    layout: Layout | str,
     poses: Float[np.ndarray, "M S 6"],
     *,
     weights: Weights = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
-    conditions: Conditions = FAIR,
-    metrics: Sequence[str] = (),
+    conditions: Conditions | str | None = None,
+    metrics: str | Sequence[str] = (),
     detection: DetectionCurves | None = None,
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M sets of S poses: the metrics and P_sm only.
@@ -259,8 +269,9 @@ def evaluate_many(
     x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`. Raises
     InspeError as that does, and where ``poses`` has another shape or is traced.
     """
+    scene, layout, conditions = check_layout(scene, layout, conditions)
     options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, conditions=conditions, detection=detection)
+    check_options(weights, **options, detection=detection)
     try:
         poses = np.asarray(poses, float)
     except (TypeError, ValueError):  # a traced array's error is a TypeError
@@ -273,12 +284,13 @@ def evaluate_many(
             f"poses of shape {poses.shape}: (M, {len(layout)}, 6) for M times the sensors of "
             f"{layout.name}, x, y, z, roll, pitch, yaw each"
         )
+    check_values(poses, "poses")
     check_memory(scene.voxels.count, len(layout))
     layouts = [
         replace(layout.with_poses(row), name=f"poses[{number}]") for number, row in enumerate(poses)
     ]
     for one in layouts:
-        check_layout(scene, one)
+        check_places(scene, one)
     layout = perceiving(scene, layout, conditions)
     tiled = whole_tiled_scene_of(scene)
     by_name = weights_of(weights)
@@ -348,19 +360,11 @@ def check_options(
     weights: Weights,
     occlusion_reference: str,
     visibility: str,
-    conditions: Conditions = FAIR,
     detection: DetectionCurves | None = None,
 ) -> None:
     """Raise InspeError where an option of :func:`evaluate` is unknown."""
-    if not isinstance(conditions, Conditions):
-        raise InspeError(
-            f"conditions {conditions!r}: give them as inspe_jax.Conditions.of('night', 'rain:10')"
-        )
     if not (detection is None or isinstance(detection, DetectionCurves)):
-        raise InspeError(
-            f"detection {detection!r}: give curves, as inspe_jax.load_detection('curves.toml') "
-            "reads them"
-        )
+        raise wrong_kind("detection", detection, "curves, as inspe_jax.load_detection reads them")
     if occlusion_reference not in OCCLUSION_REFERENCES:
         raise unknown_reference(occlusion_reference)
     if visibility not in VISIBILITIES:

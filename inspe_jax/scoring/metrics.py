@@ -179,13 +179,14 @@ def tile_terms(metrics: Sequence[Metric], at: TileEvidence) -> dict[str, Any]:
 
 
 def chosen(
-    names: Sequence[str] = (), weights: Mapping[str, float] | None = None
+    names: str | Sequence[str] = (), weights: Mapping[str, float] | None = None
 ) -> tuple[str, ...]:
     """The metrics of a score: the usual ones, those in ``names``, and those with weight.
 
-    In the registry's order. Raises InspeError where a name is of no metric.
+    ``names`` may be a text, as of :func:`names_of`. In the registry's order. Raises InspeError
+    where a name is of no metric.
     """
-    names = (names,) if isinstance(names, str) else tuple(names)
+    names = names_of(names)
     for name in names:
         _check_name(name, f"metric '{name}'")
     weighted = {name for name, weight in (weights or {}).items() if weight}
@@ -194,6 +195,14 @@ def chosen(
         for name, metric in METRICS.items()
         if metric.usual or name in names or name in weighted
     )
+
+
+def names_of(names: str | Sequence[str]) -> tuple[str, ...]:
+    """Names that are given as such, as a text with commas between them, or as "all"."""
+    if not isinstance(names, str):
+        return tuple(names)
+    several = METRICS if names.strip() == "all" else map(str.strip, names.split(","))
+    return tuple(name for name in several if name)
 
 
 def _check_name(name: str, what: str) -> None:

@@ -23,7 +23,7 @@ from inspe_jax.scoring.detection import (
 from inspe_jax.scoring.exact import ONE_MORE, sight_shares
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
-from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import Spec
@@ -72,11 +72,11 @@ class TargetView:
 
 
 def target_view(
-    scene: Scene,
-    layout: Layout,
+    scene: Scene | Case | str,
+    layout: Layout | str,
     road_user: str = "pedestrian",
     *,
-    conditions: Conditions = FAIR,
+    conditions: Conditions | str | None = None,
     noise: LidarNoise | None = None,
     detection: DetectionCurves | None = None,
 ) -> TargetView:
@@ -92,7 +92,7 @@ def target_view(
     class.
     """
     user = _road_user(road_user)
-    check_layout(scene, layout)
+    scene, layout, conditions = check_layout(scene, layout, conditions)
     layout, grid = conditions.layout(layout), scene.voxels
     sight = _line_of_sight(scene, layout)  # (S, L, Z)
     centered = about_center(scene)

@@ -8,7 +8,7 @@ the keys.
 import os
 import tomllib
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
@@ -116,6 +116,20 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
         table = SENSOR_KINDS[other.kind].combined(table_of(other), table)
     keys = _keys(table, where)
     return check_model(keys, table, where).spec(name, where)
+
+
+@lru_cache(maxsize=1024)
+def check_spec(spec: Spec) -> None:
+    """Raise InspeError if a device has a number that no catalogue could have; the message names
+    the key of a catalogue, in degrees and metres."""
+    where = f"device '{spec.name}'"
+    if spec.kind not in SENSOR_KINDS:
+        return
+    try:
+        table = table_of(spec)
+    except ZeroDivisionError:
+        raise InspeError(f"{where}: it has no rays: a count of columns or rows is 0") from None
+    spec_of(table, spec.name, where)
 
 
 def table_of(spec: Spec) -> dict[str, Any]:

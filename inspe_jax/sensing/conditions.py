@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from scipy.special import lambertw
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, wrong_kind
+from inspe_jax.scene.named import scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
@@ -175,3 +176,30 @@ def _figures() -> dict[str, Any]:
 
 FAIR = Conditions()
 """Midday and clear air, the conditions of a catalogue's figures."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene to score on, and the light and weather that the sensors work in."""
+
+    scene: Scene
+    conditions: Conditions = FAIR
+
+
+def case_of(scene: Any, conditions: Any = None) -> Case:
+    """A scene in conditions: a Case; or a scene, also by name, and Conditions, or their text such
+    as "night" or "night, rain:10". None is midday in clear air.
+
+    Raises InspeError as :func:`~inspe_jax.scene.named.scene_of` does, and if conditions are none,
+    or are given besides those of a Case.
+    """
+    if isinstance(scene, Case):
+        if conditions is not None:
+            raise InspeError(f"conditions: given twice, as {scene.conditions} and as {conditions}")
+        scene, conditions = scene.scene, scene.conditions
+    if isinstance(conditions, str):
+        conditions = Conditions.of(*conditions.split(",", 1))
+    if not isinstance(conditions, Conditions | None):
+        wanted = "Conditions, or their text, such as 'night' or 'night, rain:10'"
+        raise wrong_kind("conditions", conditions, wanted)
+    return Case(scene_of(scene), conditions or FAIR)

@@ -167,8 +167,8 @@ class CameraKeys(DeviceKeys):
         """The keys of a camera's spec."""
         return dict(
             kind="camera",
-            width=spec.width,
-            height=spec.height,
+            width=int(spec.width),
+            height=int(spec.height),
             focal_px=float(spec.focal),
             principal_px=[float(x) for x in spec.principal],
             downsample=float(spec.downsample),

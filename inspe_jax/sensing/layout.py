@@ -13,6 +13,9 @@ The file, in metres and degrees of the world frame::
             pitch_deg: -15.0         # positive nose-up (0 if left out)
             roll_deg: 0.0            # (0 if left out)
 
+Sensors are in the order of the file, unit by unit. A layout of another order has its sensors'
+names in that order under ``order``, such as ``order: [left, middle, right]``.
+
 A device that is not in the catalogue is described in the file itself, with the catalogue's keys.
 With ``like`` it has another device's keys where it gives none::
 
@@ -26,7 +29,9 @@ has maximised, where that is not the usual P_sm::
 """
 
 import os
+from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,15 +40,16 @@ import yaml
 from jaxtyping import Array, Float
 from pydantic import BaseModel, Field
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.pytree import pytree
+from inspe_jax.core.records import ByContent, Described, check_record
 from inspe_jax.scene.profiles import profile_of
 from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.sensing.catalogue import device, devices, spec_of, table_of
+from inspe_jax.sensing.catalogue import check_spec, device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
 UNIT_PLAN = 2.0
@@ -101,9 +107,9 @@ class Goal:
 
 
 @pytree
-@dataclass(frozen=True)
-class Layout:
-    """Sensors with their poses.
+@dataclass(frozen=True, eq=False, repr=False)
+class Layout(ByContent, Described):
+    """Sensors with their poses. Two layouts are equal where all of them is, by value.
 
     ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians. They
     are the only part that is differentiated; sensors and units are static.
@@ -121,12 +127,29 @@ class Layout:
     def __len__(self) -> int:
         return len(self.sensors)
 
-    def with_poses(self, poses: Float[Array, "S 6"]) -> "Layout":
-        """The same sensors at other world poses, traced or not. Raises InspeError on a wrong
-        shape."""
-        if tuple(poses.shape) != (len(self), 6):
-            raise InspeError(f"poses have shape {tuple(poses.shape)}, expected ({len(self)}, 6)")
-        return replace(self, poses=poses)
+    def _facts(self) -> dict[str, Any]:
+        each = Counter(sensor.spec.name for sensor in self.sensors)
+        devices = " + ".join(f"{count} {name}" for name, count in each.items())
+        made = {"profile": self.profile} if self.profile else {}
+        return {"name": self.name, "sensors": devices, "units": len(self.units)} | made
+
+    def _check(self, prefix: str) -> None:
+        if not self.sensors:
+            raise InspeError(f"{prefix}the layout is empty: it needs at least one sensor")
+        for sensor in self.sensors:
+            if not 0 <= sensor.unit < len(self.units):
+                raise InspeError(f"{prefix}sensor '{sensor.name}': there is no unit {sensor.unit}")
+            check_spec(sensor.spec)
+
+    def with_poses(self, poses: Float[Any, "S 6"]) -> "Layout":
+        """The same sensors at other world poses, traced or not: an array, or rows of numbers.
+
+        Raises InspeError on a wrong shape.
+        """
+        found = poses if hasattr(poses, "shape") else _numbers(poses)
+        if tuple(found.shape) != (len(self), 6):
+            raise InspeError(f"poses have shape {tuple(found.shape)}, expected ({len(self)}, 6)")
+        return replace(self, poses=found)
 
     def rays(self, s: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Every ray of sensor ``s``: origin (3,) [m], unit directions (R, 3), reach [m], world."""
@@ -155,7 +178,11 @@ class Layout:
 
     @property
     def reliability(self) -> Float[np.ndarray, " S"]:
-        """Chance that each sensor perceives what it has in view."""
+        """The reliability of each sensor's device, as in the catalogue.
+
+        A score takes it times what the scene's profile and the conditions leave of it: that of
+        :func:`inspe_jax.sensing.conditions.perceiving`.
+        """
         return np.array([sensor.spec.reliability for sensor in self.sensors])
 
 
@@ -170,35 +197,36 @@ def make_layout(
 ) -> Layout:
     """A checked layout; see :class:`Layout`. Errors name ``where``, or the layout.
 
-    Sensors are sorted by their units, as in a file. ``poses`` (S, 6) may be rows of
-    :class:`Pose`.
+    Sensors keep their order, whatever their units. ``poses`` (S, 6) may be rows of :class:`Pose`.
 
-    Raises InspeError if the layout is empty or a pose is not finite. With ``unit_rule`` it is also
-    an error if two sensors of one unit are more than 2 m apart in plan or 4 m in height.
+    Raises InspeError if the layout is empty, poses are not finite or of another shape, a unit is
+    missing, a device has impossible numbers, or two sensors or units have one name. With
+    ``unit_rule`` it is also an error if two sensors of one unit are more than 2 m apart in plan or
+    4 m in height.
     """
     where = where or name
-    if not sensors:
-        raise InspeError(f"{where}: the layout is empty: it needs at least one sensor")
-    poses = np.asarray(poses, float)
-    if poses.shape != (len(sensors), 6):
-        raise InspeError(f"{where}: poses have shape {poses.shape}, expected ({len(sensors)}, 6)")
-    for sensor, pose in zip(sensors, poses, strict=True):
-        if not np.isfinite(pose).all():
-            raise InspeError(f"{where}: sensor '{sensor.name}': its pose is not finite")
-        if not 0 <= sensor.unit < len(units):
-            raise InspeError(f"{where}: sensor '{sensor.name}': there is no unit {sensor.unit}")
+    poses = _numbers(poses)
+    layout = Layout(poses, tuple(sensors), tuple(units), name)
+    check_record(layout, where, S=len(sensors))
     for kind, names in (("sensor", [s.name for s in sensors]), ("unit", [u.name for u in units])):
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InspeError(f"{where}: two {kind}s are named '{twice}'")
-    order = sorted(range(len(sensors)), key=lambda s: sensors[s].unit)
-    sensors, poses = [sensors[s] for s in order], poses[order]
-    for u, unit in enumerate(units if unit_rule else ()):
-        members = [s for s, sensor in enumerate(sensors) if sensor.unit == u]
-        for i, a in enumerate(members):
-            for b in members[i + 1 :]:
-                _check_pair(where, unit, sensors[a], sensors[b], poses[b] - poses[a])
-    return Layout(poses, tuple(sensors), tuple(units), name)
+    for unit, members in zip(units, layout.members(), strict=True):
+        for a, b in combinations(members if unit_rule else (), 2):
+            _check_pair(where, unit, sensors[a], sensors[b], poses[b] - poses[a])
+    return layout
+
+
+def _numbers(poses: Any) -> Float[np.ndarray, "S 6"]:
+    """Poses as an array of their own. Raises InspeError where they are no numbers."""
+    try:
+        return np.array(poses, float)
+    except (TypeError, ValueError):
+        raise InspeError(
+            "poses: give rows of six numbers, x, y, z [m], roll, pitch, yaw [rad]; traced ones to "
+            "Layout.with_poses"
+        ) from None
 
 
 def _check_pair(where: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray) -> None:
@@ -219,6 +247,7 @@ class _Strict(BaseModel):
 
 
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+_World = Annotated[float, Field(ge=-1e8, le=1e8)]  # northings are up to 1e7, some have a prefix
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -234,7 +263,7 @@ class _SensorEntry(_Strict):
 
 class _UnitEntry(_Strict):
     name: str | None = None
-    base: Annotated[list[_Metres], Field(min_length=2, max_length=3)]
+    base: Annotated[list[_World], Field(min_length=2, max_length=3)]
     sensors: Annotated[list[_SensorEntry], Field(min_length=1)]
 
 
@@ -250,6 +279,7 @@ class _LayoutFile(_Strict):
     profile: str | None = None
     searched_for: _GoalEntry | None = None
     devices: dict[str, Any] = {}
+    order: list[str] = []
     units: Annotated[list[_UnitEntry], Field(min_length=1)]
 
 
@@ -298,8 +328,17 @@ def parse_layout(
             (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
             poses.append(Pose(x + dx, y + dy, z + height, *angles.tolist()))
+    names = [sensor.name for sensor in sensors]
+    if entry.order and sorted(entry.order) != sorted(names):
+        raise InspeError(f"{where}: order: must name each sensor once: {', '.join(names)}")
+    rows = [names.index(one) for one in entry.order or names]
     layout = make_layout(
-        sensors, units, np.array(poses), entry.name or name, where, unit_rule=unit_rule
+        [sensors[s] for s in rows],
+        units,
+        np.array(poses)[rows],
+        entry.name or name,
+        where,
+        unit_rule=unit_rule,
     )
     return replace(layout, profile=entry.profile, goal=_goal(entry.searched_for, where))
 
@@ -331,6 +370,8 @@ def layout_text(layout: Layout) -> str:
     It contains the devices that are not in the catalogue, or differ from it. Raises InspeError if
     it could not be read back, as with two devices of one name or a pitch beyond the vertical.
     """
+    if not isinstance(layout, Layout):
+        raise wrong_kind("layout", layout, "a Layout to save")
     poses = np.asarray(layout.poses, float)
     units: list[dict[str, Any]] = []
     for unit, members in zip(layout.units, layout.members(), strict=True):
@@ -357,13 +398,18 @@ def layout_text(layout: Layout) -> str:
 
 
 def made_with(layout: Layout) -> dict[str, Any]:
-    """A layout's profile, its goal and the devices that its file must describe; without those it
-    lacks.
+    """A layout's profile, its goal, the devices that its file must describe, and the order of its
+    sensors; without those it lacks, or that are the file's own.
 
     Raises InspeError where two devices have one name.
     """
-    goal = layout.goal and layout.goal.record
-    made = {"profile": layout.profile, "searched_for": goal, "devices": _own_devices(layout)}
+    in_file = [s for members in layout.members() for s in members]
+    made = {
+        "profile": layout.profile,
+        "searched_for": layout.goal and layout.goal.record,
+        "devices": _own_devices(layout),
+        "order": [] if in_file == sorted(in_file) else [x.name for x in layout.sensors],
+    }
     return {key: value for key, value in made.items() if value}
 
 

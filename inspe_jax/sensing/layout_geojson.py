@@ -127,7 +127,7 @@ def load_layout_geojson(
             )
         )
     content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}
-    kept = ("name", "profile", "searched_for", "devices")
+    kept = ("name", "profile", "searched_for", "devices", "order")
     content |= {key: further[key] for key in kept if key in further}
     content["units"] = [
         dict(name=name, base=[*base.tolist(), float(place.ground(base)[0])], sensors=members)

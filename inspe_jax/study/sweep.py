@@ -4,14 +4,15 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from inspe_jax.core.errors import wrong_kind
 from inspe_jax.study.engine import check_workers, load_cluster, run_jobs
-from inspe_jax.study.plan import Study, StudyJob
+from inspe_jax.study.plan import Study, StudyJob, load_study
 from inspe_jax.study.results import Results
 from inspe_jax.study.work import Row, failure_columns, row_head, run_job, scene_of_job, versions
 
 
 def sweep(
-    study: Study,
+    study: Study | str | os.PathLike[str],
     folder: str | os.PathLike[str],
     *,
     scheduler: str | None = None,
@@ -25,6 +26,7 @@ def sweep(
     ``layouts/``. To resume a run that was killed, call this again: the table comes out the same,
     except for searches with a budget in ``seconds``, which do not repeat to the digit.
 
+    ``study``: a study, or the name of its file.
     ``scheduler``: address of a running Dask scheduler. Its workers need one thread each, the same
     versions of Python, JAX, NumPy and this package, and maps and saved scenes at the same paths.
     ``workers``: without a scheduler, number of processes on this machine; one per core by default.
@@ -39,6 +41,10 @@ def sweep(
     Raises InspeError if Dask is missing, if no scheduler answers or its workers have other
     versions, or as :class:`~inspe_jax.study.results.Results` does.
     """
+    if isinstance(study, str | os.PathLike):
+        study = load_study(study)
+    if not isinstance(study, Study):
+        raise wrong_kind("study", study, "a Study, or the name of its .yaml file")
     check_workers(scheduler, workers)
     with Results(study, folder) as results:
         if retry:

@@ -472,7 +472,7 @@ BAD = [
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
     (
         ("score", "s.npz", "list.yaml"),
-        "must hold keys with values: devices, name, profile, searched_for, units",
+        "must hold keys with values: devices, name, order, profile, searched_for, units",
     ),
     (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
     (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),

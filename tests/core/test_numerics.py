@@ -1,6 +1,7 @@
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -73,7 +74,10 @@ def test_softness_is_one_width_or_one_for_each_kind():
     mixed = Softness.of(Softness(field=0.5, shadow=0.0))
     assert (float(mixed.field), mixed.shadow, mixed.rays) == (0.5, None, "density")
     assert not Softness(rays="density").exact
-    for bad in (-1.0, Softness(shadow=-0.1), float("nan"), float("inf")):
+    given = jnp.asarray(0.3)  # a number of JAX's is none that is traced
+    inside = jax.jit(lambda: Softness.of(Softness.of(given)).field)()
+    assert float(inside) == pytest.approx(0.3)
+    for bad in (-1.0, "1", Softness(shadow=-0.1), float("nan"), float("inf")):
         with pytest.raises(InspeError, match="softness"):
             Softness.of(bad)
     with pytest.raises(InspeError, match="rays 'dense': one of exact, density"):

@@ -1,14 +1,20 @@
 """Scenes are built, saved, loaded; bad input is told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from worlds import crossing, random_traffic
+from worlds import LIDAR, crossing, place_sensors, random_traffic, world
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.problem import Problem
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.voxels import build_voxels
+from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.targets import target_view
+from inspe_jax.visibility.queries import in_view
 
 
 def test_columns_are_labelled_by_precedence_and_stand_on_the_ground():
@@ -25,7 +31,7 @@ def test_columns_are_labelled_by_precedence_and_stand_on_the_ground():
 
 
 def test_columns_on_a_border_are_not_lost():
-    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels: at ±7 and ±11."""
+    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels.at ±7 and ±11."""
     grid = build_voxels(crossing(), radius=30, voxel=2.0)
     assert sorted(set(grid.columns[grid.columns[:, 0] == 21, 1])) == [
         -11, -9, -7, -5, -3, -1, 1, 3, 5, 7, 9, 11
@@ -115,6 +121,91 @@ def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not really")
     with pytest.raises(InspeError, match=message):
         load_scene(name)
+
+
+CORRUPT = {
+    "place_center": "center",
+    "poles": "poles",
+    "ground_points": "ground_points",
+    "route_points": r"routes\[0\].waypoints",
+    "grid_columns": "voxels.columns",
+    "grid_ground": "voxels.ground",
+    "grid_center": "voxels.center",
+    "traffic_center": "traffic.center",
+    "traffic_yaw": "traffic.yaw",
+    "traffic_size": "traffic.size",
+    "traffic_velocity": "traffic.velocity",
+    "traffic_time": "traffic.time",
+    "statics_corners": r"statics\[0\].outline",
+    "statics_numbers": r"statics\[0\].height",
+}
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """The arrays of a saved scene that has everything."""
+    place = built_in("four_way")
+    scene = build_scene(place, radius=15, voxel=1.0, frames=2, density=4, statics="street")
+    path = tmp_path_factory.mktemp("scene") / "t.npz"
+    save_scene(scene, path)
+    with np.load(path) as data:
+        return dict(data)
+
+
+@pytest.mark.parametrize("name", CORRUPT)
+def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path, saved, name):
+    path, bad = tmp_path / "bad.npz", saved[name].copy()
+    bad.flat[0] = np.nan
+    np.savez(path, **saved | {name: bad})
+    with pytest.raises(
+        InspeError, match=rf"bad.npz: four_way: .*({CORRUPT[name]}).*: nan is not finite"
+    ):
+        load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("yaw", lambda x: x[:, :-1], r"traffic.yaw: shape \(2, \d+\), expected \(2, \d+\)"),
+        ("center", lambda x: x[0], r"traffic.center: shape .*, expected \(\d+, 3, 3\)|expected"),
+        ("kind", lambda x: x + 9, r"traffic.kind\[0, 0\]: 9 is out of range: from 0 to 3"),
+        ("kind", lambda x: x + 0.5, "traffic.kind: must be whole numbers, got an array of float64"),
+        ("size", lambda x: x * 0, r"traffic.size\[0, 0, 0\]: 0 is out of range: at least 0.01"),
+        (
+            "time",
+            lambda x: [str(t) for t in x],
+            "traffic.time: must be numbers, got an array of str",
+        ),
+    ],
+)
+def test_traffic_of_ones_own_is_checked_by_the_first_function_that_takes_it(
+    tmp_path, name, change, message
+):
+    scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0, 0, 0]))
+    wrong = change(getattr(scene.traffic, name))
+    bad = replace(scene, traffic=replace(scene.traffic, **{name: wrong}))
+    for function in (
+        lambda: evaluate(bad, layout),
+        lambda: in_view(bad, layout),
+        lambda: target_view(bad, layout),
+        lambda: Problem(bad, layout),
+        lambda: save_scene(bad, tmp_path / "bad.npz"),
+    ):
+        with pytest.raises(InspeError, match=message):
+            function()
+    padding = replace(scene.traffic, kind=np.where(scene.traffic.valid, scene.traffic.kind, -1))
+    assert replace(scene, traffic=padding).check().traffic is padding
+
+
+def test_scenes_are_shown_in_one_line():
+    scene = build_scene("four_way", radius=15, voxel=1.0, frames=2, density=4)
+    scene = replace(scene, intersection=replace(scene.intersection, name="<b>four</b>"))
+    assert "\n" not in repr(scene)
+    assert len(repr(scene)) < 150
+    assert len(repr(scene.intersection)) < 150
+    assert "<td>15 m</td>" in scene._repr_html_()
+    assert "<td>&lt;b&gt;four&lt;/b&gt;</td>" in scene._repr_html_()
 
 
 def test_nothing_is_left_of_a_scene_that_could_not_be_saved(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from shapely import affinity
@@ -16,6 +17,7 @@ from worlds import (
     world,
 )
 
+import inspe_jax as ij
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import build_voxels
@@ -144,11 +146,9 @@ def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
 
 def _twice(traffic, away):
     """The frame twice, its first box moved in the second, so that there is entropy."""
-    two = {
-        k: np.repeat(getattr(traffic, k), 2, 0) for k in ("center", "yaw", "size", "valid", "kind")
-    }
-    two["center"][1, 0, :2] += away
-    return replace(traffic, **two)
+    two = jax.tree.map(lambda leaf: np.repeat(leaf, 2, 0), traffic)
+    two.center[1, 0, :2] += away
+    return two
 
 
 @pytest.mark.parametrize("visibility", ["line_of_sight", "past_others"])
@@ -292,6 +292,73 @@ def test_many_layouts_score_as_they_do_one_by_one():
             one_by_one = [getattr(scores, name) for scores in alone]
             np.testing.assert_allclose(getattr(many, name), one_by_one, 0, 3e-7)
         assert np.ptp(many.surrogate) > 0.01
+
+
+def test_scenes_layouts_and_metrics_are_taken_by_name(tmp_path):
+    scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0, 0, 0]))
+    files = tmp_path / "scene.npz", str(tmp_path / "layout.yaml")
+    ij.save_scene(scene, files[0])
+    ij.save_layout(layout, files[1])
+    scores = evaluate(scene, layout, metrics="all")
+    assert tuple(scores.metrics) == tuple(metrics.METRICS)
+    assert evaluate(*files, metrics=", ".join(metrics.METRICS)) == scores
+    assert evaluate_many(*files, layout.poses[None]).coverage == pytest.approx(scores.coverage)
+    assert ij.in_view(*files).shape == (1, scene.voxels.count)
+    assert ij.line_of_sight(*files, 0).shape == (1, scene.voxels.count)
+    assert ij.target_view(*files).found.shape == (1, len(scene.voxels.columns))
+    assert ij.tolerance(*files, samples=1).score == pytest.approx(scores.surrogate)
+    four = ij.build_scene("four_way", radius=15, voxel=2.0, frames=2, density=4)
+    placed = ij.strategy(four, "Cam-d1")
+    assert evaluate(four, "cam-D1") == evaluate(four, placed)
+    assert "P_sm 0." in repr(evaluate(four, placed))
+
+
+@pytest.mark.parametrize(
+    ("mistake", "message"),
+    [
+        (lambda s, w: evaluate(w, s), "scene: got <Layout: .*, of type Layout; give a Scene, or"),
+        (lambda s, w: evaluate(s, s), "layout: got <Scene: .*, of type Scene; give a Layout, the"),
+        (lambda s, w: evaluate("four-way", w), "no scene 'four-way'.*did you mean four_way"),
+        (lambda s, w: evaluate(s, "Cam-d9"), "no layout 'Cam-d9'.*did you mean Cam-d"),
+        (lambda s, w: evaluate(s, w, metrics="al"), "metric 'al': a metric is one of"),
+        (lambda s, w: ij.build_scene(s), "intersection: got <Scene: .*or an Intersection"),
+        (lambda s, w: ij.build_scene("a.xodr"), "intersection: got 'a.xodr'.*read_map"),
+        (lambda s, w: w.with_poses([[1.0, 2.0]]), r"poses have shape \(1, 2\), expected \(1, 6\)"),
+        (lambda s, w: w.with_poses("here"), "poses: give rows of six numbers"),
+        (lambda s, w: ij.optimise(s, w, objective={}), r"objective: got {}, .*Objective\(…\)"),
+        (lambda s, w: ij.optimise(s, w, constraints=3), r"inspe_jax.Constraints\(…\)"),
+        (lambda s, w: ij.optimise(s, w, start=w.poses), "start: got .*; give a Layout, or one of"),
+        (lambda s, w: ij.optimise([s, "x"], w), "no scene 'x'"),
+        (lambda s, w: ij.compare(s, w, objective=w), "objective: got <Layout"),
+        (lambda s, w: ij.pareto(w, {"velodyne-vlp-16": [1]}), "scene: got <Layout"),
+        (lambda s, w: ij.cheapest(s, {}, 0.9, objective=3), "objective: got 3"),
+        (lambda s, w: ij.tolerance(w, s), "scene: got <Layout"),
+        (lambda s, w: ij.sweep(s, "x"), "study: got <Scene.*; give a Study, or the name of its"),
+        (lambda s, w: ij.save_scene("x.npz", s), "scene: got 'x.npz', of type str; give a Scene"),
+        (lambda s, w: ij.save_layout("x.yaml", w), "layout: got 'x.yaml', of type str; give a"),
+        (lambda s, w: ij.strategy("Cam-d1", s), "no scene 'Cam-d1'"),
+        (
+            lambda s, w: evaluate(s, _with(w, reach=np.nan)),
+            r"sensors\[0\].spec.reach: nan is not finite",
+        ),
+        (lambda s, w: evaluate(s, _with(w, reach=-2.0)), "'test-lidar': range_m: .* got -2.0"),
+        (lambda s, w: evaluate(s, _with(w, azimuth_count=0)), "'test-lidar': it has no rays"),
+        (lambda s, w: evaluate(s, _with(w, elevations=(0.2, 0.1))), "must ascend"),
+        (lambda s, w: evaluate(s, _with(w, reliability=1.5)), "reliability: .* got 1.5"),
+        (lambda s, w: evaluate(s, replace(w, units=())), "sensor 's0': there is no unit 0"),
+    ],
+)
+def test_first_mistakes_say_what_is_wanted(mistake, message):
+    scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
+    with pytest.raises(InspeError, match=message):
+        mistake(scene, place_sensors((LIDAR, [0.0, 0.0, 5.0, 0, 0, 0])))
+
+
+def _with(layout, **changed):
+    """The layout with another device."""
+    sensor = layout.sensors[0]
+    return replace(layout, sensors=(replace(sensor, spec=replace(sensor.spec, **changed)),))
 
 
 @pytest.mark.parametrize(

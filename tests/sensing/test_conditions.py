@@ -6,7 +6,18 @@ import jax
 import numpy as np
 import pytest
 
-from inspe_jax import Conditions, build_scene, built_in, device, evaluate, evaluate_many, strategy
+from inspe_jax import (
+    Case,
+    Conditions,
+    build_scene,
+    built_in,
+    device,
+    evaluate,
+    evaluate_many,
+    optimise,
+    pareto,
+    strategy,
+)
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.conditions import effective_depth, lights
 
@@ -148,9 +159,30 @@ def test_soft_scores_have_gradients_in_them(scene):
     assert (np.abs(slope[:, [0, 1, 4, 5]]) > 0).all()
 
 
-def test_names_alone_are_no_conditions(scene):
-    with pytest.raises(InspeError, match=r"give them as inspe_jax.Conditions.of"):
-        evaluate(scene, strategy(scene, "L-c"), conditions="night")
+def test_scores_and_searches_take_conditions_in_the_same_ways(scene):
+    layout, night = strategy(scene, "L-c"), Conditions.of("night", "rain:10")
+    case = Case(scene, night)
+    scores = evaluate(scene, layout, conditions=night)
+    assert evaluate(scene, layout, conditions="night, rain:10") == scores == evaluate(case, layout)
+    (found,) = pareto(scene, {"velodyne-vlp-16": [1]}, conditions=str(night), evaluations=1)
+    for start in (
+        optimise(scene, layout, evaluations=1, conditions=night),
+        optimise([case], "L-c", evaluations=1),
+    ):
+        assert start.scores_before == scores
+        assert start.settings["scenes"][0]["weather"] == "rain:10"
+    assert found.result.settings["scenes"][0]["light"] == "night"
+    for of, what, message in (
+        (
+            scene,
+            3,
+            "conditions: got 3, of type int; give Conditions, or their text, such as 'night",
+        ),
+        (scene, "nigth", "light 'nigth': one of midday, dusk, night; did you mean night"),
+        (case, "dusk", "conditions: given twice, as night, rain:10 and as dusk"),
+    ):
+        with pytest.raises(InspeError, match=message):
+            evaluate(of, layout, conditions=what)
 
 
 def test_a_layout_is_checked_as_it_was_bought(scene):

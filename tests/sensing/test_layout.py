@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 import yaml
@@ -74,6 +75,10 @@ def test_a_file_gives_world_poses(tmp_path):
         (("base: [12.0,", "base: [1.0e+200,"), r"units\[0\].base\[0\]: "),
         (("height: 6.0", "height: 6.0\n        height: 7.0"), "the key 'height' is given twice"),
         (("height: 5.0,", "height: 5.0, name: pole 1,"), "two sensors are named 'pole 1'"),
+        (
+            ("units:", "order: [pole 2, pole 3]\nunits:"),
+            "order: must name each sensor once: pole 1, pole 2",
+        ),
         ((GOOD, ""), "the layout is empty"),
         ((GOOD, "units: []"), "units: needs at least 1, has 0"),
         (
@@ -82,7 +87,7 @@ def test_a_file_gives_world_poses(tmp_path):
         ),
         (
             (GOOD, "just words"),
-            "the file: must hold keys with values: devices, name, profile, searched_for, units",
+            "the file: must hold keys with values: devices, name, order, profile, searched_for, units",
         ),
         ((GOOD, "units: [}"), "not YAML"),
     ],
@@ -130,20 +135,41 @@ def test_saved_layouts_load_to_the_same_poses(tmp_path_factory, poses):
 
 
 def test_a_unit_at_its_limit_and_sensors_out_of_order_reload_the_same(tmp_path):
-    """Two sensors exactly 2 m apart at an odd angle; the units of the input interleave."""
+    """Two sensors exactly 2 m apart at an odd angle; the units of the input interleave. Poses, and
+    arrays of one's own, belong to the sensors as they were given, also when a file is read again.
+    """
     spec = device("paper-lidar-32").spec
     way = 2.0 * np.array([np.cos(0.7), np.sin(0.7)])
     poses = np.array([[1 / 3, 0.1, 5, 0, 0, 1], [9, 9, 5, 0, 0, 2], [1 / 3, 0.1, 5, 0, 0, 3]])
     poses[2, :2] += way
     sensors = [Sensor(name, spec, unit) for name, unit in (("a", 0), ("b", 1), ("c", 0))]
-    units = [Unit("u", (1 / 3, 0.1, 0.0)), Unit("v", (9.0, 9.0, 0.0))]
+    units = [Unit("u", (1 / 3, 0.1, 0.0)), Unit("v", (9e5, 9.5e6, 0.0))]  # a UTM northing
+    poses[1, :2] = units[1].base[:2]
     layout = make_layout(sensors, units, poses)
-    assert [s.name for s in layout.sensors] == ["a", "c", "b"]
+    assert layout.sensors == tuple(sensors)
+    np.testing.assert_array_equal(layout.poses, poses)
+    assert layout.members() == ((0, 2), (1,))
     save_layout(layout, tmp_path / "l.yaml")
     again = load_layout(tmp_path / "l.yaml")
-    assert [s.name for s in again.sensors] == ["a", "c", "b"]
+    assert again.sensors == layout.sensors
     np.testing.assert_allclose(again.poses, layout.poses, atol=1e-8)
-    assert layout.pose(2).yaw == 2
+    assert layout.pose(1).yaw == 2
+    in_order = make_layout([sensors[k] for k in (0, 2, 1)], units, poses[[0, 2, 1]])
+    save_layout(in_order, tmp_path / "m.yaml")
+    assert "order" not in yaml.safe_load((tmp_path / "m.yaml").read_text())
+
+
+def test_layouts_are_equal_and_have_one_hash_by_their_content():
+    layout = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0, 0, 0]), (LIDAR, [4.0, 2.0, 5.0, 0, 0, 0]))
+    same = replace(layout, poses=jax.numpy.asarray(layout.poses, float))
+    other = layout.with_poses((layout.poses + [0, 0, 0.5, 0, 0, 0]).tolist())
+    assert layout == same != other
+    assert len({layout, same, other}) == 2
+    assert layout != replace(layout, name="another")
+    assert jax.jit(lambda a: a == a and a.poses.sum() > 0)(layout)
+    leaves, structure = jax.tree.flatten(layout)
+    assert jax.tree.unflatten(structure, leaves) == layout
+    assert [leaf.shape for leaf in leaves] == [(2, 6)]
 
 
 def test_devices_of_ones_own_go_along(tmp_path):
@@ -227,6 +253,9 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path):
     [
         ([7], np.ones((1, 6)), "no unit 7"),
         ([0], np.ones((1, 5)), r"shape \(1, 5\), expected \(1, 6\)"),
+        ([0], [[1.0], [2.0, 3.0]], "poses: give rows of six numbers"),
+        ([0], np.full((1, 6), np.inf), r"poses\[0, 0\]: inf is not finite"),
+        ([], np.zeros((0, 6)), "the layout is empty"),
     ],
 )
 def test_layouts_that_do_not_fit_together(units, poses, message):

@@ -12,9 +12,9 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
-from inspe_jax.placement.problem import Case, cases_of
+from inspe_jax.placement.problem import AnyScene, cases_of
 from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, progress_of, starting_layout
-from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import Conditions
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -41,7 +41,7 @@ class Cheapest:
 
 
 def cheapest(
-    scene: Scene | Case | Sequence[Scene | Case],
+    scene: AnyScene | Sequence[AnyScene],
     counts: Mapping[str, Sequence[int]],
     target: float,
     *,
@@ -52,10 +52,12 @@ def cheapest(
     objective: Objective | None = None,
     constraints: Constraints | None = None,
     progress: Callable[[Mapping[str, int], float, float], None] | None = None,
+    conditions: Conditions | str | None = None,
 ) -> Cheapest:
     """Search for the cheapest mix of devices whose objective is at least ``target``.
 
     ``counts`` are the numbers of each device to try, such as ``{"hesai-xt32": range(5)}``.
+    ``scene`` and ``conditions`` are as in :func:`~inspe_jax.placement.optimise.optimise`.
     ``method``, ``seconds``, ``evaluations`` and ``seed`` are those of each mix's search, as in
     :func:`~inspe_jax.placement.optimise.optimise`; it ends once it reaches the target.
     ``objective`` is detectability if none is given. ``progress`` is called with (mix, share of all
@@ -65,8 +67,9 @@ def cheapest(
     :func:`~inspe_jax.placement.studies.pareto.pareto` does, and where no score could be so high.
     """
     check_target(target)
-    objective = objective or Objective(weights={"detectability": 1.0})
-    wanted, cases = device_mixes(counts, objective), cases_of(scene)
+    usual = Objective(weights={"detectability": 1.0})
+    objective = usual if objective is None else objective
+    wanted, cases = device_mixes(counts, objective), cases_of(scene, conditions)
     starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     searched: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):

@@ -10,18 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, nearest, or_usual
 from inspe_jax.core.files import check_input, csv_text, prepare_folder, write_text
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective, total_price
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
-from inspe_jax.placement.problem import Case, cases_of
+from inspe_jax.placement.problem import AnyScene, cases_of
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.site import Site
 from inspe_jax.placement.strategies import join
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.catalogue import device
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, save_layout
 from inspe_jax.sensing.sensors import Spec
 
@@ -128,7 +129,7 @@ def starting_layout(
 
 
 def pareto(
-    scene: Scene | Case | Sequence[Scene | Case],
+    scene: AnyScene | Sequence[AnyScene],
     counts: Mapping[str, Sequence[int]],
     *,
     method: str = DEFAULT_METHOD,
@@ -138,9 +139,11 @@ def pareto(
     objective: Objective | None = None,
     constraints: Constraints | None = None,
     progress: Callable[[Mapping[str, int], float, float], None] | None = None,
+    conditions: Conditions | str | None = None,
 ) -> list[DeviceMix]:
     """Search for the best layout of every mix of devices; returns the mixes, cheapest first.
 
+    ``scene``, ``conditions``: as in :func:`~inspe_jax.placement.optimise.optimise`.
     ``counts``: the numbers of each device to try, such as ``{"hesai-xt32": range(5)}``.
     ``method``, ``seconds``, ``evaluations``, ``seed``: of each mix's search, as in
     :func:`~inspe_jax.placement.optimise.optimise`; compiling does not count as part of the budget.
@@ -152,9 +155,9 @@ def pareto(
     InspeError, before the first search, if a device is unknown or has no price, a number is not
     valid, the place has too few posts, or no mix is left.
     """
-    objective = objective or Objective()
+    objective = or_usual("objective", objective, Objective)
     wanted = device_mixes(counts, objective)
-    cases = cases_of(scene)
+    cases = cases_of(scene, conditions)
     starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
@@ -235,7 +238,7 @@ def device_mixes(
 
     Raises InspeError as :func:`pareto` does.
     """
-    objective.check()
+    or_usual("objective", objective, Objective).check()
     if not counts:
         raise InspeError("no devices to combine: name at least one, with the numbers of it to try")
     price = {name: objective.price_of(name) for name in counts}

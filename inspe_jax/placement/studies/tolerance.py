@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.problem import Case, Problem
+from inspe_jax.placement.problem import AnyScene, Problem, cases_of
 from inspe_jax.placement.run import check_seed
-from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.tiled_scene import tiled_scene_without_masks
+from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
 
@@ -79,8 +79,8 @@ def check_errors(position: float, angle: float, samples: int, seed: int) -> None
 
 
 def tolerance(
-    scene: Scene | Case,
-    layout: Layout,
+    scene: AnyScene,
+    layout: Layout | str,
     *,
     position: float = 0.1,
     angle: float = float(np.radians(1.0)),
@@ -89,10 +89,11 @@ def tolerance(
     objective: Objective | None = None,
     softness: float = SOFTNESS,
     progress: Callable[[int, int], None] | None = None,
+    conditions: Conditions | str | None = None,
 ) -> Tolerance:
     """Slopes of the objective for every sensor, and the objectives after random errors.
 
-    ``scene``: with a :class:`~inspe_jax.placement.problem.Case`, in its light and weather.
+    ``scene``, ``layout``, ``conditions``: as in :func:`inspe_jax.evaluate`, also by name.
     ``position`` [m], ``angle`` [rad]: standard deviations of independent normal errors. Every
     sensor is shifted along x, y and z, and turned in yaw and pitch.
     ``samples``: number of random installations; ``seed``: of their errors. Scores are exact.
@@ -107,7 +108,8 @@ def tolerance(
         raise InspeError(
             f"softness {softness:g} m: must be more than 0, since the exact score has no slope"
         )
-    problem = Problem(scene, layout, objective)
+    problem = Problem(cases_of(scene, conditions), layout, objective)
+    layout = problem.layout
     planned = problem.exact_of(layout)
     poses = poses_about_center(problem.cases[0].scene, layout)
     worlds = tuple(tiled_scene_without_masks(case.scene).bucketed for case in problem.cases)

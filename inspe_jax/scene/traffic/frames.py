@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.pytree import pytree
+from inspe_jax.core.records import ByContent, Described, check_values
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
@@ -22,6 +23,9 @@ NOTICEABLE = 0.1
 
 LEAST_NOTICED = 0.5
 """And less than this many users is never named: a class of two is often one for some seconds."""
+
+SMALLEST = 0.01
+"""Least length, width and height of a road user [m]."""
 
 CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
@@ -131,8 +135,8 @@ MIXES: dict[str, Mix] = {
 
 
 @pytree
-@dataclass(frozen=True)
-class TrafficFrames:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrafficFrames(ByContent, Described):
     """T frames of up to B vehicles or people, each an oriented vertical prism, in world metres.
 
     ``center`` is at mid-height; ``yaw`` in radians; ``size`` is length, width,
@@ -150,6 +154,15 @@ class TrafficFrames:
     track: Int[np.ndarray, "T B"]
     velocity: Float[np.ndarray, "T B 3"]
     time: Float[np.ndarray, " T"]
+
+    def _facts(self) -> dict[str, Any]:
+        return {"frames": self.frame_count, "road users a frame": f"{self.mean_count:.1f}"}
+
+    def _check(self, prefix: str) -> None:
+        if not self.frame_count:
+            raise InspeError(f"{prefix}time: at least one frame is needed, also of an empty road")
+        check_values(self.kind, f"{prefix}kind", 0, len(CLASSES) - 1, self.valid)
+        check_values(self.size, f"{prefix}size", SMALLEST, there=self.valid[..., None])
 
     @property
     def frame_count(self) -> int:

@@ -87,7 +87,8 @@ def test_a_file_gives_world_poses(tmp_path):
         ),
         (
             (GOOD, "just words"),
-            "the file: must hold keys with values: devices, name, order, profile, searched_for, units",
+            "the file: must hold keys with values: devices, name, order, profile, searched_for, "
+            "units",
         ),
         ((GOOD, "units: [}"), "not YAML"),
     ],

@@ -173,8 +173,11 @@ def keep_compiled() -> None:
 def known(source: str) -> str:
     """Check the name of a built-in. Raises InspeError that lists what a scene can be."""
     from inspe_jax.scene.procedural.built_ins import BUILT_INS
+    from inspe_jax.scene.scene import what_is
 
     if source not in BUILT_INS:
+        if other := what_is(source):
+            raise InspeError(f"{source}: {other}")
         raise InspeError(
             f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a map (.xodr, "
             f".net.xml, .osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"
@@ -198,11 +201,15 @@ def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layou
     """
     from inspe_jax.placement.strategies import STRATEGIES, strategy
     from inspe_jax.scene.geojson import SUFFIX
+    from inspe_jax.scene.scene import what_is
     from inspe_jax.sensing.layout import load_layout
     from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
     suffix = Path(sensors).suffix.lower()
-    if suffix in (".yaml", ".yml", SUFFIX) or Path(sensors).is_file():
+    of_layouts = suffix in (".yaml", ".yml", SUFFIX)
+    if not of_layouts and (other := what_is(sensors)):
+        raise InspeError(f"{sensors}: no layout: {other}")
+    if of_layouts or Path(sensors).is_file():
         layout = (
             load_layout_geojson(sensors, world.intersection, unit_rule=unit_rule)
             if suffix == SUFFIX

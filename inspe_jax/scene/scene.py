@@ -3,9 +3,7 @@
 import json
 import operator
 import os
-import zipfile
-import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,8 +14,9 @@ from jaxtyping import Bool, Float
 
 from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_input, check_output, whole_file
+from inspe_jax.core.files import check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
+from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
@@ -43,19 +42,6 @@ OF_MAP = "map_bodies"
 """How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
-# What NumPy, shapely and the code below may raise on a file that is not a scene.
-_NOT_A_SCENE = (
-    AttributeError,
-    EOFError,
-    IndexError,
-    KeyError,
-    OSError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-    shapely.errors.ShapelyError,
-)
 
 
 class _Earlier(Exception):
@@ -230,27 +216,20 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
     if str(source) in BUILT_INS:
         return build_scene(built_in(str(source)), profile=profile or DEFAULT_PROFILE)
     path = Path(source)
-    if is_map(path):
-        raise InspeError(
-            f"{path}: a map is not a scene yet; build one: inspe scene {path} --junction ID "
-            "--out scene.npz (--list shows the junctions)"
-        )
+    if path.suffix != ".npz" and (other := what_is(path)):
+        raise InspeError(f"{path}: {other}")
     if path.suffix != ".npz":
         raise InspeError(
             f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"
             + nearest(str(source), tuple(BUILT_INS))
         )
-    check_input(path)
-    with path.open("rb") as f:
+    with open_arrays(path, "not a scene saved by this package") as arrays:
         try:
-            with np.load(f, allow_pickle=False) as data:
-                scene = _unpack({k: data[k] for k in data.files})
+            scene = _unpack(arrays)
         except _Earlier:
             raise InspeError(
                 f"{path}: saved by another version of this package; build it again: inspe scene"
             ) from None
-        except _NOT_A_SCENE as e:
-            raise InspeError(f"{path}: not a scene saved by this package") from e
     own = dict(scene.settings).get("profile", BEFORE_PROFILES)
     if own not in profiles():
         raise InspeError(f"{path}: unknown profile '{own}': one of {', '.join(profiles())}")
@@ -260,6 +239,28 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             f"inspe scene … --profile {profile}"
         )
     return scene
+
+
+def what_is(path: str | os.PathLike[str]) -> str:
+    """What a path is by its name, where that is a folder, a map, a scene or a layout, and what
+    takes it; otherwise "".
+    """
+    path = Path(path)
+    if path.is_dir():
+        own = path / "layout.yaml"
+        return f"is a folder; its layout is {own}" if own.is_file() else "is a folder; name a file"
+    if is_map(path):
+        return (
+            f"a map is not a scene yet; build one: inspe scene {path} --junction ID "
+            "--out scene.npz (--list shows the junctions)"
+        )
+    if path.suffix.lower() in SCENE_SUFFIXES:
+        return f"is a scene, which comes before the layout: inspe score {path} LAYOUT"
+    if path.suffix.lower() in (".yaml", ".yml", GEOJSON):
+        return (
+            f"is a layout or a study, not a scene: inspe score SCENE {path}, or inspe sweep {path}"
+        )
+    return ""
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -334,7 +335,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)
 
 
-def _unpack(data: dict[str, np.ndarray]) -> Scene:
+def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
     if record["format"] not in (FORMAT, WITH_STATICS, WITH_TERRAIN):
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):

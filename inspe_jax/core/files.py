@@ -93,7 +93,8 @@ def _number_in(fault: Any) -> str | None:
     except ValueError:
         return None
     written = yaml.safe_dump(number).split()[0]  # 1e30 would be text again
-    return f"{written}, without quotes; YAML takes 1.0e+9 for a number, and 1e9 for text"
+    exponent = "; in YAML 1.0e+9 is a number, and 1e9 is text" if "e" in text.lower() else ""
+    return f"{written}, without quotes{exponent}"
 
 
 def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:
@@ -163,11 +164,11 @@ def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
     Cells beyond the head's are left out. Raises InspeError, which names ``where``, for other text.
     """
     try:
-        head, *rows = csv.reader(io.StringIO(text.decode("utf-8-sig"), newline="")) or [[]]
+        rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
     except (ValueError, csv.Error) as e:
         raise InspeError(f"{where}: not CSV: {e}") from e
-    head = [*map(_without_prefix, head)]
-    return [dict(zip(head, map(_without_prefix, row), strict=False)) for row in rows if row]
+    cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
+    return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
 
 
 @contextmanager
@@ -384,8 +385,8 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def csv_line(cells: Iterable[Any]) -> str:
     """A line of :func:`csv_text`."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(map(_with_prefix, cells))
-    return text.getvalue()
+    csv.writer(text).writerow(map(_with_prefix, cells))
+    return text.getvalue().removesuffix("\r\n") + "\n"  # a cell with either of them is quoted
 
 
 def _with_prefix(cell: Any) -> Any:

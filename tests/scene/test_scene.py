@@ -108,11 +108,14 @@ def test_values_out_of_range(options, message):
         ("none.npz", "none.npz: no such file"),
         ("bad.npz", "bad.npz: not a scene saved by this package"),
         ("town.xodr", "inspe scene .*--junction"),
+        ("own.yaml", "own.yaml: is a layout or a study, not a scene: inspe score SCENE own.yaml"),
+        (".", "is a folder; its layout is layout.yaml"),
     ],
 )
 def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not really")
+    (tmp_path / "layout.yaml").touch()
     with pytest.raises(InspeError, match=message):
         load_scene(name)
 

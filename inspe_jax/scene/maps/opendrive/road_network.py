@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import cached_by_file, check_xml
+from inspe_jax.core.files import TEXT, cached_by_file, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.lane_strips import LaneStrip
@@ -90,6 +90,7 @@ def load_map(path: Path) -> TownMap:
 
     Raises InspeError if the CARLA client or the file is missing, or if it is not OpenDRIVE.
     """
+    check_input(path, TEXT)
     text = path.read_bytes().decode("utf-8-sig", "replace")
     root = _root(path, text)
     try:

@@ -132,7 +132,8 @@ def _converted(path: Path) -> Path:
     if kind == ".osm":
         _check(path, "osm")
     source, *options = _HOW[kind]
-    made = _folder() / (hashlib.sha256(path.read_bytes()).hexdigest()[:16] + ".net.xml")
+    with path.open("rb") as f:
+        made = _folder() / (hashlib.file_digest(f, "sha256").hexdigest()[:16] + ".net.xml")
     if not made.exists():
         part = made.with_suffix(".part.xml")
         run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")

@@ -3,6 +3,7 @@
 import json
 import operator
 import os
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
+from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError, nearest
@@ -288,6 +290,7 @@ def density_count(density: str | int) -> int:
     return count
 
 
+_POLYGON, _COLLECTION, _HAS_Z = 3, 7, 0x80000000  # kinds of WKB, and a flag of theirs
 _GRID = ("columns", "ground", "region", "center")
 _MESH = tuple(f.name for f in fields(Mesh))
 _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
@@ -335,15 +338,35 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)
 
 
+def _shape(wkb: bytes) -> BaseGeometry:
+    """The geometry of a WKB text, whose parts have no parts: deep ones overflow GEOS's stack.
+
+    Raises ValueError or struct.error on any other.
+    """
+    order, kind, count = struct.unpack_from("<BII", wkb)
+    at, own = 9, kind & ~_HAS_Z
+    if order != 1 or own > _COLLECTION:
+        raise ValueError("no geometry as shapely writes it")
+    for _ in range(count if own > _POLYGON else 0):
+        order, kind, count = struct.unpack_from("<BII", wkb, at)
+        own, size = kind & ~_HAS_Z, 24 if kind & _HAS_Z else 16
+        if order != 1 or not 0 < own <= _POLYGON:
+            raise ValueError("a part has parts itself")
+        at += 9
+        if own < _POLYGON:
+            at += count * size if own > 1 else size - 4  # a point has no count
+        for _ in range(count if own == _POLYGON else 0):
+            at += 4 + size * struct.unpack_from("<I", wkb, at)[0]
+    return shapely.from_wkb(wkb)
+
+
 def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
     if record["format"] not in (FORMAT, WITH_STATICS, WITH_TERRAIN):
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
             raise _Earlier
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
-    shapes = [
-        shapely.from_wkb(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)
-    ]
+    shapes = [_shape(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)]
     given = record.get("georeference")  # none in older files
     points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
     place = Intersection(

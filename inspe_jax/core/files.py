@@ -217,7 +217,11 @@ def check_xml(file: IO[bytes], where: str, root: str) -> None:
         nonlocal level
         level -= 1
 
+    def entity(*_: Any) -> None:
+        raise InspeError(f"{where}: has XML entities of its own, which are not read")
+
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.EntityDeclHandler = parser.SkippedEntityHandler = entity
     most = math.inf
     if isinstance(file, gzip.GzipFile):
         most = max(2**26, UNPACKED * os.fstat(file.fileno()).st_size)

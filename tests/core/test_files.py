@@ -163,6 +163,8 @@ def test_arrays_are_bounded_before_they_are_unpacked(tmp_path, members, words, m
         (gzip.compress(b"<osm/>")[:-9], "not well-formed XML"),
         (b"<" + b"x" * 60_000 + b"/>", "the root element is <x+>, not <osm>"),
         (b"<osm>", "not well-formed XML"),
+        (b"<!DOCTYPE a [<!ENTITY a SYSTEM 'b'>]><osm>&a;</osm>", "has XML entities of its own"),
+        (b"<!DOCTYPE a SYSTEM 'b'><osm>&a;</osm>", "has XML entities of its own"),
     ],
 )
 def test_xml_is_bounded_before_its_tree_is_made(text, words, tmp_path):
